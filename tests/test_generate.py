@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xfreqbench.dataset import open_dataset, verify
+from xfreqbench.errors import (
+    MaterialBandError,
+    OutputExistsError,
+    PlacementError,
+    StorageError,
+    UnknownNameError,
+    XFreqBenchError,
+)
+from xfreqbench.generate import Plan, generate, plan_generation
+from xfreqbench.scene import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.tracing import TraceSettings
+
+SETTINGS = TraceSettings(rays=20_000, max_depth=3)
+CARRIERS_HZ = [1e9, 24.25e9]
+
+
+def small_plan(scene_name: str = "two_rooms", num_transmitters: int = 40, **changes: object) -> Plan:
+    arguments = {"settings": SETTINGS, "num_transmitters": num_transmitters, **changes}
+    return plan_generation(load_scene(scene_name), CARRIERS_HZ, **arguments)  # type: ignore[arg-type]
+
+
+def test_a_data_set_holds_what_was_traced(tmp_path: Path) -> None:
+    plan = small_plan()
+    progress: list[tuple[int, int]] = []
+    path = generate(plan, tmp_path / "rooms.h5", lambda done, total: progress.append((done, total)))
+    verify(path)
+    dataset = open_dataset(path)
+    assert len(dataset) == plan.num_samples == 80
+    np.testing.assert_array_equal(dataset.tx_position_m[::2], plan.tx_position_m)
+    assert dataset.pas([0, 5]).max(axis=(1, 2)) == pytest.approx(1)
+    assert dataset.header.settings["solver"] == "image"
+    assert progress[0] == (0, 40)
+    assert progress[-1] == (40, 40)
+    assert not list(tmp_path.glob("*.parts"))
+
+
+def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) -> None:
+    path = generate(small_plan(), tmp_path / "rooms.h5")
+    before = path.stat().st_mtime_ns
+    generate(small_plan(), path)
+    assert path.stat().st_mtime_ns == before
+    with pytest.raises(OutputExistsError, match="holds another job"):
+        generate(small_plan(num_transmitters=30), path)
+    with pytest.raises(OutputExistsError, match="holds another job"):
+        generate(small_plan(pas_kind="amplitude"), path)
+    assert path.stat().st_mtime_ns == before
+
+
+def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "rooms.h5.parts"
+    folder.mkdir()
+    (folder / "job.sha256").write_text("another")
+    with pytest.raises(OutputExistsError, match="other settings"):
+        generate(small_plan(), tmp_path / "rooms.h5")
+    assert (folder / "job.sha256").read_text() == "another"
+
+
+def test_a_damaged_batch_is_traced_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = generate(small_plan(), tmp_path / "whole.h5")
+    monkeypatch.setattr("xfreqbench.generate.BatchStore.remove", lambda self: None)
+    generate(small_plan(), tmp_path / "damaged.h5")
+    monkeypatch.undo()
+    first, *_ = sorted((tmp_path / "damaged.h5.parts").glob("000000-*.npz"))
+    content = bytearray(first.read_bytes())
+    content[len(content) // 2] ^= 1
+    first.write_bytes(content)
+    (tmp_path / "damaged.h5").unlink()
+    again = generate(small_plan(), tmp_path / "damaged.h5")
+    assert open_dataset(again).sha256 == open_dataset(whole).sha256
+
+
+def command(arguments: Sequence[str]) -> list[str]:
+    return [sys.executable, "-m", "xfreqbench.cli", *arguments]
+
+
+def generate_command(path: Path) -> list[str]:
+    options = "--freqs 1,10,60 --tx 640 --rays 50000 --max-depth 5 --quiet -o"
+    return command(["generate", "two_rooms", *options.split(), str(path)])
+
+
+@pytest.mark.slow
+def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: Path) -> None:
+    unbroken, broken = tmp_path / "unbroken.h5", tmp_path / "broken.h5"
+    subprocess.run(generate_command(unbroken), check=True)
+    chance = random.Random(0)
+    num_kills = 0
+    while not broken.exists():
+        process = subprocess.Popen(generate_command(broken))
+        if num_kills < 6:
+            wait_for_batches(process, broken, chance.randrange(6))
+            time.sleep(chance.uniform(0, 0.05))
+            process.send_signal(signal.SIGKILL)
+        status = process.wait()
+        num_kills += status == -signal.SIGKILL
+        assert status in (0, -signal.SIGKILL)
+    assert num_kills >= 5
+    assert broken.read_bytes() == unbroken.read_bytes()
+    assert not list(tmp_path.glob("*.parts"))
+
+
+def wait_for_batches(process: subprocess.Popen[bytes], path: Path, count: int) -> None:
+    def num_batches() -> int:
+        return len(list(path.with_name(path.name + ".parts").glob("*.npz")))
+
+    start = num_batches()
+    while process.poll() is None and num_batches() < start + count:
+        time.sleep(0.002)
+
+
+def test_a_full_disk_is_foreseen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(StorageError, match="1,000 free"):
+        generate(small_plan(), tmp_path / "rooms.h5")
+    assert not list(tmp_path.glob("*"))
+
+
+def test_a_disk_that_fills_up_keeps_the_batches_and_leaves_no_half_file(tmp_path: Path) -> None:
+    program = """
+import resource, sys
+from xfreqbench.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))  # no file may grow beyond 2 MB
+sys.argv[1:] = sys.argv[1].split()
+main()
+"""
+    arguments = f"generate two_rooms --freqs 1 --tx 40 --rays 20000 --max-depth 2 -q -o {tmp_path}/rooms.h5"
+    done = subprocess.run([sys.executable, "-c", program, arguments], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "cannot be written: File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["rooms.h5.parts"]
+    subprocess.run(command(arguments.split()), check=True)
+    verify(tmp_path / "rooms.h5")
+
+
+def test_bad_input_is_refused_before_any_ray() -> None:
+    office = load_scene("office")
+    for carriers, message in (([], "positive"), ([0.0], "positive"), ([1e9, 1e9], "once")):
+        with pytest.raises(XFreqBenchError, match=message):
+            plan_generation(office, carriers)
+    with pytest.raises(MaterialBandError, match="from 1 to 100 GHz"):
+        plan_generation(office, [0.9e9])
+    with pytest.raises(UnknownNameError, match="PAS kind"):
+        plan_generation(office, [1e9], pas_kind="powr")
+    with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
+        plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
+    with pytest.raises(XFreqBenchError, match="depth"):
+        plan_generation(office, [1e9], TraceSettings(max_depth=-1))
+
+
+def test_extrapolated_materials_are_recorded(tmp_path: Path) -> None:
+    settings = TraceSettings(rays=1000, max_depth=1, materials="extrapolate")
+    plan = plan_generation(load_scene("two_rooms"), [0.9e9], settings, num_transmitters=2)
+    dataset = open_dataset(generate(plan, tmp_path / "low.h5"))
+    assert "concrete" in dataset.header.settings["extrapolated_materials"]
+
+
+def test_a_transmitter_without_any_path_is_kept_and_flagged(tmp_path: Path) -> None:
+    low, high = np.array([-0.5, -0.5, 1.5]), np.array([0.5, 0.5, 2.5])
+    walls = [  # six rectangles: a closed box around the receiver would be refused
+        Surface(
+            f"wall {axis}{end[axis]}",
+            "metal",
+            0.01,
+            tuple(np.where(flat, end, low)),
+            tuple(np.where(flat, end, high)),
+        )
+        for axis, flat in enumerate(np.eye(3, dtype=bool))
+        for end in (low, high)
+    ]
+    scene = Scene(
+        name="cage",
+        receiver=ReceiverArray(position_m=(0.0, 0.0, 2.0)),
+        transmitters=TransmitterGrid(min_m=(3.0, 0.3, 1.0), max_m=(3.0, 0.3, 1.0), step_m=(1.0, 1.0, 1.0)),
+        surface=tuple(walls),
+    )
+    dataset = open_dataset(generate(plan_generation(scene, [5e9], SETTINGS), tmp_path / "cage.h5"))
+    assert len(dataset) == 1
+    assert not dataset.has_path.any()
+    assert not dataset.pas().any()
+    assert np.isfinite(dataset.cfr).all()
+
+
+def test_without_maps_they_are_derived_when_read(tmp_path: Path) -> None:
+    with_maps = open_dataset(generate(small_plan(num_transmitters=4), tmp_path / "maps.h5"))
+    without = open_dataset(generate(small_plan(num_transmitters=4, maps=False), tmp_path / "none.h5"))
+    np.testing.assert_allclose(without.pas(), with_maps.pas(), atol=2**-11)  # float16 on disk
+    assert without.path.stat().st_size < with_maps.path.stat().st_size / 5

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import paper_dataset, write_dataset
+
+from xfreqbench.dataset import PasDataset
+from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.protocols import LOFO_TARGETS_HZ, find_split, lofo, make_splits, sparse_frequency
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5")
+
+
+def test_lofo_never_trains_on_the_carrier_it_tests(dataset: PasDataset) -> None:
+    for split, target in zip(lofo(dataset), LOFO_TARGETS_HZ, strict=True):
+        assert set(dataset.carrier_hz[split.test]) == {target}
+        assert target not in dataset.carrier_hz[split.train]
+        assert len(split.train) + len(split.test) == len(dataset)
+        assert split.shares_transmitters
+
+
+def test_lofo_all_holds_out_every_carrier_once(dataset: PasDataset) -> None:
+    splits = make_splits(dataset, "lofo", "all")
+    tested = np.concatenate([split.test for split in splits])
+    np.testing.assert_array_equal(np.sort(tested), np.arange(len(dataset)))
+    assert len(splits) == 10
+
+
+def test_sparse_frequency_trains_on_the_carriers_of_the_paper(dataset: PasDataset) -> None:
+    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in sparse_frequency(dataset)]
+    assert trained == [{10, 37}, {10, 37, 94}, {1, 10, 37, 60, 94}]
+    for split in sparse_frequency(dataset):
+        assert set(dataset.carrier_hz[split.test]) == {24.25e9}
+
+
+def test_split_names_say_target_and_training_carriers(dataset: PasDataset) -> None:
+    assert [split.name for split in lofo(dataset)] == ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
+    assert sparse_frequency(dataset)[1].name == "sparse-24.25GHz-from-10-37-94GHz"
+
+
+def test_samples_without_a_path_are_in_neither_part_and_counted(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", silent=((0, 1), (2, 1), (3, 0)))
+    split = lofo(dataset, [10e9])[0]
+    assert split.num_without_path == 2
+    np.testing.assert_array_equal(split.test, [4, 10])
+    assert 9 not in split.train
+
+
+def test_missing_carriers_are_named(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    with pytest.raises(ProtocolError, match=r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"):
+        make_splits(dataset, "lofo")
+    with pytest.raises(ProtocolError, match=r"needs 24.25, 60, 94 GHz"):
+        make_splits(dataset, "sparse")
+
+
+def test_one_carrier_alone_cannot_be_left_out(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0,))
+    with pytest.raises(ProtocolError, match="two carriers"):
+        make_splits(dataset, "lofo", "all")
+
+
+def test_a_target_that_no_path_reaches_is_refused(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1, silent=((0, 1),))
+    with pytest.raises(ProtocolError, match="0 to test on"):
+        lofo(dataset, [10e9])
+
+
+def test_unknown_names_suggest_the_nearest(dataset: PasDataset) -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'lofo'"):
+        make_splits(dataset, "loof")
+    with pytest.raises(UnknownNameError, match="Did you mean 'lofo-77GHz'"):
+        find_split(dataset, "lofo", "lofo-78GHz")
+
+
+def test_the_hash_of_a_split_follows_its_rows(dataset: PasDataset) -> None:
+    assert find_split(dataset, "lofo", "lofo-77GHz").sha256 == lofo(dataset)[2].sha256
+    assert (
+        len({split.sha256 for split in [*make_splits(dataset, "lofo", "all"), *sparse_frequency(dataset)]})
+        == 13
+    )
+    fewer = dataset.subset(np.arange(20))
+    assert lofo(fewer)[2].sha256 != lofo(dataset)[2].sha256

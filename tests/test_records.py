@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import math
+import multiprocessing
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.errors import DataError, StorageError
+from xfreqbench.method import Budget
+from xfreqbench.records import NUM_QUANTILES, Job, RunRecord, Summary, append, read
+
+
+def make_summary(median: float) -> Summary:
+    spread = [median + 0.1 * (level / 100 - 0.5) for level in range(NUM_QUANTILES)]
+    return Summary(
+        mean=median,
+        median=median,
+        p10=median - 0.04,
+        interval=(median - 0.01, median + 0.01),
+        quantiles=spread,
+        median_by_carrier_hz={"24250000000": median},
+    )
+
+
+def make_record(
+    method: str = "nearest",
+    ssim: float = 0.9,
+    split: str = "lofo-24.25GHz",
+    protocol: str = "lofo",
+    **changes: object,
+) -> RunRecord:
+    job = Job("data.h5", method, protocol, split, ("num_nearest=3",) if "=" in method else ())
+    fields: dict[str, object] = {
+        "id": f"{method}-{split}",
+        "job": job,
+        "dataset_sha256": "a" * 64,
+        "scene": "office",
+        "split_sha256": "b" * 64,
+        "protocol_version": "1",
+        "metrics_version": "1",
+        "config": {},
+        "step": 1,
+        "fit_seconds": 0.5,
+        "predict_ms_per_map": 1.25,
+        "peak_memory_mib": 200.0,
+        "parameters": 1234,
+        "num_test": 100,
+        "num_without_path": 0,
+        "shares_transmitters": True,
+        "scores": {
+            name: make_summary(ssim)
+            for name in ("ssim", "ssim_wrapped", "psnr", "power_error", "aoa_error", "beam_loss")
+        },
+        "hardware": {"cores": "2"},
+        "software": {"numpy": "2"},
+        "git_commit": None,
+        "time_utc": "2026-01-01T00:00:00+00:00",
+    }
+    return RunRecord.model_validate(fields | changes)
+
+
+def test_records_come_back_in_order_with_infinite_scores(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    infinite = make_summary(math.inf).model_copy(update={"mean": math.nan})
+    first = make_record(scores={"psnr": infinite})
+    append(path, first)
+    append(path, make_record("line-of-sight"))
+    stored = read(path)
+    assert [record.job.method for record in stored.records] == ["nearest", "line-of-sight"]
+    assert stored.records[0].scores["psnr"].median == math.inf
+    assert math.isnan(stored.records[0].scores["psnr"].mean)
+    assert stored.records[0].job == first.job
+    assert stored.num_truncated == 0
+
+
+def test_a_job_comes_back_with_its_budget_and_options(tmp_path: Path) -> None:
+    job = Job("data.h5", "nearest", "lofo", "lofo-1GHz", ("a=1",), seed=3, budget=Budget(5, 1.5))
+    append(tmp_path / "records.jsonl", make_record().model_copy(update={"job": job}))
+    assert read(tmp_path / "records.jsonl").records[0].job == job
+
+
+def test_no_file_holds_no_records(tmp_path: Path) -> None:
+    assert read(tmp_path / "records.jsonl").records == ()
+
+
+def test_a_broken_line_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    append(path, make_record())
+    path.write_text(path.read_text() + '{"id": "x"}\n')
+    append(path, make_record())
+    with pytest.raises(DataError, match=r"records\.jsonl, line 2, is no run record: job"):
+        read(path)
+
+
+def test_a_line_that_a_kill_cut_off_is_counted_and_replaced_by_the_next_record(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    append(path, make_record())
+    path.write_bytes(path.read_bytes() + path.read_bytes()[:100])
+    assert (len(read(path).records), read(path).num_truncated) == (1, 1)
+    append(path, make_record("line-of-sight"))
+    assert [record.job.method for record in read(path).records] == ["nearest", "line-of-sight"]
+    assert read(path).num_truncated == 0
+
+
+def _append_many(path, method):
+    for _ in range(20):
+        append(path, make_record(method))
+
+
+def test_two_processes_append_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    context = multiprocessing.get_context("spawn")
+    workers = [
+        context.Process(target=_append_many, args=(path, name)) for name in ("nearest", "line-of-sight")
+    ]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert len(read(path).records) == 40
+
+
+def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        append(tmp_path / "file" / "records.jsonl", make_record())
+
+
+def test_a_summary_has_a_hundred_and_one_quantiles() -> None:
+    with pytest.raises(ValueError, match="quantiles"):
+        make_summary(0.5).model_validate(make_summary(0.5).model_dump() | {"quantiles": [0.0] * 100})

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_records import make_record
+
+from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.method import TRIVIAL
+from xfreqbench.plots import plot_pas_maps
+from xfreqbench.records import append
+from xfreqbench.report import BEGIN, END, boards, leaderboard_markdown, write_report
+
+SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
+
+
+def make_records():
+    ssim = {
+        "line-of-sight": 0.8,
+        "nearest": 0.85,
+        "mean-over-frequency": 0.9,
+        "log-frequency": 0.88,
+        "ours": 0.95,
+    }
+    return [make_record(method, value, split) for split in SPLITS for method, value in ssim.items()]
+
+
+def cells(markdown, method, table=0):
+    rows = [line for line in markdown.splitlines() if line.startswith(f"| {method} |")]
+    return [cell.strip() for cell in rows[table].strip("|").split("|")]
+
+
+def test_the_summary_ranks_by_average_ssim_and_gives_skill() -> None:
+    markdown = leaderboard_markdown(make_records())
+    assert cells(markdown, "ours") == [
+        "ours",
+        *["0.9500 [0.9400, 0.9600]"] * 3,
+        "0.9500",
+        "0.500",
+        "0.50",
+        "1.25",
+        "200",
+    ]
+    order = [
+        markdown.index(f"| {name} |") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")
+    ]
+    assert order == sorted(order)
+
+
+def test_a_row_that_loses_to_a_trivial_predictor_stands_with_its_negative_skill() -> None:
+    markdown = leaderboard_markdown([*make_records()[:4], make_record("worse", 0.7, SPLITS[0])])
+    assert cells(markdown, "worse", table=1)[2] == "-2.000"
+
+
+def test_without_a_trivial_predictor_there_is_no_skill() -> None:
+    markdown = leaderboard_markdown([make_record("ours", 0.95)])
+    assert cells(markdown, "ours")[3] == "–"
+
+
+def test_a_split_that_was_not_run_leaves_no_average_and_ranks_last() -> None:
+    records = [*make_records(), make_record("lucky", 0.99, SPLITS[0])]
+    markdown = leaderboard_markdown(records)
+    assert cells(markdown, "lucky")[2:6] == ["–", "–", "–", "–"]
+    assert markdown.index("| lucky |") > markdown.index("| line-of-sight |")
+
+
+def test_targets_stand_in_order_of_frequency() -> None:
+    assert boards(make_records()[::-1])[0].splits == SPLITS
+
+
+def test_the_order_of_records_does_not_matter() -> None:
+    assert leaderboard_markdown(make_records()) == leaderboard_markdown(make_records()[::-1])
+
+
+def test_of_a_job_run_twice_the_later_record_counts() -> None:
+    later = make_record("ours", 0.97, time_utc="2026-01-02T00:00:00+00:00")
+    assert "0.9700 [" in leaderboard_markdown([later, make_record("ours", 0.95)])
+
+
+def test_other_options_seeds_and_data_sets_are_other_rows() -> None:
+    records = [make_record("ours", 0.9), make_record("ours", 0.8, dataset_sha256="c" * 64)]
+    seeded = make_record("ours", 0.7)
+    job = {"job": seeded.job.__class__(**{**vars(seeded.job), "seed": 2, "overrides": ("a=1",)})}
+    grouped = boards([*records, seeded.model_copy(update=job)])
+    assert [[row.label for row in board.rows] for board in grouped] == [
+        ["ours", "ours (a=1, seed 2)"],
+        ["ours"],
+    ]
+
+
+@pytest.mark.parametrize("field", ["protocol_version", "metrics_version"])
+def test_records_of_different_versions_are_not_ranked_together(field: str) -> None:
+    with pytest.raises(DataError, match=r"different versions \(protocol .* with metrics"):
+        leaderboard_markdown([make_record("ours", 0.9), make_record("nearest", 0.9, **{field: "2"})])
+
+
+def test_published_numbers_stand_apart_and_digit_for_digit() -> None:
+    markdown = leaderboard_markdown(make_records())
+    own, _, published = markdown.partition("### Published, other data, not comparable")
+    assert "XFreq-GS" not in own
+    assert cells(published, "Wideband3DGS") == ["Wideband3DGS", "0.8000", "0.7865", "0.7966", "0.7944"]
+    assert "1,446 transmitters × 10 carriers" in published
+
+
+def test_samples_without_a_path_are_said_to_be_left_out() -> None:
+    assert "100 samples; 7 without any path" in leaderboard_markdown([make_record(num_without_path=7)])
+
+
+def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
+    legend = leaderboard_markdown(make_records()).partition("## What the columns say")[2]
+    for words in ("7×7 uniform window", "−40 dB", *TRIVIAL):
+        assert words in legend
+
+
+def _store(folder):
+    for record in make_records():
+        append(folder / "records.jsonl", record)
+
+
+def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
+    _store(tmp_path / "results")
+    for name in ("a", "b"):
+        write_report(tmp_path / "results", tmp_path / name / "BENCHMARK.md")
+    files = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert [name.rpartition(".")[2] for name in files] == ["svg", "md"]
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_report_links_its_figure(tmp_path: Path) -> None:
+    _store(tmp_path)
+    output, figure = write_report(tmp_path, tmp_path / "BENCHMARK.md")
+    assert f"]({figure.name})" in output.read_text()
+    assert "mean-over-frequency" in figure.read_text()
+
+
+def test_a_report_is_made_from_one_file_of_records_too(tmp_path: Path) -> None:
+    _store(tmp_path / "results")
+    path = tmp_path / "results" / "records.jsonl"
+    assert write_report(path, tmp_path / "out" / "BENCHMARK.md")[0].exists()
+
+
+def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
+    _store(tmp_path)
+    output = tmp_path / "BENCHMARK.md"
+    output.write_text(f"# Ours\n\nRead this.\n\n{BEGIN}\nold\n{END}\n\nAnd that.\n")
+    write_report(tmp_path, output)
+    text = output.read_text()
+    assert text.startswith(f"# Ours\n\nRead this.\n\n{BEGIN}")
+    assert text.endswith(f"{END}\n\nAnd that.\n")
+    assert "\nold\n" not in text
+
+
+def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
+    _store(tmp_path)
+    output = tmp_path / "NOTES.md"
+    output.write_text("mine")
+    with pytest.raises(OutputExistsError, match="no generated part"):
+        write_report(tmp_path, output)
+    assert output.read_text() == "mine"
+
+
+def test_a_report_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="holds no records"):
+        write_report(tmp_path, tmp_path / "BENCHMARK.md")
+
+
+def test_pictures_of_maps_are_equal_bytes_for_equal_maps(tmp_path: Path) -> None:
+    maps = np.random.default_rng(0).random((2, 90, 360), dtype=np.float32)
+    for name in ("a.png", "b.png"):
+        plot_pas_maps(maps, ["truth", "predicted"], tmp_path / name)
+    plot_pas_maps(maps[::-1], ["truth", "predicted"], tmp_path / "c.png")
+    a, b, c = ((tmp_path / name).read_bytes() for name in ("a.png", "b.png", "c.png"))
+    assert a == b != c

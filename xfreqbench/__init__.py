@@ -1,0 +1,1 @@
+"""Benchmark of radiance-field methods that predict wireless channels at unseen carriers."""

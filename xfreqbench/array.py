@@ -1,0 +1,46 @@
+"""The receiver array: where its elements are, and how they see a plane wave."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+
+def planar_array(rows: int, cols: int, spacing_wavelengths: float) -> Float[FloatArray, "M 3"]:
+    """Element positions in wavelengths, in the receiver's frame, centred; row by row.
+
+    Columns run along +x and rows along +y: the array lies in the equator, its boresight is the pole.
+    """
+    x = (np.arange(cols) - (cols - 1) / 2) * spacing_wavelengths
+    y = (np.arange(rows) - (rows - 1) / 2) * spacing_wavelengths
+    return np.stack([np.tile(x, rows), np.repeat(y, cols), np.zeros(rows * cols)], axis=-1)
+
+
+def frame_rotation(boresight: tuple[float, float, float]) -> Float[FloatArray, "3 3"]:
+    """Rotation from the receiver's frame to the world; its columns are the frame's axes.
+
+    The frame's +z is the boresight, its +x the world's +x made perpendicular to it (the world's +y
+    where the boresight is along x).
+    """
+    pole = np.asarray(boresight, dtype=np.float64)
+    pole = pole / np.linalg.norm(pole)
+    reference = np.array([0.0, 1.0, 0.0]) if abs(pole[0]) > 0.99 else np.array([1.0, 0.0, 0.0])
+    x = reference - (reference @ pole) * pole
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(pole, x), pole], axis=-1)
+
+
+def steering_vector(
+    element_position_m: Float[FloatArray, "M 3"], arrival: Float[FloatArray, "... 3"], carrier_hz: float
+) -> Complex[NDArray[np.complex128], "... M"]:
+    """Phase of a unit plane wave from `arrival` at each array element (PHYSICS: a_n = exp(+jk r_n·d)).
+
+    `arrival` points from the receiver towards the source, in the frame of the positions; the phase is
+    zero at the array centre, time running as exp(+j2πft). Shapes (M, 3), (..., 3) → (..., M).
+    """
+    wavenumber = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S  # rad/m
+    return np.exp(1j * wavenumber * (arrival @ element_position_m.T))

@@ -1,0 +1,343 @@
+"""The command line. Every command imports what it needs when it runs, so that --help is quick."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from xfreqbench.errors import StorageError, XFreqBenchError
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+app = App(
+    name="xfreqbench",
+    help="How well does a radiance-field method predict channels at carriers it was never trained on?",
+)
+bench = App(name="bench", help="Measure accuracy against time; every table names its machine.")
+app.command(bench)
+
+Freqs = Annotated[
+    str, Parameter(help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`, its ten.")
+]
+Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
+Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
+Solver = Annotated[
+    Literal["auto", "image", "sionna"],
+    Parameter(
+        help="image: exact image method for planar facets; sionna: Sionna RT, every scene; auto: the first that serves."
+    ),
+]
+Interactions = Annotated[
+    str, Parameter(help="Comma-separated, of: specular, refraction, diffraction, diffuse.")
+]
+DEFAULT_INTERACTIONS = "specular,refraction"
+
+
+def main() -> None:
+    """Run the command line; exit code 2 for what a user can mend, 130 for an interrupted command."""
+    try:
+        app()
+    except StorageError as error:
+        print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
+        os._exit(2)  # HDF5 would write the failed file once more on the way out, and crash
+    except XFreqBenchError as error:
+        print(f"xfreqbench: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("\nxfreqbench: interrupted; the same command goes on where it stopped.", file=sys.stderr)
+        sys.exit(130)
+
+
+def parse_carriers_hz(freqs: str) -> list[float]:
+    """Carriers in hertz from `1,2.4` (GHz) or `paper`; raises `XFreqBenchError`."""
+    if freqs.strip() == "paper":
+        return [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
+    try:
+        return [ghz_to_hz(float(part)) for part in freqs.split(",")]
+    except (ValueError, OverflowError) as error:
+        raise XFreqBenchError(
+            f"--freqs takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
+        ) from error
+
+
+@contextmanager
+def progress_bar(what: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar on stderr with rate and remaining time, driven by callback(done, total)."""
+    if quiet:
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit + " · {task.fields[rate]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task(what, total=None, rate="")
+
+        def update(done: int, total: int) -> None:
+            speed = progress.tasks[task].speed
+            progress.update(task, completed=done, total=total, rate=f"{speed:.3g}/s" if speed else "")
+
+        yield update
+
+
+def _say(text: str, quiet: bool = False) -> None:
+    if not quiet:
+        print(text, flush=True)
+
+
+@app.command
+def scenes() -> None:
+    """List the scenes that ship with the toolkit."""
+    from xfreqbench.scene import shipped_scenes
+
+    for name, description in shipped_scenes().items():
+        print(f"{name:12} {description}")
+
+
+@app.command
+def methods() -> None:
+    """List the installed methods."""
+    from xfreqbench.method import method_names, resolve_method
+
+    for name in method_names():
+        print(f"{name:22} {(resolve_method(name).__doc__ or '').splitlines()[0]}")
+
+
+@app.command
+def generate(
+    scene: str = "office",
+    *,
+    output: Output,
+    freqs: Freqs = "paper",
+    tx: Annotated[
+        int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")
+    ] = None,
+    tx_positions: Annotated[
+        Path | None,
+        Parameter(help="CSV of x,y,z in metres, one transmitter a line, instead of the scene's grid."),
+    ] = None,
+    solver: Solver = "auto",
+    interactions: Interactions = DEFAULT_INTERACTIONS,
+    rays: Annotated[int, Parameter(help="Rays that look for paths.")] = 500_000,
+    max_depth: Annotated[
+        int, Parameter(help="Interactions of a path, reflections and transmissions together.")
+    ] = 6,
+    seed: Annotated[int, Parameter(help="Seed of the rays and of the choice of transmitters.")] = 1,
+    pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
+    materials: Annotated[
+        Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
+    ] = "error",
+    maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    dry_run: Annotated[
+        bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Trace a scene and write its channels and power angular spectra to an HDF5 file.
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.generate import estimate_seconds, plan_generation
+    from xfreqbench.generate import generate as run_plan
+    from xfreqbench.scene import load_scene
+    from xfreqbench.tracing import TraceSettings
+
+    settings = TraceSettings(
+        solver=solver,
+        interactions=_interactions(interactions),
+        max_depth=max_depth,
+        rays=rays,
+        seed=seed,
+        materials=materials,
+    )
+    plan = plan_generation(
+        load_scene(scene),
+        parse_carriers_hz(freqs),
+        settings,
+        num_transmitters=tx,
+        tx_position_m=_read_positions(tx_positions),
+        pas_kind=pas_kind,
+        maps=maps,
+    )
+    _say(plan.summary, quiet)
+    if dry_run:
+        print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
+        return
+    with progress_bar(f"tracing {scene}", "transmitters", quiet) as progress:
+        run_plan(plan, output, progress)
+    _say(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB)", quiet)
+
+
+def _interactions(names: str) -> tuple[Literal["specular", "refraction", "diffraction", "diffuse"], ...]:
+    """Checked later, where every setting is; here only split."""
+    return tuple(name.strip() for name in names.split(",") if name.strip())  # type: ignore[misc]
+
+
+def _read_positions(path: Path | None) -> Any:
+    """Positions (T, 3) in metres, or None."""
+    if path is None:
+        return None
+    import numpy as np
+
+    try:
+        return np.loadtxt(path, delimiter=",", ndmin=2, usecols=(0, 1, 2))
+    except (OSError, ValueError) as error:
+        raise XFreqBenchError(
+            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {error}"
+        ) from error
+
+
+@app.command
+def info(file: Path) -> None:
+    """Say what a data set holds and verify every byte of it against its hashes."""
+    from xfreqbench.dataset import verify
+    from xfreqbench.inspection import describe
+
+    print(describe(file))
+    verify(file)
+    print("every hash holds")
+
+
+@app.command
+def run(
+    *,
+    data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
+    results: Annotated[Path, Parameter(help="Folder for records and predictions.")],
+    method: Annotated[
+        str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
+    ] = "all",
+    protocol: Annotated[
+        str, Parameter(help="lofo: leave one frequency out; sparse: the paper's three training sets.")
+    ] = "lofo",
+    targets: Annotated[
+        str | None,
+        Parameter(help="Held-out carriers of lofo in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
+    ] = None,
+    seed: Annotated[int, Parameter(help="Seed of the methods.")] = 0,
+    budget: Annotated[str | None, Parameter(help="Fitting budget: 300s, 5m, or 2000steps.")] = None,
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+    quiet: Quiet = False,
+) -> None:
+    """Fit methods on a protocol's training rows, store their predictions and score them."""
+    from xfreqbench.dataset import open_dataset
+    from xfreqbench.method import method_names, parse_budget
+    from xfreqbench.protocols import make_splits
+    from xfreqbench.report import leaderboard_markdown
+    from xfreqbench.run import Job, run_all
+
+    dataset = open_dataset(data)
+    names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
+    splits = make_splits(dataset, protocol, _target_carriers_hz(targets))
+    jobs = [
+        Job(str(data), name, protocol, split.name, set_, seed, parse_budget(budget))
+        for name in names
+        for split in splits
+    ]
+    with progress_bar(f"{protocol} on {data.name}", "runs", quiet) as progress:
+        records = run_all(jobs, results, lambda done, total, record: progress(done, total))
+    _say(leaderboard_markdown(records), quiet)
+
+
+def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
+    return "all" if targets == "all" else parse_carriers_hz(targets) if targets else None
+
+
+@app.command
+def report(
+    results: Path,
+    *,
+    output: Output = Path("BENCHMARK.md"),
+    quiet: Quiet = False,
+) -> None:
+    """Rebuild the leaderboard from the records of a results folder, offline."""
+    from xfreqbench.report import write_report
+
+    for path in write_report(results, output):
+        _say(f"wrote {path}", quiet)
+
+
+@app.command
+def plot(
+    file: Path,
+    *,
+    output: Output,
+    tx: Annotated[int, Parameter(help="Index of the transmitter in the data set.")] = 0,
+) -> None:
+    """Draw the power angular spectra of one transmitter at every carrier, as a PNG."""
+    import numpy as np
+
+    from xfreqbench.dataset import open_dataset
+    from xfreqbench.plots import plot_pas_maps
+    from xfreqbench.units import format_ghz
+
+    dataset = open_dataset(file)
+    if not 0 <= tx < dataset.header.num_tx:
+        raise XFreqBenchError(
+            f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for."
+        )
+    rows = np.flatnonzero(dataset.tx_index == tx)
+    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
+    plot_pas_maps(dataset.pas(rows), titles, output)
+    _say(f"wrote {output}")
+
+
+@bench.command(name="generate")
+def bench_generate(
+    scene: str = "office",
+    *,
+    solvers: Annotated[str, Parameter(help="Comma-separated, of: image, sionna.")] = "image,sionna",
+    against_plain: Annotated[
+        bool,
+        Parameter(negative="", help="The full pipeline's rate against one public PathSolver call a sample."),
+    ] = False,
+    tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; all if absent.")] = None,
+    plain_tx: Annotated[int, Parameter(help="Transmitters of the plain way, 2 to 24.")] = 12,
+) -> None:
+    """Print the error of generated maps against run time, relative to the stored reference."""
+    from xfreqbench import convergence
+
+    if against_plain:
+        convergence.bench_against_plain(scene, tx, plain_tx, _say)
+    else:
+        convergence.bench_generate(scene, [name.strip() for name in solvers.split(",")], _say)
+
+
+@bench.command(name="reference")
+def bench_reference(scene: str = "office", *, output: Output | None = None, quiet: Quiet = False) -> None:
+    """Compute the reference of a scene by the plain way: 20 minutes; a killed run goes on."""
+    from xfreqbench.reference import make_reference, reference_path
+    from xfreqbench.scene import load_scene
+
+    path = output or reference_path(scene)
+    with progress_bar(f"reference of {scene}", "calls", quiet) as progress:
+        make_reference(load_scene(scene), path, progress)
+    _say(f"wrote {path}", quiet)
+
+
+if __name__ == "__main__":
+    main()

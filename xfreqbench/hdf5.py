@@ -1,0 +1,235 @@
+"""Sealed HDF5 files: written once and atomically, every byte of data and header under a sha256.
+
+The only module that imports h5py. Metadata is in HDF5's checksummed format (1.10), and text is of fixed
+length: texts of variable length live in a heap without checksums, where one flipped bit can send HDF5
+into an endless loop. A trailer behind HDF5's last byte holds the sha256 of all bytes before it. Nothing
+carries a time stamp, so equal content gives equal files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from xfreqbench.errors import DataError
+from xfreqbench.storage import atomic_path, storage_errors
+
+_METADATA_BYTES = 1 << 20  # generous: a header is some kilobytes
+_BLOCK_BYTES = 1 << 25
+_SEAL = "data_sha256"
+_TRAILER = b"xfreqbench sha256 "
+_TRAILER_BYTES = len(_TRAILER) + 64
+_READ_FAILURES = (OSError, RuntimeError, KeyError, ValueError, TypeError)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One dataset: its axes by name (an axis of its own name makes it their coordinate), unit and chunk."""
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    axes: tuple[str, ...]
+    units: str
+    long_name: str
+    chunk: tuple[int, ...] | None = None
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the data."""
+        return prod(self.shape) * np.dtype(self.dtype).itemsize
+
+
+class SealedWriter:
+    """Fills the variables of a file row by row, hashing what it writes."""
+
+    def __init__(self, file: Any, path: Path, variables: Sequence[Variable]) -> None:
+        self._file = file
+        self._path = path
+        self._variables = {variable.name: variable for variable in variables}
+        self._num_rows = dict.fromkeys(self._variables, 0)
+        for variable in variables:
+            _create(file, variable)
+        for variable in variables:
+            _attach_axes(file, variable)
+        self._digests = {name: _description_digest(file[name]) for name in self._variables}
+
+    def append(self, name: str, rows: NDArray[Any]) -> None:
+        """Write the next rows of a variable; raises `DataError` where they do not fit and `StorageError`."""
+        variable, start = self._variables[name], self._num_rows[name]
+        rows = np.ascontiguousarray(rows, dtype=variable.dtype)
+        if rows.shape[1:] != variable.shape[1:] or start + len(rows) > variable.shape[0]:
+            raise DataError(
+                f"{name!r} has shape {variable.shape} and holds {start} rows; rows of shape {rows.shape} "
+                "do not fit."
+            )
+        with storage_errors(self._path, variable.num_bytes):
+            self._file[name][start : start + len(rows)] = rows
+        self._digests[name].update(rows.data.cast("B") if rows.size else b"")
+        self._num_rows[name] += len(rows)
+
+    def seal(self) -> None:
+        """Store the hashes; raises `DataError` where rows are missing."""
+        for name, variable in self._variables.items():
+            if self._num_rows[name] != variable.shape[0]:
+                raise DataError(f"{name!r} got {self._num_rows[name]} of its {variable.shape[0]} rows.")
+        for name, digest in self._digests.items():
+            _set_texts(self._file[name], {"sha256": digest.hexdigest()})
+        _set_texts(self._file, {_SEAL: _seal_of(self._file)})
+
+
+@contextmanager
+def create_sealed(
+    path: Path, variables: Sequence[Variable], attributes: Mapping[str, str]
+) -> Iterator[SealedWriter]:
+    """Write a sealed file; it appears at `path`, whole, when the block ends. Raises `StorageError`."""
+    num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
+    with atomic_path(path, num_bytes) as temporary:
+        with storage_errors(path, num_bytes):
+            file = h5py.File(temporary, "w", libver=("v110", "v110"))
+        try:
+            with storage_errors(path, num_bytes):
+                _set_texts(file, attributes)
+                writer = SealedWriter(file, path, variables)
+            yield writer
+            with storage_errors(path, num_bytes):
+                writer.seal()
+                file.close()
+                _append_trailer(temporary)
+        finally:
+            with suppress(OSError, RuntimeError):  # a full disk fails here once more
+                file.close()
+
+
+@contextmanager
+def open_sealed(path: Path, schema: str) -> Iterator[Any]:
+    """Open a file of a schema to read; raises `DataError` where it is missing, damaged or of another one."""
+    if not path.is_file():
+        raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
+    with read_errors(path), h5py.File(path, "r") as file:
+        found = _text(file, "schema") if "schema" in file.attrs else "none"
+        if found != schema:
+            raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
+        if _SEAL not in file.attrs:
+            raise DataError(f"{path} has no {_SEAL}: it was not written to its end. Generate it again.")
+        yield file
+
+
+@contextmanager
+def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
+    """Turn whatever h5py raises on damaged bytes into a `DataError` that names the part."""
+    try:
+        yield
+    except _READ_FAILURES as error:
+        raise DataError(
+            f"{path} is damaged or not HDF5: {what} cannot be read ({error}). Generate it again."
+        ) from error
+
+
+def sealed_sha256(file: Any) -> str:
+    """The hash over all data and header, as stored."""
+    return _text(file, _SEAL)
+
+
+def text_attributes(file: Any) -> dict[str, str]:
+    """The header's attributes."""
+    return {name: _text(file, name) for name in file.attrs if name != _SEAL}
+
+
+def verify_sealed(path: Path, schema: str) -> None:
+    """Hash every byte; raises `DataError` naming the first damaged part."""
+    with open_sealed(path, schema):
+        pass
+    if _is_whole(path):
+        return
+    with open_sealed(path, schema) as file:
+        for name in sorted(file):
+            with read_errors(path, f"dataset {name!r}"):
+                if _digest_of(file[name]) != _text(file[name], "sha256"):
+                    raise DataError(f"{path} is damaged: dataset {name!r} differs from its sha256.")
+        if _seal_of(file) != sealed_sha256(file):
+            raise DataError(f"{path} is damaged: its header attributes differ from the file's {_SEAL}.")
+    raise DataError(
+        f"{path} is damaged, or was rewritten by another program: its data are as they were, but its bytes "
+        "differ from the sha256 at its end. Generate it again."
+    )
+
+
+def _append_trailer(path: Path) -> None:
+    with path.open("r+b") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.write(_TRAILER + digest.encode())
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether all bytes of a file are those that its trailer was made from."""
+    digest, left = hashlib.sha256(), path.stat().st_size - _TRAILER_BYTES
+    with path.open("rb") as file:
+        while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+            digest.update(block)
+            left -= len(block)
+        return file.read() == _TRAILER + digest.hexdigest().encode()
+
+
+def _set_texts(owner: Any, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        content = text.encode()
+        owner.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
+
+
+def _text(owner: Any, name: str) -> str:
+    value = owner.attrs[name]
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _create(file: Any, variable: Variable) -> None:
+    dataset = file.create_dataset(
+        variable.name,
+        shape=variable.shape,
+        dtype=variable.dtype,
+        chunks=variable.chunk,
+        fletcher32=variable.chunk is not None,
+        track_times=False,
+    )
+    _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
+    if variable.axes == (variable.name,):
+        dataset.make_scale(variable.name)
+
+
+def _attach_axes(file: Any, variable: Variable) -> None:
+    if variable.axes == (variable.name,):
+        return
+    for position, axis in enumerate(variable.axes):
+        file[variable.name].dims[position].attach_scale(file[axis])
+
+
+def _description_digest(dataset: Any) -> Any:
+    """sha256 that has seen all that says what the bytes mean; the bytes themselves come next."""
+    meaning = [_text(dataset, "units"), _text(dataset, "long_name")]
+    description = [dataset.name, dataset.dtype.str, dataset.shape, *meaning]
+    return hashlib.sha256(json.dumps(description).encode())
+
+
+def _digest_of(dataset: Any) -> str:
+    digest = _description_digest(dataset)
+    row_bytes = max(1, prod(dataset.shape[1:]) * dataset.dtype.itemsize)
+    step = max(1, _BLOCK_BYTES // row_bytes)
+    for start in range(0, dataset.shape[0], step):
+        digest.update(np.ascontiguousarray(dataset[start : start + step]).data.cast("B"))
+    return digest.hexdigest()
+
+
+def _seal_of(file: Any) -> str:
+    """sha256 over the hashes of all datasets, in sorted order, and over the header."""
+    hashes = {name: _text(file[name], "sha256") for name in sorted(file)}
+    return hashlib.sha256(json.dumps([hashes, text_attributes(file)], sort_keys=True).encode()).hexdigest()

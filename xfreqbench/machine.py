@@ -1,0 +1,76 @@
+"""What a run was made with: processor, memory, library versions, commit."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import subprocess
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+_STATUS = Path("/proc/self/status")
+_CLEAR_REFS = Path("/proc/self/clear_refs")
+_LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py")
+
+
+def reset_peak_memory() -> None:
+    """Measure anew from here where the system can (Linux); elsewhere the peak is that since the start."""
+    try:
+        _CLEAR_REFS.write_text("5")
+    except OSError:
+        return
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of this process since the last reset, interpreter and libraries included."""
+    try:
+        lines = _STATUS.read_text().splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (1 << 20 if platform.system() == "Darwin" else 1 << 10)  # macOS counts bytes
+
+
+@cache
+def hardware() -> dict[str, str]:
+    """Processor, number of cores and operating system."""
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+@cache
+def software() -> dict[str, str]:
+    """Versions that scores depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in _LIBRARIES}
+
+
+@cache
+def git_commit() -> str | None:
+    """Commit of the source tree that runs, `+changes` where it is edited; None for an installed wheel."""
+    folder = Path(__file__).parent
+    commit = _git(folder, "rev-parse", "HEAD")
+    if commit is None or _git(folder, "ls-files", "--error-unmatch", __file__) is None:
+        return None
+    return f"{commit}+changes" if _git(folder, "status", "--porcelain") else commit
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        answer = subprocess.run(["git", "-C", folder, *arguments], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return answer.stdout.strip()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

@@ -1,0 +1,212 @@
+"""Triangle meshes of a scene: boxes and imported PLY files in, PLY and Mitsuba XML out."""
+
+from __future__ import annotations
+
+import hashlib
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.errors import SceneError
+from xfreqbench.materials import material_bands
+from xfreqbench.scene import Scene, Surface
+
+DEFAULT_THICKNESS_M = 0.1  # what Sionna RT gives a material that states none
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SurfaceMesh:
+    """Triangles of one material, every one a slab of `thickness_m`."""
+
+    name: str
+    material: str
+    thickness_m: float
+    vertices_m: Float[FloatArray, "V 3"]
+    triangles: Int[IntArray, "K 3"]
+
+    @property
+    def corners_m(self) -> Float[FloatArray, "K 3 3"]:
+        """The three corners of every triangle."""
+        return self.vertices_m[self.triangles]
+
+
+def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
+    """Every surface of a scene as triangles; raises `SceneError` for meshes that cannot be read."""
+    meshes = [_box_mesh(surface) for surface in scene.surface]
+    return meshes + _imported_meshes(scene.mitsuba_xml) if scene.mitsuba_xml else meshes
+
+
+def _box_mesh(surface: Surface) -> SurfaceMesh:
+    bounds = np.array([surface.min_m, surface.max_m])
+    flat = np.flatnonzero(bounds[0] == bounds[1])
+    shape = _rectangle(bounds, int(flat[0])) if len(flat) else trimesh.creation.box(bounds=bounds)
+    return _surface_mesh(surface.name, surface.material, surface.thickness_m, shape)
+
+
+def _rectangle(bounds: Float[FloatArray, "2 3"], normal_axis: int) -> trimesh.Trimesh:
+    u, v = [axis for axis in range(3) if axis != normal_axis]
+    corners = np.repeat(bounds[:1], 4, axis=0)
+    corners[1:3, u] = bounds[1, u]
+    corners[2:4, v] = bounds[1, v]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def _surface_mesh(name: str, material: str, thickness_m: float, shape: trimesh.Trimesh) -> SurfaceMesh:
+    vertices = np.asarray(shape.vertices, dtype=np.float64)
+    return SurfaceMesh(name, material, thickness_m, vertices, np.asarray(shape.faces, dtype=np.int64))
+
+
+def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
+    """Meshes of a Mitsuba XML with `itu-radio-material` materials and PLY shapes, as Sionna reads them."""
+    try:
+        root = ElementTree.parse(xml).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise SceneError(f"The Mitsuba scene {xml} cannot be read: {error}.") from error
+    materials = {
+        bsdf.get("id", ""): _radio_material(bsdf, xml) for bsdf in root.iter("bsdf") if bsdf.get("id")
+    }
+    return [_imported_mesh(shape, materials, xml) for shape in root.iter("shape")]
+
+
+def _radio_material(bsdf: ElementTree.Element, xml: Path) -> tuple[str, float]:
+    """P.2040 name and thickness, either of an `itu-radio-material` or of an id like `mat-itu_concrete`."""
+    named = bsdf.find("./string[@name='type']")
+    identifier = bsdf.get("id", "")
+    material = (named.get("value") if named is not None else None) or identifier.removeprefix("mat-itu_")
+    if named is None and not identifier.startswith("mat-itu_"):
+        raise SceneError(
+            f"{xml}: material {identifier!r} is no ITU material. Use <bsdf type='itu-radio-material'> with "
+            "<string name='type' value='concrete'/>, or an id like 'mat-itu_concrete'."
+        )
+    material_bands(material)
+    thickness = bsdf.find("./float[@name='thickness']")
+    return material, DEFAULT_THICKNESS_M if thickness is None else float(thickness.get("value", "nan"))
+
+
+def _imported_mesh(
+    shape: ElementTree.Element, materials: dict[str, tuple[str, float]], xml: Path
+) -> SurfaceMesh:
+    name = shape.get("id", "unnamed").removeprefix("mesh-")
+    if shape.get("type") != "ply" or shape.find("./transform") is not None:
+        raise SceneError(
+            f"{xml}: shape {name!r} is a {shape.get('type')!r} or has a <transform>. Export the scene with "
+            "every shape as a PLY file in world coordinates, as Sionna's Blender export does."
+        )
+    reference = shape.find("./ref")
+    material = materials.get(reference.get("id", "") if reference is not None else "")
+    if material is None:
+        raise SceneError(f"{xml}: shape {name!r} refers to no material of this file; add <ref id='mat-…'/>.")
+    filename = shape.find("./string[@name='filename']")
+    ply = xml.parent / (filename.get("value", "") if filename is not None else "")
+    try:
+        mesh = trimesh.load_mesh(ply, process=False)
+    except Exception as error:  # trimesh raises whatever its parsers do
+        raise SceneError(f"{xml}: the mesh {ply} of shape {name!r} cannot be read: {error}.") from error
+    return _surface_mesh(name, *material, mesh)
+
+
+def meshes_sha256(meshes: Iterable[SurfaceMesh]) -> str:
+    """Digest of everything that rays can meet."""
+    digest = hashlib.sha256()
+    for mesh in meshes:
+        digest.update(f"{mesh.name}|{mesh.material}|{mesh.thickness_m!r}|{mesh.vertices_m.shape}".encode())
+        digest.update(mesh.vertices_m.tobytes() + mesh.triangles.tobytes())
+    return digest.hexdigest()
+
+
+def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
+    """Write `scene.xml` and one PLY per mesh, as Sionna RT loads them; returns the XML's path."""
+    (folder / "meshes").mkdir(parents=True, exist_ok=True)
+    root = ElementTree.Element("scene", version="2.1.0")
+    kinds = sorted({(mesh.material, mesh.thickness_m) for mesh in meshes})
+    for index, (material, thickness_m) in enumerate(kinds):
+        bsdf = ElementTree.SubElement(root, "bsdf", type="itu-radio-material", id=f"mat-{material}-{index}")
+        ElementTree.SubElement(bsdf, "string", name="type", value=material)
+        ElementTree.SubElement(bsdf, "float", name="thickness", value=repr(thickness_m))
+    for number, mesh in enumerate(meshes):
+        filename = f"meshes/{number:05d}.ply"
+        trimesh.Trimesh(mesh.vertices_m, mesh.triangles, process=False).export(folder / filename)
+        shape = ElementTree.SubElement(root, "shape", type="ply", id=f"mesh-{mesh.name}")
+        ElementTree.SubElement(shape, "string", name="filename", value=filename)
+        ElementTree.SubElement(shape, "boolean", name="face_normals", value="true")
+        index = kinds.index((mesh.material, mesh.thickness_m))
+        ElementTree.SubElement(shape, "ref", id=f"mat-{mesh.material}-{index}", name="bsdf")
+    xml = folder / "scene.xml"
+    ElementTree.ElementTree(root).write(xml)
+    return xml
+
+
+def _all_corners(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "K 3 3"]:
+    return np.concatenate([mesh.corners_m for mesh in meshes]) if meshes else np.zeros((0, 3, 3))
+
+
+def distance_to_surfaces(
+    meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]
+) -> Float[FloatArray, "N"]:
+    """Distance from each point to the nearest triangle; infinite where there is none."""
+    nearest = np.full(len(points_m), np.inf)
+    for corners in _all_corners(meshes):
+        repeated = np.broadcast_to(corners, (len(points_m), 3, 3))
+        closest: FloatArray = trimesh.triangles.closest_point(repeated, points_m)  # type: ignore[no-untyped-call]
+        nearest = np.minimum(nearest, np.linalg.norm(closest - points_m, axis=1))
+    return nearest
+
+
+def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Int[IntArray, "N"]:
+    """Index of a closed mesh that encloses each point (winding number above one half), or −1.
+
+    A rectangle or any other open mesh encloses nothing.
+    """
+    enclosing = np.full(len(points_m), -1)
+    for index, mesh in enumerate(meshes):
+        if trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight:
+            enclosing[np.abs(_winding_number(mesh.corners_m, points_m)) > 0.5] = index
+    return enclosing
+
+
+def _winding_number(
+    corners_m: Float[FloatArray, "K 3 3"], points_m: Float[FloatArray, "N 3"]
+) -> Float[FloatArray, "N"]:
+    """Solid angle of the triangles over 4π (van Oosterom and Strackee, 1983)."""
+    total = np.zeros(len(points_m))
+    for corners in corners_m:
+        a, b, c = corners[:, None, :] - points_m
+        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        triple = np.einsum("ni,ni->n", a, np.cross(b, c))
+        denominator = (
+            la * lb * lc
+            + np.einsum("ni,ni->n", a, b) * lc
+            + np.einsum("ni,ni->n", b, c) * la
+            + np.einsum("ni,ni->n", c, a) * lb
+        )
+        total += np.arctan2(triple, denominator)
+    return total / (2 * np.pi)
+
+
+def sees(
+    meshes: Sequence[SurfaceMesh], start_m: Float[FloatArray, "N 3"], end_m: Float[FloatArray, "3"]
+) -> Bool[NDArray[np.bool_], "N"]:
+    """Whether the straight segments from each start to one end meet no triangle (Möller–Trumbore)."""
+    free = np.ones(len(start_m), dtype=bool)
+    direction = np.asarray(end_m) - start_m
+    for corner, second, third in _all_corners(meshes):
+        edge_u, edge_v = second - corner, third - corner
+        normal = np.cross(edge_u, edge_v)
+        along = direction @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_corner = start_m - corner
+            turned = np.cross(to_corner, direction)
+            u = -(turned @ edge_v) / along
+            v = (turned @ edge_u) / along
+            t = -(to_corner @ normal) / along
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)
+        free &= ~hit
+    return free

@@ -1,0 +1,89 @@
+"""From channels to power angular spectra (paper Eqs. 1–3)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
+
+from xfreqbench.angles import AngularGrid, FloatArray
+from xfreqbench.array import steering_vector
+from xfreqbench.errors import UnknownNameError
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+PasKind = Literal["power", "amplitude", "phase-only"]
+PAS_KINDS: tuple[str, ...] = get_args(PasKind)
+
+
+def pas_kind_named(name: str) -> PasKind:
+    """The kind of that name; raises `UnknownNameError`."""
+    if name not in PAS_KINDS:
+        raise UnknownNameError("PAS kind", name, PAS_KINDS)
+    return cast(PasKind, name)
+
+
+def cfr_of_plane_waves(
+    gain: Complex[NDArray[np.complex128], "P"],
+    delay_s: Float[FloatArray, "P"],
+    arrival: Float[FloatArray, "P 3"],
+    element_position_m: Float[FloatArray, "M 3"],
+    carrier_hz: float,
+) -> Complex[NDArray[np.complex128], "M"]:
+    """Channel of P plane waves at the array elements (Eq. 1): h_n = Σ_l a_l exp(−j2πf(τ_l − r_n·d_l/c)).
+
+    `gain` carries no travel phase: the carrier phase enters here, once.
+    """
+    travel = np.exp(-2j * np.pi * ((carrier_hz * delay_s) % 1.0))
+    return (gain * travel) @ steering_vector(element_position_m, arrival, carrier_hz)
+
+
+class BartlettBeam:
+    """Bartlett beams of an array towards every direction of a grid (Eq. 2).
+
+    Element positions are in wavelengths, so one object serves every carrier. `element_position_wavelengths`
+    is (M, 3) in the receiver's frame.
+    """
+
+    def __init__(self, element_position_wavelengths: Float[FloatArray, "M 3"], grid: AngularGrid) -> None:
+        self.element_position_wavelengths = element_position_wavelengths
+        self.grid = grid
+
+    @cached_property
+    def conjugate_steering(self) -> Complex[NDArray[np.complex64], "M EA"]:
+        """a(d)* / M of every direction, the grid flattened."""
+        directions = self.grid.directions.reshape(-1, 3)
+        one_hertz_wave = steering_vector(self.element_position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
+        return np.ascontiguousarray(one_hertz_wave.conj().T / len(self.element_position_wavelengths)).astype(
+            np.complex64
+        )
+
+    def maps(
+        self, cfr: Complex[NDArray[np.complexfloating], "B M"], kind: PasKind = "power"
+    ) -> tuple[Float[NDArray[np.float32], "B E A"], Float[FloatArray, "B"]]:
+        """Maps with peak 1 of B channels, and the peak power that was divided out.
+
+        `power` is P/max P with P(d) = |a(d)ᴴ h|²/M² (Eqs. 2–3), `amplitude` its square root; both return
+        max P, received per transmitted power. `phase-only` is the power map of h/|h|, its peak a pure
+        number. A channel of zeros gives a map of zeros with peak 0, never NaN.
+        """
+        if kind == "phase-only":
+            cfr = _unit_or_zero(cfr)
+        scale = np.abs(cfr).max(axis=1, keepdims=True)  # float32 would underflow on squaring |h| ~ 1e-9
+        beam = _divide_or_zero(cfr, scale).astype(np.complex64) @ self.conjugate_steering
+        power = beam.real**2 + beam.imag**2
+        peak = power.max(axis=1, keepdims=True)
+        maps = _divide_or_zero(power, peak)
+        if kind == "amplitude":
+            maps = np.sqrt(maps)
+        return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0] ** 2
+
+
+def _divide_or_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:
+    return numerator / np.where(denominator == 0, denominator.dtype.type(1), denominator)
+
+
+def _unit_or_zero(cfr: NDArray[Any]) -> NDArray[Any]:
+    return _divide_or_zero(cfr, np.abs(cfr))

@@ -1,0 +1,145 @@
+"""Which samples are trained on and which are tested: leave one frequency out, and sparse frequencies.
+
+Samples without any path are in neither part: a channel of zeros has no map.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy.typing import NDArray
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.dataset import IntArray, PasDataset
+from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
+
+PROTOCOL_VERSION = "1"
+LOFO_TARGETS_HZ = tuple(map(ghz_to_hz, (2.4, 24.25, 77.0)))  # the paper's
+SPARSE_TEST_HZ = ghz_to_hz(24.25)
+SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0, 94.0))  # the paper's
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Rows of a data set to train on and to test on.
+
+    `num_without_path` counts the samples at test carriers that were left out because no path arrives.
+    `shares_transmitters` says whether a tested transmitter is also trained on, at other carriers.
+    """
+
+    name: str
+    protocol: str
+    version: str
+    train: Int[IntArray, "n"]
+    test: Int[IntArray, "m"]
+    num_without_path: int
+    shares_transmitters: bool
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the name, the protocol's version and every row."""
+        rows = [self.train.tolist(), self.test.tolist()]
+        content = json.dumps([self.name, self.protocol, self.version, *rows])
+        return hashlib.sha256(content.encode()).hexdigest()
+
+
+def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
+    """Leave one frequency out: train on every other carrier, test on all of one. One split a target.
+
+    Raises `ProtocolError` where the data lack a target, or have no other carrier.
+    """
+    _require_carriers(dataset, "lofo", targets_hz)
+    if dataset.num_carriers < 2:
+        raise ProtocolError("'lofo' needs two carriers or more, but the data set has one. Generate more.")
+    return [_lofo_split(dataset, target) for target in targets_hz]
+
+
+def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
+    """Train on two, three and five carriers (the paper's), test on one that is not among them.
+
+    Raises `ProtocolError` where the data lack one of the carriers.
+    """
+    trainings = [[ghz_to_hz(carrier) for carrier in training] for training in SPARSE_TRAINING_GHZ]
+    _require_carriers(dataset, "sparse", sorted({test_hz, *trainings[-1], *trainings[1]}))
+    return [_sparse_split(dataset, training, test_hz) for training in trainings]
+
+
+PROTOCOLS = ("lofo", "sparse")
+Targets = Sequence[float] | Literal["all"] | None
+
+
+def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) -> list[Split]:
+    """Splits of a protocol by name; raises `UnknownNameError` and `ProtocolError`.
+
+    `targets_hz` are the held-out carriers of `lofo`: the paper's where None, every carrier of the data
+    set where "all". `sparse` takes none.
+    """
+    if protocol == "lofo":
+        every = np.unique(dataset.carrier_hz).tolist()
+        return lofo(dataset, every if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
+    if protocol == "sparse":
+        if targets_hz is not None:
+            raise ProtocolError("Protocol 'sparse' always tests 24.25 GHz; leave the targets out.")
+        return sparse_frequency(dataset)
+    raise UnknownNameError("protocol", protocol, PROTOCOLS)
+
+
+def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
+    """One split of a protocol by name; raises `UnknownNameError` and `ProtocolError`."""
+    splits = {
+        split.name: split for split in make_splits(dataset, protocol, "all" if protocol == "lofo" else None)
+    }
+    if name not in splits:
+        raise UnknownNameError(f"split of {protocol!r}", name, splits)
+    return splits[name]
+
+
+def _lofo_split(dataset: PasDataset, target_hz: float) -> Split:
+    held_out = dataset.carrier_hz == target_hz
+    return _split(dataset, f"lofo-{_dense(format_ghz(target_hz))}", "lofo", ~held_out, held_out)
+
+
+def _sparse_split(dataset: PasDataset, training_hz: Sequence[float], test_hz: float) -> Split:
+    name = f"sparse-{_dense(format_ghz(test_hz))}-from-{_dense(format_ghz_list(training_hz))}"
+    trained = np.isin(dataset.carrier_hz, training_hz)
+    return _split(dataset, name, "sparse", trained, dataset.carrier_hz == test_hz)
+
+
+def _split(
+    dataset: PasDataset,
+    name: str,
+    protocol: str,
+    trained: Bool[NDArray[np.bool_], "N"],
+    tested: Bool[NDArray[np.bool_], "N"],
+) -> Split:
+    train = np.flatnonzero(trained & dataset.has_path)
+    test = np.flatnonzero(tested & dataset.has_path)
+    if not len(train) or not len(test):
+        raise ProtocolError(
+            f"Split {name!r} has {len(train)} samples to train on and {len(test)} to test on: too few "
+            "transmitters receive a path. Generate more transmitters."
+        )
+    shared = bool(np.isin(dataset.tx_index[test], dataset.tx_index[train]).any())
+    num_without_path = int((tested & ~dataset.has_path).sum())
+    return Split(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared)
+
+
+def _require_carriers(dataset: PasDataset, protocol: str, needed_hz: Sequence[float]) -> None:
+    present: FloatArray = np.unique(dataset.carrier_hz)
+    missing = [carrier for carrier in needed_hz if carrier not in present]
+    if missing:
+        raise ProtocolError(
+            f"Protocol {protocol!r} needs {format_ghz_list(missing)}, but the data set has "
+            f"{format_ghz_list(present)}. Generate those carriers too, or choose other targets."
+        )
+
+
+def _dense(carriers: str) -> str:
+    return carriers.replace(", ", "-").replace(" ", "")

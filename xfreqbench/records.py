@@ -1,0 +1,140 @@
+"""One run as one line of JSON: everything a table of results is made from, and nothing it must guess."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from xfreqbench.errors import DataError
+from xfreqbench.method import Budget
+from xfreqbench.storage import storage_errors
+
+RECORDS_FILE = "records.jsonl"
+NUM_QUANTILES = 101
+Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One fit and its scores: what is run. `overrides` are `key=value` texts for the method's options."""
+
+    dataset: str
+    method: str
+    protocol: str
+    split: str
+    overrides: tuple[str, ...] = ()
+    seed: int = 0
+    budget: Budget = field(default_factory=Budget)
+
+
+class Summary(BaseModel):
+    """One metric over the test samples; `interval` is the median's 95 % bootstrap interval."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    mean: float
+    median: float
+    p10: float
+    interval: tuple[float, float]
+    quantiles: Quantiles
+    median_by_carrier_hz: dict[str, float]
+
+
+class RunRecord(BaseModel):
+    """What was run, on what, with which result. `id` hashes everything that determines the result."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    id: str
+    job: Job
+    dataset_sha256: str
+    scene: str
+    split_sha256: str
+    protocol_version: str
+    metrics_version: str
+    config: dict[str, Any]
+    step: int
+    fit_seconds: float
+    predict_ms_per_map: float
+    peak_memory_mib: float
+    parameters: int
+    num_test: int
+    num_without_path: int
+    shares_transmitters: bool
+    scores: dict[str, Summary]
+    hardware: dict[str, str]
+    software: dict[str, str]
+    git_commit: str | None
+    time_utc: str
+
+
+@dataclass(frozen=True)
+class StoredRecords:
+    """Records of a file; `num_truncated` is 1 where a killed run left half a line at its end."""
+
+    records: tuple[RunRecord, ...]
+    num_truncated: int = 0
+
+
+def append(path: Path, record: RunRecord) -> None:
+    """Add one line, whole and on disk before this returns; raises `StorageError`.
+
+    Writers take turns. Half a line that a killed run left at the end is removed.
+    """
+    line = record.model_dump_json().encode() + b"\n"
+    with storage_errors(path, len(line)):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            _append_line(descriptor, line)
+        finally:
+            os.close(descriptor)
+
+
+def read(path: Path) -> StoredRecords:
+    """Records in the order they were written; none where there is no file.
+
+    Raises `DataError` naming file and line for a line that is no record. A last line without its end,
+    as a killed run leaves it, is counted and not read.
+    """
+    if not path.exists():
+        return StoredRecords(())
+    try:
+        *lines, rest = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}.") from error
+    records = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
+    return StoredRecords(tuple(records), num_truncated=int(bool(rest)))
+
+
+def _append_line(descriptor: int, line: bytes) -> None:
+    """Write behind the last whole line; a write that fails half way is taken back."""
+    with os.fdopen(os.dup(descriptor), "rb") as file:
+        end = file.read().rfind(b"\n") + 1
+    os.ftruncate(descriptor, end)
+    try:
+        written = os.pwrite(descriptor, line, end)
+        if written < len(line):
+            raise OSError(28, "No space left on device")
+        os.fsync(descriptor)
+    except OSError:
+        os.ftruncate(descriptor, end)
+        raise
+
+
+def _parse(path: Path, number: int, line: bytes) -> RunRecord:
+    try:
+        return RunRecord.model_validate_json(line)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise DataError(
+            f"{path}, line {number}, is no run record: {place + ': ' if place else ''}{fault['msg']}. "
+            "Delete the line; the run it stood for is then run again."
+        ) from error

@@ -1,0 +1,298 @@
+"""The leaderboard, made from run records alone: the same records give the same bytes, anywhere."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from itertools import groupby
+from math import inf, isnan, nan
+from pathlib import Path
+from typing import Any
+
+from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.method import TRIVIAL, Budget
+from xfreqbench.metrics import METRICS, skill
+from xfreqbench.records import RECORDS_FILE, RunRecord, read
+from xfreqbench.storage import write_text
+
+BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
+_ABSENT = "–"
+_DECIMALS = {"ssim": 4, "ssim_wrapped": 4, "psnr": 2, "power_error": 2, "aoa_error": 2, "beam_loss": 3}
+_TITLES = {
+    "ssim_wrapped": "SSIM wrapped",
+    "psnr": "PSNR",
+    "power_error": "power error",
+    "aoa_error": "AoA error",
+    "beam_loss": "beam loss",
+}
+
+Cells = list[str]
+GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method as it was configured, with its record of each split."""
+
+    label: str
+    by_split: Mapping[str, RunRecord]
+
+    def average(self, splits: Sequence[str], value: Callable[[RunRecord], float]) -> float:
+        """Mean over the splits; nan where one was not run, for a mean of others is not comparable."""
+        if any(split not in self.by_split for split in splits):
+            return nan
+        return sum(value(self.by_split[split]) for split in splits) / len(splits)
+
+
+@dataclass(frozen=True)
+class Board:
+    """Rows that may be ranked together: one data set, one protocol, one version of each."""
+
+    scene: str
+    dataset_sha256: str
+    protocol: str
+    splits: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def slug(self) -> str:
+        """Name of its figure."""
+        return re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}-{self.dataset_sha256[:8]}")
+
+    def best_trivial(self, split: str) -> float:
+        """Largest median SSIM of the trivial predictors in a split; nan where none was run."""
+        trivial = [row.by_split[split] for row in self.rows if row.label in TRIVIAL and split in row.by_split]
+        return max(map(_median_ssim, trivial), default=nan)
+
+    def skill(self, record: RunRecord) -> float:
+        """Skill in SSIM over the best trivial predictor of the record's split."""
+        return skill(_median_ssim(record), self.best_trivial(record.job.split))
+
+
+def boards(records: Iterable[RunRecord]) -> list[Board]:
+    """Group records by data set and protocol; of one job run twice, the later record counts.
+
+    Raises `DataError` where a group mixes versions of the protocol or of the metrics.
+    """
+    ordered = sorted(records, key=lambda record: (*_group_key(record), record.time_utc, record.id))
+    return [_board(key, list(group)) for key, group in groupby(ordered, _group_key)]
+
+
+def leaderboard_markdown(records: Iterable[RunRecord], figures: Mapping[str, str] | None = None) -> str:
+    """Tables of every data set and protocol; `figures` maps a board's slug to its figure's link.
+
+    Raises `DataError` as `boards` does. Rows that lose to a trivial predictor stand as they are.
+    """
+    figures = figures or {}
+    sections = [_section(board, figures.get(board.slug)) for board in boards(records)]
+    return "\n\n".join([*sections, _legend()]) + "\n"
+
+
+def write_report(results: Path, output_md: Path) -> list[Path]:
+    """Rebuild a Markdown report and its figures from `results`: a results folder, or one file of records.
+
+    Text outside the two marker comments of an existing report is kept. Returns the files written. Raises
+    `DataError` where there are no records, `OutputExistsError` where `output_md` is no report, and
+    `StorageError`.
+    """
+    path = results / RECORDS_FILE if results.is_dir() else results
+    records = read(path).records
+    if not records:
+        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
+    before, after = _kept_text(output_md)
+    figures = {board.slug: f"{output_md.stem}-{board.slug}.svg" for board in boards(records)}
+    for board in boards(records):
+        _draw_cdf(board, output_md.with_name(figures[board.slug]))
+    generated = leaderboard_markdown(records, figures)
+    write_text(output_md, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
+    return [output_md, *(output_md.with_name(name) for name in figures.values())]
+
+
+def _group_key(record: RunRecord) -> GroupKey:
+    return record.scene, record.dataset_sha256, record.job.protocol
+
+
+def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
+    versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
+    if len(versions) > 1:
+        described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
+        raise DataError(
+            f"Records of {key[0]!r} and {key[2]!r} are of different versions ({described}) and cannot be "
+            "ranked together. Delete the older lines and run those jobs again."
+        )
+    splits = sorted({record.job.split for record in records}, key=_natural)
+    by_label: dict[str, dict[str, RunRecord]] = {}
+    for record in records:
+        by_label.setdefault(_label(record), {})[record.job.split] = record
+    rows = [Row(label, by_split) for label, by_split in by_label.items()]
+    rows.sort(key=lambda row: (-_or_lowest(row.average(splits, _median_ssim)), row.label))
+    return Board(*key, splits=tuple(splits), rows=tuple(rows))
+
+
+def _or_lowest(value: float) -> float:
+    return -inf if isnan(value) else value
+
+
+def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:
+    """Sort key under which 2.4GHz comes before 24.25GHz, and few training carriers before many."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    return len(parts), [(float(part), "") if index % 2 else (0.0, part) for index, part in enumerate(parts)]
+
+
+def _label(record: RunRecord) -> str:
+    """The method's name, with whatever differs from a plain run."""
+    job = record.job
+    differences = [*job.overrides]
+    if job.budget != Budget():
+        limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
+        differences += [f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None]
+    if job.seed:
+        differences.append(f"seed {job.seed}")
+    return f"{job.method} ({', '.join(differences)})" if differences else job.method
+
+
+def _median_ssim(record: RunRecord) -> float:
+    return record.scores["ssim"].median
+
+
+def _section(board: Board, figure: str | None) -> str:
+    shared = {record.shares_transmitters for row in board.rows for record in row.by_split.values()}
+    sharing = "Tested transmitters are trained on at other carriers." if True in shared else ""
+    parts = [
+        f"## {board.scene} · {board.protocol}",
+        f"Data set `{board.dataset_sha256[:16]}`. {sharing}".strip(),
+        _summary_table(board),
+        *(_split_table(board, split) for split in board.splits),
+    ]
+    if figure:
+        parts.append(f"![Distribution of SSIM]({figure})")
+    return "\n\n".join([*parts, *_published(board.protocol)])
+
+
+def _summary_table(board: Board) -> str:
+    header = ["method", *map(_short, board.splits), "average", "skill", "fit s", "ms/map", "peak MiB"]
+    title = "Median SSIM (95 % bootstrap interval over transmitters), best average first:"
+    return f"{title}\n\n{_table(header, [_summary_cells(board, row) for row in board.rows])}"
+
+
+def _summary_cells(board: Board, row: Row) -> Cells:
+    def average(value: Callable[[RunRecord], float], decimals: int) -> str:
+        return _number(row.average(board.splits, value), decimals)
+
+    return [
+        row.label,
+        *(_ssim_cell(row.by_split.get(split)) for split in board.splits),
+        average(_median_ssim, 4),
+        average(board.skill, 3),
+        average(lambda record: record.fit_seconds, 2),
+        average(lambda record: record.predict_ms_per_map, 2),
+        average(lambda record: record.peak_memory_mib, 0),
+    ]
+
+
+def _split_table(board: Board, split: str) -> str:
+    others = [name for name in METRICS if name != "ssim"]
+    costs = ["fit s", "ms/map", "peak MiB", "parameters"]
+    header = ["method", "SSIM", "skill", *(f"{_TITLES[name]}{_unit(name)}" for name in others), *costs]
+    tested = [row for row in board.rows if split in row.by_split]
+    tested.sort(key=lambda row: -_median_ssim(row.by_split[split]))
+    rows = [[row.label, *_split_cells(board, row.by_split[split], others)] for row in tested]
+    record = tested[0].by_split[split]
+    left_out = f"; {record.num_without_path} without any path are left out" if record.num_without_path else ""
+    return (
+        f"### {_short(split)}\n\nMedians over {record.num_test} samples{left_out}.\n\n{_table(header, rows)}"
+    )
+
+
+def _split_cells(board: Board, record: RunRecord, others: Sequence[str]) -> Cells:
+    return [
+        _ssim_cell(record),
+        _number(board.skill(record), 3),
+        *(_number(record.scores[name].median, _DECIMALS[name]) for name in others),
+        _number(record.fit_seconds, 2),
+        _number(record.predict_ms_per_map, 2),
+        _number(record.peak_memory_mib, 0),
+        f"{record.parameters:,}",
+    ]
+
+
+def _ssim_cell(record: RunRecord | None) -> str:
+    if record is None:
+        return _ABSENT
+    low, high = record.scores["ssim"].interval
+    return f"{_median_ssim(record):.4f} [{low:.4f}, {high:.4f}]"
+
+
+def _published(protocol: str) -> list[str]:
+    content = tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
+    tables = [table for table in content["table"] if table["protocol"] == protocol]
+    if not tables:
+        return []
+    note = f"{content['citation']}: {content['conditions']}."
+    return ["### Published, other data, not comparable", note, *map(_published_table, tables)]
+
+
+def _published_table(table: Mapping[str, Any]) -> str:
+    rows = [[name, *values] for name, values in table["rows"].items()]
+    return f"{table['title']}:\n\n{_table(['method', *table['columns']], rows)}"
+
+
+def _legend() -> str:
+    metrics = [f"* **{name}**{_unit(name)}: {metric.description}" for name, metric in METRICS.items()]
+    meaning = "1 − (1 − SSIM) / (1 − SSIM of the best of " + ", ".join(TRIVIAL) + " on the same split)"
+    return "\n".join(["## What the columns say", "", *metrics, f"* **skill**: {meaning}; negative below it"])
+
+
+def _table(header: Sequence[str], rows: Iterable[Cells]) -> str:
+    rule = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join(
+        "| " + " | ".join(_escaped(cell) for cell in row) + " |" for row in [header, rule, *rows]
+    )
+
+
+def _escaped(cell: str) -> str:
+    return cell.replace("|", "\\|")
+
+
+def _number(value: float, decimals: int) -> str:
+    return _ABSENT if isnan(value) else f"{value:.{decimals}f}"
+
+
+def _unit(name: str) -> str:
+    return f" ({METRICS[name].unit})" if METRICS[name].unit else ""
+
+
+def _short(split: str) -> str:
+    """The split's name without its protocol: `lofo-2.4GHz` → `2.4GHz`."""
+    return split.partition("-")[2] or split
+
+
+def _draw_cdf(board: Board, path: Path) -> None:
+    from xfreqbench.plots import plot_score_cdf  # matplotlib takes a second to load; tables need none
+
+    panels = {
+        _short(split): {
+            row.label: row.by_split[split].scores["ssim"].quantiles
+            for row in board.rows
+            if split in row.by_split
+        }
+        for split in board.splits
+    }
+    plot_score_cdf(panels, "SSIM", path)
+
+
+def _kept_text(output_md: Path) -> tuple[str, str]:
+    """What stands before and after the generated part."""
+    if not output_md.exists():
+        return "# Benchmark\n\n", "\n"
+    before, begin, rest = output_md.read_text("utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise OutputExistsError(
+            f"{output_md} exists and has no generated part to replace. Put {BEGIN!r} and {END!r} where it "
+            "belongs, or give another path."
+        )
+    return before, after

@@ -1,0 +1,209 @@
+"""A scene as data: surfaces, receiver array and transmitter grid, read from TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.array import frame_rotation, planar_array
+from xfreqbench.errors import SceneError, UnknownNameError
+from xfreqbench.materials import material_bands
+
+Metres = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Metres, Metres, Metres]
+PositiveMetres = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+_STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Surface:
+    """An axis-aligned box or rectangle of one material, each face a slab of `thickness_m`.
+
+    Where `min_m` and `max_m` agree along one axis it is a rectangle (a wall, a pane), else the six
+    faces of a closed box (a cabinet).
+    """
+
+    name: str
+    material: str
+    thickness_m: PositiveMetres
+    min_m: Point
+    max_m: Point
+
+    @model_validator(mode="after")
+    def _has_an_area(self) -> Surface:
+        extent = np.subtract(self.max_m, self.min_m)
+        if (extent < 0).any() or (extent == 0).sum() > 1:
+            raise ValueError(
+                f"surface {self.name!r} spans {self.min_m} to {self.max_m}; max_m must exceed min_m along "
+                "at least two axes and never lie below it"
+            )
+        return self
+
+
+@dataclass(frozen=True, config=_STRICT)
+class ReceiverArray:
+    """A planar array, half a wavelength apart at each carrier, whose boresight is the hemisphere's pole.
+
+    Every element has the same antenna: `pattern` `iso` or `dipole` (short, along the vertical), its field
+    polarised along the vertical (`V`, the unit vector of the polar angle in world axes) or the horizontal
+    (`H`, that of the azimuth). Transmitters carry the same antenna.
+    """
+
+    position_m: Point
+    rows: Annotated[int, Field(ge=1, le=64)] = 4
+    cols: Annotated[int, Field(ge=1, le=64)] = 4
+    spacing_wavelengths: Annotated[float, Field(gt=0, le=10)] = 0.5
+    boresight: Point = (0.0, 0.0, -1.0)
+    pattern: Literal["iso", "dipole"] = "iso"
+    polarization: Literal["V", "H"] = "V"
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> ReceiverArray:
+        if not any(self.boresight):
+            raise ValueError("the receiver's boresight is the zero vector; give a direction like [0, 0, -1]")
+        return self
+
+    @property
+    def num_elements(self) -> int:
+        """M."""
+        return self.rows * self.cols
+
+    @property
+    def rotation(self) -> Float[FloatArray, "3 3"]:
+        """Receiver's frame → world."""
+        return frame_rotation(self.boresight)
+
+    @property
+    def element_position_wavelengths(self) -> Float[FloatArray, "M 3"]:
+        """Element positions about the array centre, in wavelengths, in the receiver's frame."""
+        return planar_array(self.rows, self.cols, self.spacing_wavelengths)
+
+    def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
+        """Element positions in the world at one wavelength."""
+        offset_m = self.element_position_wavelengths @ self.rotation.T * wavelength_m
+        return np.asarray(self.position_m) + offset_m
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TransmitterGrid:
+    """A lattice of candidate transmitters; those nearer than `clearance_m` to anything are left out."""
+
+    min_m: Point
+    max_m: Point
+    step_m: tuple[PositiveMetres, PositiveMetres, PositiveMetres]
+    clearance_m: PositiveMetres = 0.15
+
+    @model_validator(mode="after")
+    def _is_not_empty(self) -> TransmitterGrid:
+        if any(low > high for low, high in zip(self.min_m, self.max_m, strict=True)):
+            raise ValueError(f"the transmitter grid's min_m {self.min_m} exceeds its max_m {self.max_m}")
+        return self
+
+    @property
+    def lattice_m(self) -> Float[FloatArray, "N 3"]:
+        """Every lattice point, x slowest."""
+        axes = [
+            low + step * np.arange(int((high - low) / step + 1e-9) + 1)
+            for low, high, step in zip(self.min_m, self.max_m, self.step_m, strict=True)
+        ]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Scene:
+    """What rays need to know of a room. `scene` may name a Mitsuba XML whose meshes join the surfaces."""
+
+    name: str
+    receiver: ReceiverArray
+    transmitters: TransmitterGrid
+    description: str = ""
+    surface: tuple[Surface, ...] = ()
+    scene: str | None = None
+    folder: Annotated[Path, Field(exclude=True)] = Path()
+
+    @model_validator(mode="after")
+    def _names_are_unique_and_materials_known(self) -> Scene:
+        names = [surface.name for surface in self.surface]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"two surfaces are named {sorted(twice)[0]!r}; every surface needs its own name")
+        for surface in self.surface:
+            material_bands(surface.material)
+        return self
+
+    @property
+    def mitsuba_xml(self) -> Path | None:
+        """The Mitsuba scene that the TOML names, if any."""
+        return self.folder / self.scene if self.scene else None
+
+    @property
+    def canonical_json(self) -> str:
+        """The scene as data sets carry it; equal scenes give equal text. `parse_scene` reads TOML only."""
+        return TypeAdapter(Scene).dump_json(self, exclude={"folder"}).decode()
+
+
+def shipped_scenes() -> dict[str, str]:
+    """Names and descriptions of the scenes that ship with the toolkit."""
+    return {path.stem: tomllib.loads(path.read_text())["description"] for path in _shipped_files()}
+
+
+def _shipped_files() -> Iterator[Path]:
+    folder = Path(str(files("xfreqbench.scenes")))
+    return iter(sorted(folder.glob("*.toml")))
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """Read a shipped scene by name, or any scene by the path of its TOML file.
+
+    Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
+    read or that describes no valid scene, every fault listed with its place in the file.
+    """
+    if name_or_path.endswith(".toml"):
+        path = Path(name_or_path)
+    else:
+        shipped = {path.stem: path for path in _shipped_files()}
+        if name_or_path not in shipped:
+            raise UnknownNameError("scene", name_or_path, [*shipped, "PATH.toml"])
+        path = shipped[name_or_path]
+    try:
+        return parse_scene(path.read_text(), folder=path.parent)
+    except OSError as error:
+        raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
+    except (SceneError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def parse_scene(text: str, folder: Path = Path()) -> Scene:
+    """Scene from TOML text; relative mesh paths start at `folder`. Raises `SceneError`."""
+    try:
+        content: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"this is not TOML: {error}") from error
+    return _validated(content, folder)
+
+
+def _validated(content: dict[str, Any], folder: Path) -> Scene:
+    if "folder" in content:
+        raise SceneError("the scene has no valid form:\n  folder: no such key")
+    try:
+        return TypeAdapter(Scene).validate_python({**content, "folder": folder})
+    except ValidationError as error:
+        faults = "\n".join(
+            f"  {'.'.join(map(str, fault['loc'])) or 'scene'}: {fault['msg']}" for fault in error.errors()
+        )
+        raise SceneError(f"the scene has no valid form:\n{faults}") from error
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON Schema of a scene file, for editors."""
+    return TypeAdapter(Scene).json_schema()

@@ -1,0 +1,82 @@
+"""Files that are whole or absent, and one wording for a disk that cannot take them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from xfreqbench.errors import StorageError
+
+
+@contextmanager
+def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
+    """Temporary path beside `target`, renamed to it when the block ends without an exception.
+
+    The folder is made where it is missing, and `num_bytes` of free space are asked for first. After an
+    exception the temporary file is removed and `target` is what it was; a killed process leaves only a
+    hidden `.NAME.PID.partial`. Raises `StorageError`.
+    """
+    require_space(target, num_bytes)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        with storage_errors(target, num_bytes):
+            _try_allocating(temporary, num_bytes)
+        yield temporary
+        with storage_errors(target, num_bytes):
+            _sync(temporary)
+            temporary.replace(target)
+            _sync(target.parent)  # or the rename itself may be lost with the power
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a text file atomically; raises `StorageError`."""
+    content = text.encode()
+    with atomic_path(target, len(content)) as temporary, storage_errors(target, len(content)):
+        temporary.write_bytes(content)
+
+
+@contextmanager
+def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
+    """Turn an `OSError` of a write into a `StorageError` that names the path and the bytes needed."""
+    try:
+        yield
+    except OSError as error:
+        needed = f", which needs {num_bytes:,} bytes" if num_bytes else ""
+        raise StorageError(
+            f"{path}{needed}, cannot be written: {error.strerror or error}. "
+            "Free some space, mend the folder's permissions, or choose another place."
+        ) from error
+
+
+def require_space(target: Path, num_bytes: int) -> None:
+    """Make the folder of a file; raises `StorageError` where the file has no room or no permission."""
+    with storage_errors(target, num_bytes):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        free_bytes = shutil.disk_usage(target.parent).free
+    if target.is_dir():
+        raise StorageError(f"{target} is a folder; give the path of a file.")
+    if free_bytes < num_bytes:
+        raise StorageError(
+            f"{target} needs {num_bytes:,} bytes, but its disk has {free_bytes:,} free. "
+            "Free some space or choose another place."
+        )
+
+
+def _try_allocating(temporary: Path, num_bytes: int) -> None:
+    """Claim and release the space: quotas and limits show now, not within HDF5, which crashes on them."""
+    if num_bytes and hasattr(os, "posix_fallocate"):
+        with temporary.open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, num_bytes)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

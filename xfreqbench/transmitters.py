@@ -1,0 +1,56 @@
+"""The training samples as a table of transmitters by carriers, read from disk map by map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.dataset import IntArray, PasDataset, reopen
+
+SAME_TRANSMITTER_M = 1e-6
+_FILE = "training_rows.json"
+
+
+class TrainingTransmitters:
+    """U distinct transmitters of a training set, and the row of each at each of its F carriers."""
+
+    def __init__(self, train: PasDataset) -> None:
+        self.train = train
+        tx_index, first, column = np.unique(train.tx_index, return_index=True, return_inverse=True)
+        self.carrier_hz, carrier = np.unique(train.carrier_hz, return_inverse=True)
+        self._tree = KDTree(train.tx_position_m[first])
+        self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
+        self._row[column, carrier] = np.arange(len(train))
+
+    def nearest(self, tx_position_m: Float[FloatArray, "3"], count: int = 1) -> Int[IntArray, "k"]:
+        """The nearest training transmitters: one alone where it stands at this very place."""
+        distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
+        return index[:1] if distance_m[0] <= SAME_TRANSMITTER_M else index
+
+    def rows(self, transmitters: Int[IntArray, "k"]) -> Int[IntArray, "n"]:
+        """Rows of some transmitters at all their carriers."""
+        rows = self._row[transmitters]
+        return rows[rows >= 0]
+
+    def blend(
+        self, rows: Int[IntArray, "n"], weights: Float[FloatArray, "n"]
+    ) -> Float[NDArray[np.float32], "E A"]:
+        """Weighted sum of training maps, peak 1."""
+        blended = np.einsum("n,nea->ea", weights.astype(np.float32), self.train.pas(rows))
+        return blended / blended.max()
+
+    def save(self, directory: Path) -> None:
+        """Store which rows of which data set these are; the maps stay where they are."""
+        reference = [str(self.train.path), self.train.sha256, self.train.rows.tolist()]
+        (directory / _FILE).write_text(json.dumps(reference))
+
+    @classmethod
+    def load(cls, directory: Path) -> TrainingTransmitters:
+        """Inverse of `save`; raises `DataError` where the data set is gone or another."""
+        return cls(reopen(*json.loads((directory / _FILE).read_text())))

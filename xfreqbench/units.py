@@ -1,0 +1,25 @@
+"""Physical constants and the one place where gigahertz become hertz."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+VACUUM_PERMITTIVITY_F_M = 8.8541878128e-12  # CODATA 2018
+
+PAPER_CARRIERS_GHZ = (1.0, 2.4, 5.0, 10.0, 24.25, 37.0, 47.0, 60.0, 77.0, 94.0)
+
+
+def ghz_to_hz(carrier_ghz: float) -> float:
+    """Carrier in hertz, rounded to the hertz so that 24.25 GHz is the same number everywhere."""
+    return float(round(carrier_ghz * 1e9))
+
+
+def format_ghz(carrier_hz: float) -> str:
+    """Carrier as a user writes it: `24.25 GHz`."""
+    return f"{carrier_hz / 1e9:g} GHz"
+
+
+def format_ghz_list(carrier_hz: Iterable[float]) -> str:
+    """Carriers as a user writes them: `60, 94 GHz`."""
+    return ", ".join(f"{carrier / 1e9:g}" for carrier in carrier_hz) + " GHz"
