@@ -27,7 +27,7 @@ def make_records():
 
 
 def cells(markdown, method, table=0):
-    rows = [line for line in markdown.splitlines() if line.startswith(f"| {method} |")]
+    rows = [line for line in markdown.splitlines() if line.startswith(f"| {method} ")]
     return [cell.strip() for cell in rows[table].strip("|").split("|")]
 
 

@@ -71,6 +71,26 @@ def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(s
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    ("interactions", "max_depth", "num_paths"),
+    [
+        (("specular", "refraction"), 3, 2),  # through the pane, and by the wall and the pane
+        (("refraction",), 3, 1),
+        (("specular",), 3, 0),  # the pane stands between
+        (("specular", "refraction"), 0, 0),
+        (("specular", "refraction"), 1, 1),
+        ((), 3, 0),
+    ],
+)
+def test_interactions_that_are_off_do_not_happen(
+    interactions: Any, max_depth: int, num_paths: int, solver: SolverName
+) -> None:
+    scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
+    settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
+    assert make_tracer(scene, [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [[num_paths]]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName) -> None:
     office = load_scene("office")
     reference = read_reference(office)

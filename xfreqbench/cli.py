@@ -247,7 +247,7 @@ def run(
     from xfreqbench.dataset import open_dataset
     from xfreqbench.method import method_names, parse_budget
     from xfreqbench.protocols import make_splits
-    from xfreqbench.report import leaderboard_markdown
+    from xfreqbench.report import leaderboard_summary
     from xfreqbench.run import Job, run_all
 
     dataset = open_dataset(data)
@@ -260,7 +260,7 @@ def run(
     ]
     with progress_bar(f"{protocol} on {data.name}", "runs", quiet) as progress:
         records = run_all(jobs, results, lambda done, total, record: progress(done, total))
-    _say(leaderboard_markdown(records), quiet)
+    _say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
 
 
 def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench import image_kernels as kernels
@@ -91,7 +91,8 @@ class ImageTracer:
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
         self.slabs, kind = _slabs(meshes, ascending, settings.materials)
-        self.facets = _compile_facets(planar_facets(meshes), kind, self.slabs)
+        opaque = _opaque_kinds(self.slabs, "refraction" in settings.interactions)
+        self.facets = _compile_facets(planar_facets(meshes), kind, opaque)
         self.antenna = kernels.Antenna(scene.receiver.polarization == "H", scene.receiver.pattern == "dipole")
         self.aperture = _aperture(
             scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings.field_nodes_per_axis
@@ -133,8 +134,8 @@ class ImageTracer:
             gain * spreading,
             distance_m / SPEED_OF_LIGHT_M_S,
             np.array([arrival for _, arrival, *_ in details]).reshape(-1, 3),
-            np.array([codes for *_, codes, _ in details], dtype=np.int64).reshape(-1, depth),
-            np.array([points for *_, points in details]).reshape(-1, depth, 3),
+            np.array([codes for *_, codes, _ in details], dtype=np.int64).reshape(len(found), depth),
+            np.array([points for *_, points in details]).reshape(len(found), depth, 3),
         )
 
     def _path(
@@ -162,7 +163,7 @@ class ImageTracer:
     def _find_candidates(self) -> kernels.Candidates:
         """Launch rays from the array centre and from the corners of its widest aperture."""
         depth, num_planes = self.settings.max_depth, len(self.facets.offset)
-        if num_planes == 0:
+        if num_planes == 0 or depth == 0 or "specular" not in self.settings.interactions:
             return _images(np.zeros((1, depth), np.int16) - 1, self.facets, self.receiver_m)
         bits = _bits_per_plane(num_planes)
         origins = self.receiver_m + np.vstack([np.zeros(3), self.aperture.corner_m[0]])
@@ -216,13 +217,12 @@ def _slabs(
 
 
 def _compile_facets(
-    facets: Sequence[PlanarFacet], kind: Int[NDArray[np.int64], "S"], slabs: kernels.Slabs
+    facets: Sequence[PlanarFacet], kind: Int[NDArray[np.int64], "S"], opaque: Bool[NDArray[np.bool_], "K"]
 ) -> kernels.Facets:
     planes, plane = group_by_plane(facets)
     by_plane = np.argsort(plane, kind="stable")
     ordered = [facets[i] for i in by_plane]
     slab = kind[[facet.surface for facet in ordered]] if ordered else np.zeros(0, np.int64)
-    opaque = np.array([_is_opaque(slabs, k) for k in range(slabs.permittivity.shape[1])], dtype=bool)
     return kernels.Facets(
         normal=np.ascontiguousarray(planes[:, :3].T),
         offset=planes[:, 3].copy(),
@@ -236,8 +236,14 @@ def _compile_facets(
     )
 
 
+def _opaque_kinds(slabs: kernels.Slabs, refraction: bool) -> Bool[NDArray[np.bool_], "K"]:
+    """Which slabs no ray passes: those that pass nothing worth tracing, or all without refraction."""
+    num_kinds = slabs.permittivity.shape[1]
+    return np.array([not refraction or _is_opaque(slabs, kind) for kind in range(num_kinds)], dtype=bool)
+
+
 def _is_opaque(slabs: kernels.Slabs, kind: int) -> bool:
-    """Whether the slab passes nothing worth tracing at any carrier."""
+    """Whether the slab passes less than `OPAQUE_TRANSMISSION` at every carrier."""
     transmission = [
         abs(kernels.slab_coefficients(1.0, eta, phase)[2])
         for eta, phase in zip(slabs.permittivity[:, kind], slabs.phase_thickness[:, kind], strict=True)

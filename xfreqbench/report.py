@@ -91,6 +91,13 @@ def leaderboard_markdown(records: Iterable[RunRecord], figures: Mapping[str, str
     return "\n\n".join([*sections, _legend()]) + "\n"
 
 
+def leaderboard_summary(records: Iterable[RunRecord]) -> str:
+    """The first table of every data set and protocol, to be read in a terminal."""
+    return "\n\n".join(
+        f"{board.scene} · {board.protocol}. {_summary_table(board)}" for board in boards(records)
+    )
+
+
 def write_report(results: Path, output_md: Path) -> list[Path]:
     """Rebuild a Markdown report and its figures from `results`: a results folder, or one file of records.
 
@@ -247,10 +254,16 @@ def _legend() -> str:
 
 
 def _table(header: Sequence[str], rows: Iterable[Cells]) -> str:
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join(
-        "| " + " | ".join(_escaped(cell) for cell in row) + " |" for row in [header, rule, *rows]
-    )
+    """Markdown table whose columns line up in a terminal too: the first to the left, numbers to the right."""
+    lines = [[_escaped(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    return "\n".join(_aligned(row, widths) for row in (lines[0], rule, *lines[1:]))
+
+
+def _aligned(row: Cells, widths: Sequence[int]) -> str:
+    cells = [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
+    return f"| {' | '.join(cells)} |"
 
 
 def _escaped(cell: str) -> str:
