@@ -43,7 +43,7 @@ def test_the_summary_ranks_by_average_ssim_and_gives_skill() -> None:
         "200",
     ]
     order = [
-        markdown.index(f"| {name} |") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")
+        markdown.index(f"| {name} ") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")
     ]
     assert order == sorted(order)
 
@@ -62,7 +62,7 @@ def test_a_split_that_was_not_run_leaves_no_average_and_ranks_last() -> None:
     records = [*make_records(), make_record("lucky", 0.99, SPLITS[0])]
     markdown = leaderboard_markdown(records)
     assert cells(markdown, "lucky")[2:6] == ["–", "–", "–", "–"]
-    assert markdown.index("| lucky |") > markdown.index("| line-of-sight |")
+    assert markdown.index("| lucky ") > markdown.index("| line-of-sight ")
 
 
 def test_targets_stand_in_order_of_frequency() -> None:
@@ -122,8 +122,8 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
     _store(tmp_path / "results")
     for name in ("a", "b"):
         write_report(tmp_path / "results", tmp_path / name / "BENCHMARK.md")
-    files = sorted(path.name for path in (tmp_path / "a").iterdir())
-    assert [name.rpartition(".")[2] for name in files] == ["svg", "md"]
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
+    assert [path.suffix for path in files] == [".md", ".svg"]
     for name in files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -131,7 +131,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
 def test_the_report_links_its_figure(tmp_path: Path) -> None:
     _store(tmp_path)
     output, figure = write_report(tmp_path, tmp_path / "BENCHMARK.md")
-    assert f"]({figure.name})" in output.read_text()
+    assert f"](figures/{figure.name})" in output.read_text()
     assert "mean-over-frequency" in figure.read_text()
 
 

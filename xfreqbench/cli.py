@@ -66,37 +66,32 @@ def parse_carriers_hz(freqs: str) -> list[float]:
 
 
 @contextmanager
-def progress_bar(what: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar on stderr with rate and remaining time, driven by callback(done, total)."""
+def progress_bars(unit: str, stages: list[str], quiet: bool) -> Iterator[list[Callable[[int, int], None]]]:
+    """One bar a stage on stderr, with rate and remaining time, each driven by its callback(done, total)."""
     if quiet:
-        yield lambda done, total: None
+        yield [lambda done, total: None for _ in stages]
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
+    counts = (
         MofNCompleteColumn(),
-        TextColumn(unit + " · {task.fields[rate]}"),
+        TextColumn(unit + " {task.fields[rate]}"),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        Remaining(),
     )
+    columns = (TextColumn("{task.description}"), BarColumn(), *counts)
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(what, total=None, rate="")
+        yield [_driver(progress, progress.add_task(stage, total=None, rate="")) for stage in stages]
 
-        def update(done: int, total: int) -> None:
-            speed = progress.tasks[task].speed
-            progress.update(task, completed=done, total=total, rate=f"{speed:.3g}/s" if speed else "")
 
-        yield update
+def _driver(progress: Any, task: Any) -> Callable[[int, int], None]:
+    def update(done: int, total: int) -> None:
+        speed = progress.tasks[task].speed
+        progress.update(task, completed=done, total=total, rate=f"{speed:.3g}/s" if speed else "")
+
+    return update
 
 
 def _say(text: str, quiet: bool = False) -> None:
@@ -185,9 +180,11 @@ def generate(
     if dry_run:
         print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
         return
-    with progress_bar(f"tracing {scene}", "transmitters", quiet) as progress:
-        run_plan(plan, output, progress)
-    _say(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB)", quiet)
+    is_there = output.exists()
+    with progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing):
+        run_plan(plan, output, tracing, writing)
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    _say(f"{output} already holds this data set" if is_there else f"wrote {output} ({size})", quiet)
 
 
 def _interactions(names: str) -> tuple[Literal["specular", "refraction", "diffraction", "diffuse"], ...]:
@@ -258,7 +255,7 @@ def run(
         for name in names
         for split in splits
     ]
-    with progress_bar(f"{protocol} on {data.name}", "runs", quiet) as progress:
+    with progress_bars("runs", [f"{protocol} on {data.name}"], quiet) as (progress,):
         records = run_all(jobs, results, lambda done, total, record: progress(done, total))
     _say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
 
@@ -334,7 +331,7 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
     from xfreqbench.scene import load_scene
 
     path = output or reference_path(scene)
-    with progress_bar(f"reference of {scene}", "calls", quiet) as progress:
+    with progress_bars("calls", [f"reference of {scene}"], quiet) as (progress,):
         make_reference(load_scene(scene), path, progress)
     _say(f"wrote {path}", quiet)
 

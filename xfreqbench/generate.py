@@ -34,6 +34,10 @@ BATCH = 16  # transmitters a batch: what a kill can lose
 ProgressCallback = Callable[[int, int], None]
 
 
+def _ignore(done: int, total: int) -> None:
+    """Progress that nobody watches."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """A checked job: nothing in it can fail for a reason that is known before the first ray."""
@@ -145,25 +149,34 @@ def _as_json(settings: TraceSettings) -> dict[str, Any]:
     return json.loads(json.dumps(asdict(settings)))
 
 
-def generate(plan: Plan, path: Path, progress: ProgressCallback | None = None) -> Path:
-    """Trace every transmitter and write the data set; a killed run goes on where it stopped.
+def generate(
+    plan: Plan,
+    path: Path,
+    progress: ProgressCallback = _ignore,
+    write_progress: ProgressCallback = _ignore,
+) -> Path:
+    """Trace every transmitter, then write the data set; a killed run goes on where it stopped.
+
+    `progress` and `write_progress` are told transmitters done and in all, of the two stages.
 
     Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. An output that
     already holds this job is left as it is. Raises `OutputExistsError` for one that holds another, and
     `StorageError` where there is no room.
     """
-    report = progress or (lambda done, total: None)
+    num_tx = len(plan.tx_position_m)
     if path.exists():
         _check_same_job(path, plan)
-        report(len(plan.tx_position_m), len(plan.tx_position_m))
+        progress(num_tx, num_tx)
+        write_progress(num_tx, num_tx)
         return path
     require_space(path, plan.num_bytes)
     store = BatchStore(path.with_name(path.name + ".parts"), plan)
-    _trace_missing(plan, store, report)
+    _trace_missing(plan, store, progress)
     with PasWriter(path, plan.header) as writer:
         for index, rows in enumerate(plan.batches):
             channel = store.read(index)
             writer.append(plan.tx_position_m[rows], plan.line_of_sight[rows], channel.cfr, channel.num_paths)
+            write_progress(rows.stop, num_tx)
     store.remove()
     return path
 

@@ -19,6 +19,7 @@ from xfreqbench.records import RECORDS_FILE, RunRecord, read
 from xfreqbench.storage import write_text
 
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
+FIGURES_FOLDER = "figures"  # beside the report
 _ABSENT = "–"
 _DECIMALS = {"ssim": 4, "ssim_wrapped": 4, "psnr": 2, "power_error": 2, "aoa_error": 2, "beam_loss": 3}
 _TITLES = {
@@ -110,12 +111,12 @@ def write_report(results: Path, output_md: Path) -> list[Path]:
     if not records:
         raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
     before, after = _kept_text(output_md)
-    figures = {board.slug: f"{output_md.stem}-{board.slug}.svg" for board in boards(records)}
+    figures = {board.slug: f"{FIGURES_FOLDER}/{board.slug}-cdf.svg" for board in boards(records)}
     for board in boards(records):
-        _draw_cdf(board, output_md.with_name(figures[board.slug]))
+        _draw_cdf(board, output_md.parent / figures[board.slug])
     generated = leaderboard_markdown(records, figures)
     write_text(output_md, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
-    return [output_md, *(output_md.with_name(name) for name in figures.values())]
+    return [output_md, *(output_md.parent / name for name in figures.values())]
 
 
 def _group_key(record: RunRecord) -> GroupKey:
