@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,7 +114,22 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
     assert not list(tmp_path.glob("*.parts"))
 
 
-def wait_for_batches(process: subprocess.Popen[bytes], path: Path, count: int) -> None:
+@pytest.mark.parametrize("num_batches", [0, 2])
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path, num_batches: int) -> None:
+    path = tmp_path / "rooms.h5"
+    process = subprocess.Popen(generate_command(path), stderr=subprocess.PIPE, text=True)
+    while not path.with_name("rooms.h5.parts").exists():  # only then is it past its imports
+        time.sleep(0.01)
+    wait_for_batches(process, path, num_batches)
+    process.send_signal(signal.SIGINT)
+    _, message = process.communicate()
+    assert process.returncode == 130
+    assert "the same command goes on" in message
+    assert "Traceback" not in message
+    assert not path.exists()
+
+
+def wait_for_batches(process: subprocess.Popen[Any], path: Path, count: int) -> None:
     def num_batches() -> int:
         return len(list(path.with_name(path.name + ".parts").glob("*.npz")))
 

@@ -17,6 +17,7 @@ from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 app = App(
     name="xfreqbench",
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
+    suppress_keyboard_interrupt=False,
 )
 bench = App(name="bench", help="Measure accuracy against time; every table names its machine.")
 app.command(bench)
@@ -49,8 +50,22 @@ def main() -> None:
         print(f"xfreqbench: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("\nxfreqbench: interrupted; the same command goes on where it stopped.", file=sys.stderr)
-        sys.exit(130)
+        _leave_interrupted()
+    except SystemError as error:  # what Numba makes of Ctrl-C within a kernel
+        if not _was_interrupted(error):
+            raise
+        _leave_interrupted()
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _leave_interrupted() -> None:
+    print("\nxfreqbench: interrupted; the same command goes on where it stopped.", file=sys.stderr)
+    sys.exit(130)
 
 
 def parse_carriers_hz(freqs: str) -> list[float]:

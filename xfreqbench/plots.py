@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from xfreqbench.storage import atomic_path, storage_errors
 
 _MAX_COLUMNS = 3
+_MAX_DISCS = 5  # maps side by side
 _DISPLAY_RANGE_DB = 30.0
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
 _LINES = ("-", "--", ":", "-.")
@@ -49,12 +50,16 @@ def plot_pas_maps(maps: Float[NDArray[np.float32], "N E A"], titles: Sequence[st
 
     The rim is the equator, azimuth runs counter-clockwise from the right. Raises `StorageError`.
     """
-    figure = Figure(figsize=(2.6 * len(maps) + 0.8, 3.0), layout="constrained")
-    axes = figure.subplots(1, len(maps), squeeze=False, subplot_kw={"projection": "polar"})[0]
-    for axis, pas_map, title in zip(axes, maps, titles, strict=True):
+    columns = min(_MAX_DISCS, len(maps))
+    rows = -(-len(maps) // columns)
+    figure = Figure(figsize=(2.2 * columns + 0.9, 2.5 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"}).ravel()
+    for axis in axes[len(maps) :]:
+        axis.set_visible(False)
+    for axis, pas_map, title in zip(axes, maps, titles, strict=False):
         image = _draw_disc(axis, pas_map)
         axis.set_title(title, fontsize="medium")
-    figure.colorbar(image, ax=list(axes), label="dB", shrink=0.8)
+    figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
     _save(figure, path, "png")
 
 
