@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
@@ -121,6 +122,8 @@ def resolve_method(name: str) -> Callable[..., Method]:
         if name not in entries:
             raise UnknownNameError("method", name, [*entries, "package.module:Class"])
         module, _, attribute = entries[name].partition(":")
+    elif str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # a module in the working folder is found, and shadows nothing
     try:
         method_class = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
@@ -141,7 +144,7 @@ def _check_contract(name: str, method_class: Any) -> None:
     if missing:
         raise MethodError(
             f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}; "
-            "baselines/nearest.py shows one."
+            "baselines/README.md shows one."
         )
 
 
@@ -156,7 +159,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     for attribute in ("config", "num_parameters"):
         if not hasattr(defaults, attribute):
             raise MethodError(
-                f"Method {name!r} has no {attribute}; baselines/nearest.py shows where it goes."
+                f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes."
             )
     return method_class(override(defaults.config, overrides))
 

@@ -1,9 +1,13 @@
-"""The training samples as a table of transmitters by carriers, read from disk map by map."""
+"""Predictors that learn nothing: they look training samples up by transmitter and carrier, map by map."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,9 +16,10 @@ from scipy.spatial import KDTree
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.dataset import IntArray, PasDataset, reopen
+from xfreqbench.method import Budget, Progress
 
 SAME_TRANSMITTER_M = 1e-6
-_FILE = "training_rows.json"
+_CONFIG_FILE, _ROWS_FILE = "config.json", "training_rows.json"
 
 
 class TrainingTransmitters:
@@ -48,9 +53,41 @@ class TrainingTransmitters:
     def save(self, directory: Path) -> None:
         """Store which rows of which data set these are; the maps stay where they are."""
         reference = [str(self.train.path), self.train.sha256, self.train.rows.tolist()]
-        (directory / _FILE).write_text(json.dumps(reference))
+        (directory / _ROWS_FILE).write_text(json.dumps(reference))
 
     @classmethod
     def load(cls, directory: Path) -> TrainingTransmitters:
         """Inverse of `save`; raises `DataError` where the data set is gone or another."""
-        return cls(reopen(*json.loads((directory / _FILE).read_text())))
+        return cls(reopen(*json.loads((directory / _ROWS_FILE).read_text())))
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """The configuration of a method that has nothing to set."""
+
+
+class TransmitterLookup:
+    """All of a trivial predictor but its `predict`, which finds the training samples in `transmitters`."""
+
+    Config: ClassVar[type] = NoOptions
+    num_parameters = 0
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = self.Config() if config is None else config
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Remember where the training maps are."""
+        self.transmitters = TrainingTransmitters(train)
+        yield Progress(step=1, loss=math.nan)
+
+    def save(self, directory: Path) -> None:
+        """Store the configuration and which rows were trained on."""
+        (directory / _CONFIG_FILE).write_text(json.dumps(asdict(self.config)))
+        self.transmitters.save(directory)
+
+    @classmethod
+    def load(cls, directory: Path) -> TransmitterLookup:
+        """Inverse of `save`; raises `DataError` where the data set is gone or another."""
+        method = cls(cls.Config(**json.loads((directory / _CONFIG_FILE).read_text())))
+        method.transmitters = TrainingTransmitters.load(directory)
+        return method
