@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -68,6 +69,16 @@ def test_a_subset_of_a_subset_keeps_its_maps(tmp_path: Path) -> None:
     np.testing.assert_array_equal(subset.rows, [9, 1])
     np.testing.assert_array_equal(subset.pas(), dataset.pas([9, 1]))
     np.testing.assert_array_equal(subset.carrier_hz, dataset.carrier_hz[[9, 1]])
+
+
+def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    view = dataset.subset([1, 5]).isolated()
+    np.testing.assert_array_equal(view.cfr, dataset.cfr[[1, 5]])
+    np.testing.assert_array_equal(view.peak_power, dataset.peak_power[[1, 5]])
+    every = replace(view, rows=np.arange(len(dataset)))
+    assert np.flatnonzero(np.abs(every.cfr).sum(axis=1)).tolist() == [1, 5]
+    assert np.flatnonzero(every.peak_power).tolist() == [1, 5]
 
 
 def test_batches_cover_every_row_once(tmp_path: Path) -> None:

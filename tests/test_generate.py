@@ -62,6 +62,18 @@ def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) ->
     assert path.stat().st_mtime_ns == before
 
 
+def test_a_damaged_or_foreign_output_is_not_taken_for_the_job(tmp_path: Path) -> None:
+    path = generate(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(OutputExistsError, match="Delete it"):
+        generate(small_plan(num_transmitters=2), path)
+    assert path.read_bytes() == content
+    with pytest.raises(StorageError, match="not a file"):
+        generate(small_plan(num_transmitters=2), tmp_path)
+
+
 def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "rooms.h5.parts"
     folder.mkdir()
@@ -102,16 +114,28 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
     num_kills = 0
     while not broken.exists():
         process = subprocess.Popen(generate_command(broken))
-        if num_kills < 6:
+        if num_kills < 5:
             wait_for_batches(process, broken, chance.randrange(6))
             time.sleep(chance.uniform(0, 0.05))
+            process.send_signal(signal.SIGKILL)
+        elif num_kills < 7:
+            wait_for_writing(process, broken)
+            time.sleep(chance.uniform(0, 0.1))
             process.send_signal(signal.SIGKILL)
         status = process.wait()
         num_kills += status == -signal.SIGKILL
         assert status in (0, -signal.SIGKILL)
-    assert num_kills >= 5
+    assert num_kills >= 6  # at least one of them while the file was being written
     assert broken.read_bytes() == unbroken.read_bytes()
-    assert not list(tmp_path.glob("*.parts"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.h5", "unbroken.h5"]
+
+
+def wait_for_writing(process: subprocess.Popen[Any], path: Path) -> None:
+    def is_writing() -> bool:
+        return any(part.stat().st_size > 100_000 for part in path.parent.glob(f".{path.name}.*.partial"))
+
+    while process.poll() is None and not is_writing():
+        time.sleep(0.002)
 
 
 @pytest.mark.parametrize("num_batches", [0, 2])

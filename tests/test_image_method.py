@@ -107,6 +107,38 @@ def test_every_saving_leaves_the_answer_as_it_is() -> None:
         assert np.sqrt((error**2).mean(axis=(1, 2))).max() < 10 ** (-70 / 20)  # 70 dB; measured 79 dB or more
 
 
+def test_a_plane_crossed_twice_over_counts_once() -> None:
+    sheets = (
+        Surface("left", "glass", 0.01, (-5.0, -5.0, 1.5), (2.0, 5.0, 1.5)),
+        Surface("right, over the left", "glass", 0.01, (0.2, -5.0, 1.5), (5.0, 5.0, 1.5)),
+    )
+    tx = np.array([[3.0, 0.3, 1.0]])
+    settings = TraceSettings(max_depth=1, rays=1000)
+    for savings in (
+        ImageSavings(),
+        ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4),
+    ):
+        assert ImageTracer(scene_of(*sheets), [10e9], settings, savings).channel(tx).num_paths == 1
+
+
+def test_a_path_whose_field_vanishes_on_the_way_is_not_counted() -> None:
+    slab = Surface("slab", "concrete", 0.4, (-9.0, -9.0, 1.5), (9.0, 9.0, 1.5))
+    tracer = ImageTracer(scene_of(slab), [1e9, 94e9], TraceSettings(max_depth=1, rays=1000))
+    channel = tracer.channel(np.array([[1.0, 0.3, 1.0]]))
+    assert channel.num_paths.tolist() == [[1, 0]]
+    assert channel.cfr[0, 0].all()
+    assert not channel.cfr[0, 1].any()
+
+
+def test_wide_arrays_get_the_field_at_every_element() -> None:
+    scene = load_scene("office")
+    scene = replace(scene, receiver=replace(scene.receiver, rows=1, cols=8))
+    tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 4, seed=1)
+    settings = TraceSettings(max_depth=3, rays=50_000)
+    exact = ImageTracer(scene, [1e9], settings, ImageSavings(field_nodes_per_axis=64)).channel(tx).cfr
+    np.testing.assert_array_equal(ImageTracer(scene, [1e9], settings).channel(tx).cfr, exact)
+
+
 def test_path_sums_equal_channels() -> None:
     scene = load_scene("two_rooms")
     receiver = replace(scene.receiver, rows=1, cols=1)

@@ -146,3 +146,12 @@ def test_quantiles_of_infinite_scores_are_scores() -> None:
     np.testing.assert_array_equal(
         quantiles(np.array([1.0, np.inf]), [0.0, 0.5, 0.51, 1.0]), [1, 1, np.inf, np.inf]
     )
+
+
+def test_scores_in_decibel_are_those_of_power_for_every_kind() -> None:
+    rng = np.random.default_rng(0)
+    predicted, truth = rng.uniform(size=(2, 3, 90, 360)).astype(np.float32) ** 4
+    of_power = score_all(predicted, truth, AngularGrid.hemisphere(), "power")
+    of_amplitude = score_all(np.sqrt(predicted), np.sqrt(truth), AngularGrid.hemisphere(), "amplitude")
+    for name in ("power_error", "beam_loss", "aoa_error"):
+        np.testing.assert_allclose(of_amplitude[name], of_power[name], atol=1e-4)

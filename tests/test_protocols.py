@@ -51,6 +51,20 @@ def test_samples_without_a_path_are_in_neither_part_and_counted(tmp_path: Path) 
     assert 9 not in split.train
 
 
+def test_carriers_a_few_kilohertz_apart_are_different_targets(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(24.25001, 24.25002, 30.0))
+    splits = make_splits(dataset, "lofo", "all")
+    assert len({split.name for split in splits}) == 3
+    for split in splits:
+        assert find_split(dataset, "lofo", split.name).sha256 == split.sha256
+
+
+def test_a_carrier_without_paths_does_not_block_the_others(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1, silent=((0, 1),))
+    assert [split.name for split in make_splits(dataset, "lofo", "all")] == ["lofo-1GHz", "lofo-37GHz"]
+    assert find_split(dataset, "lofo", "lofo-37GHz").name == "lofo-37GHz"
+
+
 def test_missing_carriers_are_named(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5")
     with pytest.raises(ProtocolError, match=r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"):

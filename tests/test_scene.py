@@ -14,6 +14,7 @@ from xfreqbench.mesh import (
     surface_meshes,
     write_mitsuba,
 )
+from xfreqbench.overlaps import check_overlaps
 from xfreqbench.placement import (
     check_receiver,
     check_transmitters,
@@ -21,6 +22,7 @@ from xfreqbench.placement import (
     place_transmitters,
 )
 from xfreqbench.scene import Scene, load_scene, parse_scene, scene_schema, shipped_scenes
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 BOX = """
 name = "box"
@@ -52,7 +54,8 @@ def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: s
     meshes = surface_meshes(scene)
     check_receiver(scene, meshes, 1e9)
     placement = place_transmitters(scene, meshes)
-    check_transmitters(meshes, placement.tx_position_m)
+    check_transmitters(scene, meshes, placement.tx_position_m, [1e9, 94e9])
+    check_overlaps(meshes)
     assert len(placement.tx_position_m) + sum(placement.rejected.values()) == len(
         scene.transmitters.lattice_m
     )
@@ -93,11 +96,46 @@ def test_a_receiver_or_transmitter_inside_an_object_names_it() -> None:
     with pytest.raises(PlacementError, match=r"Receiver.*inside 'cabinet'"):
         check_receiver(scene, meshes, 1e9)
     with pytest.raises(PlacementError, match=r"Transmitter 1 stands inside 'cabinet'"):
-        check_transmitters(meshes, np.array([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]]))
+        check_transmitters(scene, meshes, np.array([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]]), [1e9])
     with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
-        check_transmitters(meshes, np.array([[0.5, 0.5, -0.095]]))
+        check_transmitters(scene, meshes, np.array([[0.5, 0.5, -0.095]]), [1e9])
     with pytest.raises(PlacementError, match="finite"):
-        check_transmitters(meshes, np.array([[np.nan, 0.5, 1.0]]))
+        check_transmitters(scene, meshes, np.array([[np.nan, 0.5, 1.0]]), [1e9])
+    with pytest.raises(PlacementError, match="at least one"):
+        check_transmitters(scene, meshes, np.zeros((0, 3)), [1e9])
+
+
+@pytest.mark.parametrize("carrier_hz", [1e9, 94e9])
+def test_a_transmitter_on_an_element_of_the_array_is_refused(carrier_hz: float) -> None:
+    scene = parse_scene(BOX)
+    meshes = surface_meshes(scene)
+    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+    for position_m in (element_m[5], np.array(scene.receiver.position_m)):
+        with pytest.raises(PlacementError, match="mm from the receiver array"):
+            check_transmitters(scene, meshes, position_m[None] + 0.002, [10e9, carrier_hz])
+
+
+def test_grid_positions_within_the_widest_aperture_are_left_out() -> None:
+    scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[2.0, 2.3, 1.5]"))
+    meshes = surface_meshes(scene)
+    near = "within 0.2 m of the receiver"
+    assert place_transmitters(scene, meshes).rejected[near] == 0
+    assert place_transmitters(scene, meshes, 0.5e9).rejected[near] > 0
+
+
+def test_two_materials_in_one_place_are_refused() -> None:
+    poster = """
+[[surface]]
+name = "poster"
+material = "wood"
+thickness_m = 0.01
+min_m = [1.0, 1.0, -0.1]
+max_m = [2.0, 2.0, -0.1]
+"""
+    with pytest.raises(SceneError, match=r"'floor' .* and 'poster' .* overlap in one plane"):
+        check_overlaps(surface_meshes(parse_scene(BOX + poster)))
+    beside = poster.replace("[1.0, 1.0, -0.1]", "[4.0, 1.0, -0.1]").replace("[2.0, 2.0,", "[5.0, 2.0,")
+    check_overlaps(surface_meshes(parse_scene(BOX + beside)))
 
 
 def test_an_array_too_wide_for_its_place_is_refused_at_the_low_carrier_only() -> None:

@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from sionna_scenes import ONE_ELEMENT, simple_scenes
 
+from xfreqbench.angles import AngularGrid
 from xfreqbench.convergence import map_errors
 from xfreqbench.mesh import SurfaceMesh, surface_meshes, write_mitsuba
+from xfreqbench.pas import BartlettBeam
 from xfreqbench.provenance import software_versions
 from xfreqbench.reference import read_reference
 from xfreqbench.scene import Scene, load_scene
@@ -140,3 +142,22 @@ def test_auto_takes_the_image_method_where_scene_and_interactions_allow_it() -> 
 def test_provenance_names_every_library_an_answer_depends_on() -> None:
     assert set(software_versions("image")) == {"xfreqbench", "numba", "llvmlite", "numpy"}
     assert set(software_versions("sionna")) == {"xfreqbench", "sionna-rt", "mitsuba", "drjit", "llvm"}
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("boresight", [(0.0, 0.0, -1.0), (1.0, 2.0, -2.0), (1.0, 0.0, 0.0), (-1.0, 3.0, 0.5)])
+def test_a_traced_direct_path_peaks_where_the_transmitter_stands_in_the_receivers_frame(
+    boresight: tuple[float, float, float], solver: SolverName
+) -> None:
+    receiver = replace(load_scene("empty").receiver, boresight=boresight, polarization="H")
+    scene = replace(load_scene("empty"), receiver=receiver)
+    pole = np.array(boresight) / np.linalg.norm(boresight)
+    towards = pole + 0.4 * np.array([0.48, -0.6, 0.64])  # within the hemisphere, off every axis
+    tx = np.asarray(receiver.position_m) + 3.0 * towards[None]
+    channel = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
+    grid = AngularGrid.hemisphere()
+    maps, _ = BartlettBeam(receiver.element_position_wavelengths, grid).maps(channel.cfr[0])
+    for pas_map in maps:
+        peak = receiver.rotation @ grid.directions[np.unravel_index(pas_map.argmax(), grid.shape)]
+        angle_deg = np.degrees(np.arccos(peak @ towards / np.linalg.norm(towards)))
+        assert angle_deg < 2.5  # one degree of the grid, and the curved wave front at 1 GHz

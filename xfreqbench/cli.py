@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from xfreqbench.errors import StorageError, XFreqBenchError
+from xfreqbench.errors import StorageError, UnknownNameError, XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 app = App(
@@ -174,6 +174,10 @@ def generate(
     from xfreqbench.scene import load_scene
     from xfreqbench.tracing import TraceSettings
 
+    if tx is not None and tx_positions is not None:
+        raise XFreqBenchError(
+            "--tx chooses from the scene's grid and --tx-positions replaces it; give one of them."
+        )
     settings = TraceSettings(
         solver=solver,
         interactions=_interactions(interactions),
@@ -211,10 +215,14 @@ def _read_positions(path: Path | None) -> Any:
     """Positions (T, 3) in metres, or None."""
     if path is None:
         return None
+    import warnings
+
     import numpy as np
 
     try:
-        return np.loadtxt(path, delimiter=",", ndmin=2, usecols=(0, 1, 2))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an empty file, which is refused with the positions
+            return np.loadtxt(path, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
     except (OSError, ValueError) as error:
         raise XFreqBenchError(
             f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {error}"
@@ -304,9 +312,12 @@ def plot(
     import numpy as np
 
     from xfreqbench.dataset import open_dataset
+    from xfreqbench.pas import power_of
     from xfreqbench.plots import plot_pas_maps
     from xfreqbench.units import format_ghz
 
+    if output.suffix != ".png":
+        raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
         raise XFreqBenchError(
@@ -314,7 +325,7 @@ def plot(
         )
     rows = np.flatnonzero(dataset.tx_index == tx)
     titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
-    plot_pas_maps(dataset.pas(rows), titles, output)
+    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), titles, output)
     _say(f"wrote {output}")
 
 
@@ -336,7 +347,11 @@ def bench_generate(
     if against_plain:
         convergence.bench_against_plain(scene, tx, plain_tx, _say)
     else:
-        convergence.bench_generate(scene, [name.strip() for name in solvers.split(",")], _say)
+        names = [name.strip() for name in solvers.split(",")]
+        for name in names:
+            if name not in ("image", "sionna"):
+                raise UnknownNameError("solver", name, ("image", "sionna"))
+        convergence.bench_generate(scene, names, _say)
 
 
 @bench.command(name="reference")

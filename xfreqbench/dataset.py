@@ -239,6 +239,16 @@ class PasDataset:
         """View of some rows."""
         return replace(self, rows=self.rows[rows])
 
+    def isolated(self) -> PasDataset:
+        """The same view with the channels of all other samples erased: what a method is given to train on."""
+        tables = dict(self.tables)
+        for name in ("cfr", "peak_power", "num_paths"):
+            samples = tables[name].reshape(-1, *tables[name].shape[2:])
+            kept = np.zeros_like(samples)
+            kept[self.rows] = samples[self.rows]
+            tables[name] = kept.reshape(tables[name].shape)
+        return replace(self, tables=tables)
+
     def _samples(self, name: str) -> NDArray[Any]:
         table = self.tables[name]
         return table.reshape(-1, *table.shape[2:])[self.rows]

@@ -18,10 +18,11 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
-from xfreqbench.dataset import DatasetHeader, PasWriter, open_dataset
-from xfreqbench.errors import OutputExistsError, StorageError, XFreqBenchError
+from xfreqbench.dataset import DatasetHeader, PasWriter, open_dataset, verify
+from xfreqbench.errors import DataError, OutputExistsError, StorageError, XFreqBenchError
 from xfreqbench.materials import check_dispersion
 from xfreqbench.mesh import SurfaceMesh, meshes_sha256, sees, surface_meshes
+from xfreqbench.overlaps import check_overlaps
 from xfreqbench.pas import pas_kind_named
 from xfreqbench.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
 from xfreqbench.provenance import software_versions
@@ -29,6 +30,7 @@ from xfreqbench.scene import Scene
 from xfreqbench.solvers import make_tracer, resolve_solver
 from xfreqbench.storage import atomic_path, require_space, storage_errors, write_text
 from xfreqbench.tracing import Channel, TraceSettings
+from xfreqbench.units import format_ghz_list
 
 BATCH = 16  # transmitters a batch: what a kill can lose
 ProgressCallback = Callable[[int, int], None]
@@ -103,13 +105,14 @@ def plan_generation(
     meshes = surface_meshes(scene)
     settings = resolve_solver(meshes, settings)
     extrapolated = check_dispersion((mesh.material for mesh in meshes), carriers, settings.materials)
+    check_overlaps(meshes)
     check_receiver(scene, meshes, min(carriers))
     if tx_position_m is None:
-        placement = place_transmitters(scene, meshes)
+        placement = place_transmitters(scene, meshes, min(carriers))
         tx_position_m = choose_transmitters(placement, num_transmitters, settings.seed)
         rejected = placement.rejected
     else:
-        check_transmitters(meshes, tx_position_m)
+        check_transmitters(scene, meshes, tx_position_m, carriers)
         rejected = {}
     header = DatasetHeader(
         scene_name=scene.name,
@@ -139,9 +142,13 @@ def job_sha256(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -
 def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:
     carriers = [float(carrier) for carrier in carrier_hz]
     if not carriers or not all(np.isfinite(carriers)) or min(carriers) <= 0:
-        raise XFreqBenchError(f"Carriers must be positive frequencies, but {carriers} Hz are given.")
+        raise XFreqBenchError(
+            f"Carriers must be positive frequencies, but {format_ghz_list(carriers)} are given."
+        )
     if len(set(carriers)) < len(carriers):
-        raise XFreqBenchError(f"Each carrier can be given once, but {carriers} Hz name one twice.")
+        raise XFreqBenchError(
+            f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice."
+        )
     return sorted(carriers)
 
 
@@ -182,7 +189,16 @@ def generate(
 
 
 def _check_same_job(path: Path, plan: Plan) -> None:
-    existing = open_dataset(path)
+    if not path.is_file():
+        raise StorageError(f"{path} is not a file that a data set can be written to. Choose another with -o.")
+    try:
+        verify(path)
+        existing = open_dataset(path)
+    except DataError as error:
+        raise OutputExistsError(
+            f"{path} exists, but holds no data set that can be read: {error} Delete it, or choose another "
+            "output with -o."
+        ) from error
     if job_sha256(existing.header, existing.tables["tx_position_m"]) != plan.sha256:
         raise OutputExistsError(
             f"{path} exists and holds another job ({existing.header.scene_name}, "

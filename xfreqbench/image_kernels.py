@@ -518,11 +518,13 @@ def trace_aperture(
             )
             if above > 0.0 or below < 0.0 or p == before or p == after:
                 continue
+            is_plane_mixed = False
             for q in range(facets.first[p], facets.first[p + 1]):
                 crossed = _facet_crossed(facets, q, p, s, scratch)
                 if crossed == NOWHERE:
                     continue
-                if crossed == MIXED:
+                if crossed == MIXED or is_plane_mixed:
+                    is_plane_mixed = True
                     is_mixed = True
                     continue
                 total += 1
@@ -530,6 +532,7 @@ def trace_aperture(
                     return NOWHERE
                 here, there = side[0, s, p], side[0, s + 1, p]
                 _insert_crossing(scratch, s, q, here / (here - there))
+                break  # one slab a plane, the first, as in `trace`
     if is_mixed:
         return MIXED
     for k in range(4):
@@ -733,6 +736,8 @@ def channels(
 ) -> tuple[NDArray[np.complex128], NDArray[np.int32]]:
     """Channels (T, F, M) and path counts (T, F); one transmitter a task, each summed in a fixed order.
 
+    A path counts where its field reaches at least one element and has not vanished on the way.
+
     `prune` tests each candidate roughly first; `share_visibility` lets four corners decide for the
     elements between them. Both leave the answer as it is and are there to be priced.
     """
@@ -783,14 +788,14 @@ def channels(
                         real[f],
                         imag[f],
                     )
-                    num_paths[i, f] += 1
+                    num_paths[i, f] += np.any(nodes != 0)
                     continue
                 is_seen = False
                 for e in range(num_elements):
                     offset = aperture.element_m[f, e]
                     if trace(facets, candidates, c, tx, offset, max_depth, scratch):
-                        is_seen = True
                         single[0] = path_gain(facets, slabs, candidates, c, tx, offset, f, antenna, scratch)
+                        is_seen |= single[0] != 0
                         _spread(
                             single,
                             one,

@@ -31,6 +31,7 @@ SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction"})
 MAX_FACETS = 400  # every ray is tested against every plane: beyond, Sionna's tree is the better tool
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence, at every carrier
 NUM_CHUNKS = 64
+MAX_INTERPOLATED_WAVELENGTHS = 1.5  # a 4×4 array: 68 dB or better at the 5th percentile; 8×8: 40 dB
 
 
 @dataclass(frozen=True)
@@ -283,8 +284,14 @@ def _aperture(
 def _nodes(
     position: Float[FloatArray, "n"], num_nodes: int
 ) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
-    """Evenly spread nodes along one axis and their Lagrange weights at the positions."""
-    count = min(num_nodes, len(position))
+    """Evenly spread nodes along one axis and their Lagrange weights at the positions.
+
+    Arrays wider than the interpolation was measured for have a node at every element.
+    """
+    span_wavelengths = position[-1] - position[0]
+    if num_nodes >= len(position) or span_wavelengths > MAX_INTERPOLATED_WAVELENGTHS:
+        return position, np.eye(len(position))
+    count = num_nodes
     nodes = np.linspace(position[0], position[-1], count) if count > 1 else np.zeros(1)
     weight = np.ones((count, len(position)))
     for k in range(count):

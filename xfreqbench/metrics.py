@@ -1,6 +1,6 @@
 """Scores of predicted maps against true ones, map by map, and what is derived from them.
 
-Maps are linear power in [0, 1]. Every metric is defined for constant, identical and zero maps.
+Maps lie in [0, 1]; the metrics in dB take linear power. Every metric is defined for constant, identical and zero maps.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from skimage.metrics import structural_similarity as _untyped_structural_similarity
 
 from xfreqbench.angles import AngularGrid, FloatArray
+from xfreqbench.pas import PasKind, power_of
 
-METRICS_VERSION = "1"
+METRICS_VERSION = "2"
 SSIM_WINDOW = 7  # scikit-image's default, uniform
 POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
@@ -37,6 +38,7 @@ class Metric:
     higher_is_better: bool
     description: str
     score: ScoreFunction
+    takes_power: bool = False  # whatever kind the maps are of
 
 
 def ssim(
@@ -112,20 +114,30 @@ METRICS: dict[str, Metric] = {
             False,
             "mean absolute error where the truth is within 30 dB of its peak, predictions floored at −40 dB",
             power_error,
+            takes_power=True,
         ),
         Metric("aoa_error", "°", False, "great-circle angle between predicted and true peak", aoa_error),
         Metric(
-            "beam_loss", "dB", False, "power lost by steering at the predicted peak, at most 40", beam_loss
+            "beam_loss",
+            "dB",
+            False,
+            "power lost by steering at the predicted peak, at most 40",
+            beam_loss,
+            takes_power=True,
         ),
     )
 }
 
 
 def score_all(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid, kind: PasKind = "power"
 ) -> dict[str, Float[FloatArray, "N"]]:
-    """Every metric of a batch of maps."""
-    return {name: metric.score(predicted, truth, grid) for name, metric in METRICS.items()}
+    """Every metric of a batch of maps of one kind; metrics in dB see their power."""
+    power = power_of(predicted, kind), power_of(truth, kind)
+    return {
+        name: metric.score(*(power if metric.takes_power else (predicted, truth)), grid)
+        for name, metric in METRICS.items()
+    }
 
 
 def skill(score: float, best_trivial: float) -> float:

@@ -78,7 +78,14 @@ class BartlettBeam:
         maps = _divide_or_zero(power, peak)
         if kind == "amplitude":
             maps = np.sqrt(maps)
-        return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0] ** 2
+        return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(
+            np.float64
+        ) ** 2
+
+
+def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[NDArray[np.float32], "N E A"]:
+    """Linear power of maps of a kind."""
+    return maps**2 if kind == "amplitude" else maps
 
 
 def _divide_or_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:

@@ -25,17 +25,22 @@ class Placement:
     rejected: dict[str, int]
 
 
-def place_transmitters(scene: Scene, meshes: Sequence[SurfaceMesh]) -> Placement:
+def place_transmitters(
+    scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float | None = None
+) -> Placement:
     """Grid points outside every object and at least the stated clearance from surfaces and receiver.
 
-    Raises `PlacementError` where no point is left.
+    The receiver is the array's aperture where the lowest carrier is given, else its centre. Raises
+    `PlacementError` where no point is left.
     """
     lattice_m = scene.transmitters.lattice_m
     clearance_m = scene.transmitters.clearance_m
     inside = enclosing_mesh(meshes, lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
     to_receiver_m = np.linalg.norm(lattice_m - np.asarray(scene.receiver.position_m), axis=1)
-    near_receiver = ~inside & ~near_surface & (to_receiver_m < clearance_m)
+    near_receiver = (
+        ~inside & ~near_surface & (to_receiver_m < clearance_m + _half_aperture_m(scene, lowest_carrier_hz))
+    )
     usable = ~(inside | near_surface | near_receiver)
     rejected = {
         "inside an object": int(inside.sum()),
@@ -66,12 +71,45 @@ def choose_transmitters(
     return usable[np.sort(chosen)]
 
 
-def check_transmitters(meshes: Sequence[SurfaceMesh], tx_position_m: Float[FloatArray, "T 3"]) -> None:
-    """Raise `PlacementError` for the first position that is not finite, in an object or on a surface."""
+def _half_aperture_m(scene: Scene, carrier_hz: float | None) -> float:
+    if carrier_hz is None:
+        return 0.0
+    offset_m = scene.receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
+    return float(np.linalg.norm(offset_m, axis=1).max())
+
+
+def check_transmitters(
+    scene: Scene,
+    meshes: Sequence[SurfaceMesh],
+    tx_position_m: Float[FloatArray, "T 3"],
+    carrier_hz: Sequence[float],
+) -> None:
+    """Raise `PlacementError` for the first position where no transmitter can stand.
+
+    That is one that is not finite, in an object, on a surface, or on an element of the array at any
+    carrier.
+    """
+    if len(tx_position_m) == 0:
+        raise PlacementError("No transmitter position is given; give at least one.")
     if not np.isfinite(tx_position_m).all():
         row = int(np.flatnonzero(~np.isfinite(tx_position_m).all(axis=1))[0])
         raise PlacementError(f"Transmitter {row} stands at {tx_position_m[row]}; give finite metres.")
     _check_free(meshes, tx_position_m, "Transmitter")
+    for carrier in carrier_hz:
+        _check_off_the_array(scene, tx_position_m, carrier)
+
+
+def _check_off_the_array(scene: Scene, tx_position_m: Float[FloatArray, "T 3"], carrier_hz: float) -> None:
+    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+    points_m = np.vstack([scene.receiver.position_m, element_m])
+    distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
+    if (distance_m < MIN_SEPARATION_M).any():
+        index = int(distance_m.argmin())
+        raise PlacementError(
+            f"Transmitter {index} stands {distance_m[index] * 1e3:.1f} mm from the receiver array, at "
+            f"{_metres(tx_position_m[index])} at {format_ghz(carrier_hz)}. Keep at least "
+            f"{MIN_SEPARATION_M * 1e3:g} mm away."
+        )
 
 
 def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float) -> None:

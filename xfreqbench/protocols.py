@@ -78,12 +78,12 @@ Targets = Sequence[float] | Literal["all"] | None
 def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) -> list[Split]:
     """Splits of a protocol by name; raises `UnknownNameError` and `ProtocolError`.
 
-    `targets_hz` are the held-out carriers of `lofo`: the paper's where None, every carrier of the data
-    set where "all". `sparse` takes none.
+    `targets_hz` are the held-out carriers of `lofo`: the paper's where None, every carrier at which
+    a path arrives where "all". `sparse` takes none.
     """
     if protocol == "lofo":
-        every = np.unique(dataset.carrier_hz).tolist()
-        return lofo(dataset, every if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
+        heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
+        return lofo(dataset, heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
     if protocol == "sparse":
         if targets_hz is not None:
             raise ProtocolError("Protocol 'sparse' always tests 24.25 GHz; leave the targets out.")
@@ -93,17 +93,24 @@ def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) 
 
 def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
     """One split of a protocol by name; raises `UnknownNameError` and `ProtocolError`."""
-    splits = {
-        split.name: split for split in make_splits(dataset, protocol, "all" if protocol == "lofo" else None)
-    }
+    if protocol == "lofo":
+        targets = {_lofo_name(target): target for target in np.unique(dataset.carrier_hz).tolist()}
+        if name not in targets:
+            raise UnknownNameError(f"split of {protocol!r}", name, targets)
+        return lofo(dataset, [targets[name]])[0]
+    splits = {split.name: split for split in make_splits(dataset, protocol)}
     if name not in splits:
         raise UnknownNameError(f"split of {protocol!r}", name, splits)
     return splits[name]
 
 
+def _lofo_name(target_hz: float) -> str:
+    return f"lofo-{_dense(format_ghz(target_hz))}"
+
+
 def _lofo_split(dataset: PasDataset, target_hz: float) -> Split:
     held_out = dataset.carrier_hz == target_hz
-    return _split(dataset, f"lofo-{_dense(format_ghz(target_hz))}", "lofo", ~held_out, held_out)
+    return _split(dataset, _lofo_name(target_hz), "lofo", ~held_out, held_out)
 
 
 def _sparse_split(dataset: PasDataset, training_hz: Sequence[float], test_hz: float) -> Split:

@@ -19,7 +19,11 @@ def check_settings(settings: TraceSettings) -> None:
     for interaction in settings.interactions:
         if interaction not in INTERACTIONS:
             raise UnknownNameError("interaction", interaction, INTERACTIONS)
-    for name, value, least in (("depth", settings.max_depth, 0), ("number of rays", settings.rays, 1)):
+    for name, value, least in (
+        ("depth", settings.max_depth, 0),
+        ("number of rays", settings.rays, 1),
+        ("seed", settings.seed, 0),
+    ):
         if value < least:
             raise XFreqBenchError(f"The {name} is {value}; give at least {least}.")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 from collections.abc import Iterator
@@ -16,9 +17,10 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
     """Temporary path beside `target`, renamed to it when the block ends without an exception.
 
     The folder is made where it is missing, and `num_bytes` of free space are asked for first. After an
-    exception the temporary file is removed and `target` is what it was; a killed process leaves only a
-    hidden `.NAME.PID.partial`. Raises `StorageError`.
+    exception the temporary file is removed and `target` is what it was; what a killed process left, a
+    hidden `.NAME.PID.partial`, goes with the next try. Raises `StorageError`.
     """
+    _remove_abandoned(target)
     require_space(target, num_bytes)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
@@ -31,6 +33,14 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
             _sync(target.parent)  # or the rename itself may be lost with the power
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove what killed processes left of this very file; a living one may still be writing its own."""
+    for path in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
+        process = path.name.split(".")[-2]
+        if process.isdigit() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
+            path.unlink(missing_ok=True)
 
 
 def write_text(target: Path, text: str) -> None:
