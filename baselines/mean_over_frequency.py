@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+from pydantic import Field
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.transmitters import TransmitterLookup
@@ -16,7 +18,7 @@ from xfreqbench.transmitters import TransmitterLookup
 class MeanOverFrequencyConfig:
     """How many of the nearest transmitters stand in for one that was not trained on."""
 
-    num_nearest: int = 6
+    num_nearest: Annotated[int, Field(ge=1)] = 6
 
 
 class MeanOverFrequency(TransmitterLookup):

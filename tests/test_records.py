@@ -36,6 +36,8 @@ def make_record(
         "job": job,
         "dataset_sha256": "a" * 64,
         "scene": "office",
+        "pas_kind": "power",
+        "settings": {"solver": "image", "interactions": ["specular"], "max_depth": 1},
         "split_sha256": "b" * 64,
         "protocol_version": "1",
         "metrics_version": "1",

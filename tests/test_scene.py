@@ -201,7 +201,10 @@ def test_a_mitsuba_scene_that_cannot_be_used_says_why(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="cannot be read"):
         load("<scene>")
     with pytest.raises(SceneError, match="no ITU material"):
-        load('<scene><bsdf type="diffuse" id="red"/></scene>')
+        load(
+            '<scene><bsdf type="diffuse" id="red"/>'
+            '<shape type="ply" id="wall"><string name="filename" value="w.ply"/><ref id="red"/></shape></scene>'
+        )
     with pytest.raises(SceneError, match="world coordinates"):
         load('<scene><shape type="sphere" id="ball"/></scene>')
 

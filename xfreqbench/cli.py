@@ -126,10 +126,10 @@ def scenes() -> None:
 @app.command
 def methods() -> None:
     """List the installed methods."""
-    from xfreqbench.method import method_names, resolve_method
+    from xfreqbench.method import method_summaries
 
-    for name in method_names():
-        print(f"{name:22} {(resolve_method(name).__doc__ or '').splitlines()[0]}")
+    for name, summary in method_summaries().items():
+        print(f"{name:22} {summary}")
 
 
 @app.command

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import Any, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
+from pydantic.errors import PydanticUserError
 
 from xfreqbench.errors import MethodError, UnknownNameError
 
@@ -27,17 +28,46 @@ def override(config: Config, assignments: Iterable[str]) -> Config:
     return config
 
 
+def as_json(config: Any) -> dict[str, Any]:
+    """A configuration as JSON has it: a `Path` is a text, a tuple a list. Raises `MethodError`."""
+    adapter = _adapter(config, type(config))
+    try:
+        return adapter.dump_python(config, mode="json", warnings=False)
+    except ValueError as error:
+        raise MethodError(
+            f"{type(config).__name__} cannot be written as JSON: {error}. Give it fields that can."
+        ) from error
+
+
 def _typed(config: Any, key: str, text: str) -> Any:
     names = [field.name for field in fields(config)]
     if key not in names:
         raise UnknownNameError(f"option of {type(config).__name__}", key, names or ["(it has none)"])
-    kind = get_type_hints(type(config))[key]
-    adapter: TypeAdapter[Any] = TypeAdapter(kind)
+    kind = _types(config)[key]
+    adapter = _adapter(config, kind)
     try:
         return adapter.validate_json(text) if text.startswith(("[", "{")) else adapter.validate_strings(text)
     except ValidationError as error:
-        expected = getattr(kind, "__name__", str(kind))
+        plain = getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
+        expected = getattr(plain, "__name__", str(plain))
         raise MethodError(
             f"Option {key!r} of {type(config).__name__} takes {expected}, but {text!r} was given: "
             f"{error.errors()[0]['msg']}."
+        ) from error
+
+
+def _types(config: Any) -> dict[str, Any]:
+    try:
+        return get_type_hints(type(config), include_extras=True)
+    except NameError as error:
+        raise MethodError(f"{type(config).__name__} has a field of an unknown type: {error}.") from error
+
+
+def _adapter(config: Any, kind: Any) -> Any:
+    try:
+        return TypeAdapter(kind)
+    except (PydanticUserError, NameError) as error:
+        raise MethodError(
+            f"{type(config).__name__} has a field that no text can give: {str(error).splitlines()[0]} "
+            "Use numbers, words, paths, or tuples of them."
         ) from error

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.mesh import SurfaceMesh
 
-PLANE_TOLERANCE = 1e-6  # metres, and radians: facets closer than this share a plane
+PLANE_TOLERANCE = 1e-5  # metres, and radians: facets closer than this share a plane; float32 errs by less
+PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 
 
 class PlanarFacet(NamedTuple):
@@ -69,7 +70,7 @@ def _parallelogram(
     (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
     a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
     size = np.linalg.norm(c - a)
-    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PLANE_TOLERANCE * size)
+    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
     return np.stack([a, b, c, d]) if is_parallelogram and _area(np.stack([a, b, c])) > 0 else None
 
 
@@ -85,9 +86,33 @@ def plane_of(corners_m: Float[FloatArray, "n 3"]) -> tuple[FloatArray, float]:
 def group_by_plane(
     facets: Sequence[PlanarFacet],
 ) -> tuple[Float[FloatArray, "P 4"], Int[NDArray[np.int64], "Q"]]:
-    """The distinct planes (normal, offset), and the plane of each facet."""
-    planes = np.array([np.append(*plane_of(facet.corners_m)) for facet in facets]).reshape(-1, 4)
-    _, first, plane = np.unique(
-        np.round(planes / PLANE_TOLERANCE), axis=0, return_index=True, return_inverse=True
-    )
-    return planes[first], plane.ravel().astype(np.int64)
+    """The distinct planes (normal, offset), and the plane of each facet.
+
+    The largest facet left, whose plane is known best, claims every facet left whose normal and corners
+    are within `PLANE_TOLERANCE` of its plane. Planes come in lexicographic order.
+    """
+    if not facets:
+        return np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
+    planes = np.array([np.append(*plane_of(facet.corners_m)) for facet in facets])
+    corners_m = np.array([facet.corners_m[[0, 1, 2, -1]] for facet in facets])  # a triangle's last twice
+    diagonal_m = np.linalg.norm(np.ptp(corners_m, axis=1), axis=1)
+    plane = np.full(len(facets), -1)
+    claimants: list[int] = []
+    for facet in np.argsort(-diagonal_m, kind="stable"):
+        if plane[facet] < 0:
+            plane[(plane < 0) & _in_plane(planes[facet], planes[:, :3], corners_m)] = len(claimants)
+            plane[facet] = len(claimants)  # though its fourth corner may stand a little off its own plane
+            claimants.append(int(facet))
+    distinct = planes[claimants]
+    order = np.lexsort(np.round(distinct / PLANE_TOLERANCE).T[::-1])
+    return distinct[order], np.argsort(order)[plane].astype(np.int64)
+
+
+def _in_plane(
+    plane: Float[FloatArray, "4"], normals: Float[FloatArray, "Q 3"], corners_m: Float[FloatArray, "Q 4 3"]
+) -> Bool[NDArray[np.bool_], "Q"]:
+    """Whether each facet is parallel to a plane, whichever side its normal points to, and lies in it."""
+    normal, offset_m = plane[:3], plane[3]
+    tilt_rad = np.linalg.norm(np.cross(normals, normal), axis=1)
+    distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
+    return np.asarray((tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE))

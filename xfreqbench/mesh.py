@@ -19,6 +19,7 @@ from xfreqbench.materials import material_bands
 from xfreqbench.scene import Scene, Surface
 
 DEFAULT_THICKNESS_M = 0.1  # what Sionna RT gives a material that states none
+SLIVER = 1e-9  # a triangle whose doubled area is no more of its longest edge squared has no plane
 IntArray = NDArray[np.int64]
 
 
@@ -60,8 +61,18 @@ def _rectangle(bounds: Float[FloatArray, "2 3"], normal_axis: int) -> trimesh.Tr
 
 
 def _surface_mesh(name: str, material: str, thickness_m: float, shape: trimesh.Trimesh) -> SurfaceMesh:
-    vertices = np.asarray(shape.vertices, dtype=np.float64)
-    return SurfaceMesh(name, material, thickness_m, vertices, np.asarray(shape.faces, dtype=np.int64))
+    """Mesh without the triangles of no area, which no ray meets and which have no normal."""
+    vertices_m = np.asarray(shape.vertices, dtype=np.float64)
+    triangles = np.asarray(shape.faces, dtype=np.int64)
+    has_area = _have_area(vertices_m[triangles])
+    return SurfaceMesh(name, material, thickness_m, vertices_m, triangles[has_area])
+
+
+def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_], "K"]:
+    edges_m = np.roll(corners_m, -1, axis=1) - corners_m
+    doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
+    longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
+    return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
 
 
 def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
@@ -70,10 +81,8 @@ def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
         root = ElementTree.parse(xml).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise SceneError(f"The Mitsuba scene {xml} cannot be read: {error}.") from error
-    materials = {
-        bsdf.get("id", ""): _radio_material(bsdf, xml) for bsdf in root.iter("bsdf") if bsdf.get("id")
-    }
-    return [_imported_mesh(shape, materials, xml) for shape in root.iter("shape")]
+    bsdfs = {bsdf.get("id", ""): bsdf for bsdf in root.iter("bsdf") if bsdf.get("id")}
+    return [_imported_mesh(shape, bsdfs, xml) for shape in root.iter("shape")]
 
 
 def _radio_material(bsdf: ElementTree.Element, xml: Path) -> tuple[str, float]:
@@ -87,12 +96,28 @@ def _radio_material(bsdf: ElementTree.Element, xml: Path) -> tuple[str, float]:
             "<string name='type' value='concrete'/>, or an id like 'mat-itu_concrete'."
         )
     material_bands(material)
-    thickness = bsdf.find("./float[@name='thickness']")
-    return material, DEFAULT_THICKNESS_M if thickness is None else float(thickness.get("value", "nan"))
+    return material, _thickness_m(bsdf, xml)
+
+
+def _thickness_m(bsdf: ElementTree.Element, xml: Path) -> float:
+    stated = bsdf.find("./float[@name='thickness']")
+    if stated is None:
+        return DEFAULT_THICKNESS_M
+    value = stated.get("value", "")
+    try:
+        thickness_m = float(value)
+    except ValueError:
+        thickness_m = np.nan
+    if not (np.isfinite(thickness_m) and thickness_m > 0):
+        raise SceneError(
+            f"{xml}: the thickness of material {bsdf.get('id', '')!r} is {value!r}. Give a number of metres "
+            f"above 0, or leave it out for {DEFAULT_THICKNESS_M:g}."
+        )
+    return thickness_m
 
 
 def _imported_mesh(
-    shape: ElementTree.Element, materials: dict[str, tuple[str, float]], xml: Path
+    shape: ElementTree.Element, bsdfs: dict[str, ElementTree.Element], xml: Path
 ) -> SurfaceMesh:
     name = shape.get("id", "unnamed").removeprefix("mesh-")
     if shape.get("type") != "ply" or shape.find("./transform") is not None:
@@ -101,16 +126,29 @@ def _imported_mesh(
             "every shape as a PLY file in world coordinates, as Sionna's Blender export does."
         )
     reference = shape.find("./ref")
-    material = materials.get(reference.get("id", "") if reference is not None else "")
-    if material is None:
+    bsdf = bsdfs.get(reference.get("id", "") if reference is not None else "")
+    if bsdf is None:
         raise SceneError(f"{xml}: shape {name!r} refers to no material of this file; add <ref id='mat-…'/>.")
+    material, thickness_m = _radio_material(bsdf, xml)
     filename = shape.find("./string[@name='filename']")
     ply = xml.parent / (filename.get("value", "") if filename is not None else "")
     try:
-        mesh = trimesh.load_mesh(ply, process=False)
+        loaded = trimesh.load_mesh(ply, process=False)
+        mesh = _surface_mesh(name, material, thickness_m, loaded)
     except Exception as error:  # trimesh raises whatever its parsers do
         raise SceneError(f"{xml}: the mesh {ply} of shape {name!r} cannot be read: {error}.") from error
-    return _surface_mesh(name, *material, mesh)
+    _check_triangles(mesh, ply, xml)
+    return mesh
+
+
+def _check_triangles(mesh: SurfaceMesh, ply: Path, xml: Path) -> None:
+    if not np.isfinite(mesh.vertices_m).all():
+        raise SceneError(f"{xml}: the mesh {ply} of shape {mesh.name!r} has vertices that are not finite.")
+    if len(mesh.triangles) == 0:
+        raise SceneError(
+            f"{xml}: the mesh {ply} of shape {mesh.name!r} has no face of any area. "
+            "Export it with its faces, or remove the shape."
+        )
 
 
 def meshes_sha256(meshes: Iterable[SurfaceMesh]) -> str:
@@ -122,6 +160,17 @@ def meshes_sha256(meshes: Iterable[SurfaceMesh]) -> str:
     return digest.hexdigest()
 
 
+def shape_ids(meshes: Sequence[SurfaceMesh]) -> list[str]:
+    """Mitsuba's id of each mesh, `mesh-NAME`, with the mesh's number behind where that is taken already."""
+    ids: dict[str, None] = {}
+    for number, mesh in enumerate(meshes):
+        identifier = f"mesh-{mesh.name}"
+        while identifier in ids:
+            identifier += f"-{number:05d}"
+        ids[identifier] = None
+    return list(ids)
+
+
 def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
     """Write `scene.xml` and one PLY per mesh, as Sionna RT loads them; returns the XML's path."""
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
@@ -131,10 +180,10 @@ def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
         bsdf = ElementTree.SubElement(root, "bsdf", type="itu-radio-material", id=f"mat-{material}-{index}")
         ElementTree.SubElement(bsdf, "string", name="type", value=material)
         ElementTree.SubElement(bsdf, "float", name="thickness", value=repr(thickness_m))
-    for number, mesh in enumerate(meshes):
+    for number, (mesh, identifier) in enumerate(zip(meshes, shape_ids(meshes), strict=True)):
         filename = f"meshes/{number:05d}.ply"
         trimesh.Trimesh(mesh.vertices_m, mesh.triangles, process=False).export(folder / filename)
-        shape = ElementTree.SubElement(root, "shape", type="ply", id=f"mesh-{mesh.name}")
+        shape = ElementTree.SubElement(root, "shape", type="ply", id=identifier)
         ElementTree.SubElement(shape, "string", name="filename", value=filename)
         ElementTree.SubElement(shape, "boolean", name="face_normals", value="true")
         index = kinds.index((mesh.material, mesh.thickness_m))

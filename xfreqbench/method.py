@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -42,12 +43,13 @@ def parse_budget(text: str | None) -> Budget:
     """Budget from `300s`, `5m`, `2h` or `2000steps`; unlimited where None. Raises `MethodError`."""
     if text is None:
         return Budget()
-    matched = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|m|h|steps)", text.strip())
-    if not matched or float(matched[1]) == 0:
+    matched = re.fullmatch(r"(\d+)\s*(steps)|(\d+(?:\.\d+)?)\s*([smh])", text.strip())
+    number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
+    if float(number) == 0:
         raise MethodError(f"A budget is written as in 300s, 5m, 2h or 2000steps, but {text!r} was given.")
-    if matched[2] == "steps":
-        return Budget(max_steps=int(float(matched[1])))
-    return Budget(max_seconds=float(matched[1]) * {"s": 1, "m": 60, "h": 3600}[matched[2]])
+    if unit == "steps":
+        return Budget(max_steps=int(number))
+    return Budget(max_seconds=float(number) * {"s": 1, "m": 60, "h": 3600}[unit])
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,18 @@ def method_names() -> list[str]:
     return sorted(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))
 
 
+def method_summaries() -> dict[str, str]:
+    """First docstring line of every installed method by name, or why it cannot be used."""
+    return {name: _summary_line(name) for name in method_names()}
+
+
+def _summary_line(name: str) -> str:
+    try:
+        return (resolve_method(name).__doc__ or "").strip().partition("\n")[0]
+    except MethodError as error:
+        return f"cannot be imported: {error.__cause__}" if error.__cause__ else str(error)
+
+
 def resolve_method(name: str) -> Callable[..., Method]:
     """Class of a method by its entry point's name or as `package.module:Class`.
 
@@ -126,9 +140,10 @@ def resolve_method(name: str) -> Callable[..., Method]:
         sys.path.append(str(Path.cwd()))  # a module in the working folder is found, and shadows nothing
     try:
         method_class = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # a module runs its own code while it is imported
         raise MethodError(
-            f"Method {name!r} cannot be imported: {error}. Install it or mend its name."
+            f"Method {name!r} cannot be imported: {type(error).__name__}: {error}. Install it, or mend it or "
+            "its name."
         ) from error
     _check_contract(name, method_class)
     return cast("Callable[..., Method]", method_class)
@@ -151,17 +166,46 @@ def _check_contract(name: str, method_class: Any) -> None:
 def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     """A method by name, its configuration overridden by `key=value` texts.
 
-    Raises what `resolve_method` and `override` do, and `MethodError` where it keeps no `config` or does
-    not count its parameters.
+    Raises what `resolve_method` and `override` do, and `MethodError` where it cannot be constructed, keeps
+    no `config` or does not count its parameters.
     """
-    method_class: Any = resolve_method(name)
-    defaults = method_class()
+    method_class = resolve_method(name)
+    overrides = tuple(overrides)
+    defaults = _constructed(name, method_class)
     for attribute in ("config", "num_parameters"):
         if not hasattr(defaults, attribute):
             raise MethodError(
                 f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes."
             )
-    return method_class(override(defaults.config, overrides))
+    if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
+        raise MethodError(
+            f"Method {name!r} has config {defaults.config!r}; it must be an instance of a frozen dataclass."
+        )
+    if not overrides:
+        return defaults
+    return _constructed(name, method_class, override(defaults.config, overrides))
+
+
+def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:  # not yet known to be a method
+    try:
+        return method_class(*config)
+    except Exception as error:
+        given = f"with {config[0]!r}" if config else "without arguments"
+        raise MethodError(
+            f"Method {name!r} cannot be constructed {given}: {type(error).__name__}: {error}. Its constructor "
+            "takes one config, with a default."
+        ) from error
+
+
+def code_sha256(method: Method) -> str:
+    """Hash of the files that define a method's class and its bases; a class typed into a shell has none."""
+    modules = dict.fromkeys(base.__module__ for base in type(method).__mro__)
+    paths = [getattr(sys.modules.get(module), "__file__", None) for module in modules]
+    digest = hashlib.sha256()
+    for path in paths:
+        if path and Path(path).is_file():
+            digest.update(hashlib.sha256(Path(path).read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def fit_within(method: Method, train: PasDataset, budget: Budget, seed: int) -> Fit:
@@ -201,8 +245,11 @@ def predict_checked(
     grid_shape: tuple[int, int],
 ) -> Float[Maps, "B E A"]:
     """Predictions, once they keep the contract; raises `MethodError` in words where they do not."""
-    maps: Any = method.predict(tx_position_m, carrier_hz)
-    shape = (len(carrier_hz), *grid_shape)
+    return checked_maps(method, method.predict(tx_position_m, carrier_hz), (len(carrier_hz), *grid_shape))
+
+
+def checked_maps(method: Method, maps: Any, shape: tuple[int, int, int]) -> Float[Maps, "B E A"]:
+    """What `predict` returned, once it is known to be maps; raises `MethodError` in words where it is not."""
     fault = _fault_of(maps, shape)
     if fault:
         raise MethodError(f"{_name(method)}.predict returned {fault}.")

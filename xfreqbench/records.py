@@ -46,7 +46,10 @@ class Summary(BaseModel):
 
 
 class RunRecord(BaseModel):
-    """What was run, on what, with which result. `id` hashes everything that determines the result."""
+    """What was run, on what, with which result. `id` hashes everything that determines the result.
+
+    `pas_kind` and `settings` are the data set's: its kind of map and what was asked of the rays.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
@@ -54,6 +57,8 @@ class RunRecord(BaseModel):
     job: Job
     dataset_sha256: str
     scene: str
+    pas_kind: str
+    settings: dict[str, Any]
     split_sha256: str
     protocol_version: str
     metrics_version: str

@@ -7,18 +7,20 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.generate import ProgressCallback
 from xfreqbench.mesh import meshes_sha256, sees, surface_meshes
 from xfreqbench.placement import choose_transmitters, place_transmitters
 from xfreqbench.provenance import software_versions
 from xfreqbench.scene import Scene
+from xfreqbench.storage import atomic_path, storage_errors
 from xfreqbench.tracing import TraceSettings
 
 REFERENCE_CARRIERS_HZ = (1e9, 10e9, 94e9)
@@ -26,6 +28,9 @@ REFERENCE_TRANSMITTERS = 24
 REFERENCE_SETTINGS = TraceSettings(
     solver="sionna", rays=8 * TraceSettings().rays, max_depth=TraceSettings().max_depth + 1, seed=2
 )
+
+
+IDENTITY = ("scene_sha256", "rays", "max_depth", "seed", "interactions")  # of a reference, in `about`
 
 
 @dataclass(frozen=True)
@@ -48,18 +53,28 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
     path = path or reference_path(scene.name)
     if not path.exists():
         raise DataError(f"{path} does not exist. Make it with: xfreqbench bench reference {scene.name}")
-    with np.load(path) as content:
-        about = json.loads(str(content["about"]))
-        reference = Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
-    if about["scene_sha256"] != meshes_sha256(surface_meshes(scene)):
+    reference = _read(path)
+    if reference.about["scene_sha256"] != meshes_sha256(surface_meshes(scene)):
         raise DataError(f"{path} was made of another version of {scene.name!r}. Delete it and make it anew.")
     if not np.isfinite(reference.cfr).all():
         raise DataError(f"{path} is unfinished. Go on with: xfreqbench bench reference {scene.name}")
     return reference
 
 
+def _read(path: Path) -> Reference:
+    try:
+        with path.open("rb") as file, np.load(file) as content:  # NumPy leaves a broken file open
+            about = json.loads(str(content["about"]))
+            return Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
+    except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:
+        raise DataError(f"{path} is no reference that can be read: {error}. Delete it.") from error
+
+
 def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None:
-    """Compute and store the reference, transmitter by transmitter; a killed run goes on."""
+    """Compute and store the reference, transmitter by transmitter; a killed run goes on.
+
+    Raises `OutputExistsError` where the file holds a reference of something else.
+    """
     from xfreqbench.sionna_plain import plain_channel
     from xfreqbench.sionna_scene import roomy_hash_table
 
@@ -83,10 +98,38 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
 
 
 def _unfinished_reference(scene: Scene, path: Path) -> Reference:
-    if path.exists():
-        with np.load(path) as content:
-            about = json.loads(str(content["about"]))
-            return Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
+    asked = _empty_reference(scene)
+    if not path.exists():
+        return asked
+    stored = _read(path)
+    differences = _differences(stored, asked)
+    if differences:
+        raise OutputExistsError(
+            f"{path} holds a reference of something else: {'; '.join(differences)}. "
+            "Delete it, or choose another file."
+        )
+    return stored
+
+
+def _differences(stored: Reference, asked: Reference) -> list[str]:
+    """What makes two references incomparable, in words; the versions of the software do not."""
+    wanted = json.loads(json.dumps(asked.about))  # a tuple comes back as a list
+    differences = [
+        f"{key} is {stored.about.get(key)!r}, not {wanted[key]!r}"
+        for key in IDENTITY
+        if stored.about.get(key) != wanted[key]
+    ]
+    if not np.array_equal(stored.carrier_hz, asked.carrier_hz):
+        differences.append(f"carrier_hz is {stored.carrier_hz.tolist()}, not {asked.carrier_hz.tolist()}")
+    if not np.array_equal(stored.tx_position_m, asked.tx_position_m):
+        differences.append("the transmitters stand elsewhere")
+    if stored.cfr.shape != asked.cfr.shape:
+        differences.append(f"cfr has the shape {stored.cfr.shape}, not {asked.cfr.shape}")
+    return differences
+
+
+def _empty_reference(scene: Scene) -> Reference:
+    """The reference that is asked for, all of it still missing (NaN)."""
     tx = _lit_and_shadowed(scene)
     shape = (len(tx), len(REFERENCE_CARRIERS_HZ), scene.receiver.num_elements)
     about = {
@@ -113,12 +156,16 @@ def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
 
 
 def _write_reference(path: Path, reference: Reference) -> None:
-    temporary = path.with_suffix(".writing.npz")
-    np.savez(
-        temporary,
-        tx_position_m=reference.tx_position_m,
-        carrier_hz=reference.carrier_hz,
-        cfr=reference.cfr,
-        about=json.dumps(reference.about),
-    )
-    temporary.replace(path)
+    num_bytes = reference.cfr.nbytes
+    with (
+        atomic_path(path, num_bytes) as temporary,
+        storage_errors(path, num_bytes),
+        temporary.open("wb") as file,  # given a path, NumPy adds .npz to its name
+    ):
+        np.savez(
+            file,
+            tx_position_m=reference.tx_position_m,
+            carrier_hz=reference.carrier_hz,
+            cfr=reference.cfr,
+            about=json.dumps(reference.about),
+        )

@@ -15,8 +15,8 @@ from typing import Any
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.method import TRIVIAL, Budget
 from xfreqbench.metrics import METRICS, skill
-from xfreqbench.records import RECORDS_FILE, RunRecord, read
-from xfreqbench.storage import write_text
+from xfreqbench.records import RECORDS_FILE, Job, RunRecord, read
+from xfreqbench.storage import require_space, storage_errors, write_text
 
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
 FIGURES_FOLDER = "figures"  # beside the report
@@ -55,8 +55,20 @@ class Board:
     scene: str
     dataset_sha256: str
     protocol: str
+    pas_kind: str
+    settings: Mapping[str, Any]
     splits: tuple[str, ...]
     rows: tuple[Row, ...]
+
+    @property
+    def title(self) -> str:
+        """Scene, protocol and kind of map."""
+        return f"{self.scene} · {self.protocol} · {self.pas_kind} maps"
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """Records of all rows."""
+        return [record for row in self.rows for record in row.by_split.values()]
 
     @property
     def slug(self) -> str:
@@ -65,7 +77,9 @@ class Board:
 
     def best_trivial(self, split: str) -> float:
         """Largest median SSIM of the trivial predictors in a split; nan where none was run."""
-        trivial = [row.by_split[split] for row in self.rows if row.label in TRIVIAL and split in row.by_split]
+        trivial = [
+            record for record in self.records if record.job.split == split and _is_trivial(record.job)
+        ]
         return max(map(_median_ssim, trivial), default=nan)
 
     def skill(self, record: RunRecord) -> float:
@@ -87,16 +101,17 @@ def leaderboard_markdown(records: Iterable[RunRecord], figures: Mapping[str, str
 
     Raises `DataError` as `boards` does. Rows that lose to a trivial predictor stand as they are.
     """
-    figures = figures or {}
-    sections = [_section(board, figures.get(board.slug)) for board in boards(records)]
+    return _markdown(boards(records), figures or {})
+
+
+def _markdown(ranked: Iterable[Board], figures: Mapping[str, str]) -> str:
+    sections = [_section(board, figures.get(board.slug)) for board in ranked]
     return "\n\n".join([*sections, _legend()]) + "\n"
 
 
 def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     """The first table of every data set and protocol, to be read in a terminal."""
-    return "\n\n".join(
-        f"{board.scene} · {board.protocol}. {_summary_table(board)}" for board in boards(records)
-    )
+    return "\n\n".join(f"{board.title}. {_summary_table(board)}" for board in boards(records))
 
 
 def write_report(results: Path, output_md: Path) -> list[Path]:
@@ -111,10 +126,11 @@ def write_report(results: Path, output_md: Path) -> list[Path]:
     if not records:
         raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
     before, after = _kept_text(output_md)
-    figures = {board.slug: f"{FIGURES_FOLDER}/{board.slug}-cdf.svg" for board in boards(records)}
-    for board in boards(records):
+    ranked = boards(records)
+    figures = {board.slug: f"{FIGURES_FOLDER}/{board.slug}-cdf.svg" for board in ranked}
+    for board in ranked:
         _draw_cdf(board, output_md.parent / figures[board.slug])
-    generated = leaderboard_markdown(records, figures)
+    generated = _markdown(ranked, figures)
     write_text(output_md, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
     return [output_md, *(output_md.parent / name for name in figures.values())]
 
@@ -137,7 +153,8 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
         by_label.setdefault(_label(record), {})[record.job.split] = record
     rows = [Row(label, by_split) for label, by_split in by_label.items()]
     rows.sort(key=lambda row: (-_or_lowest(row.average(splits, _median_ssim)), row.label))
-    return Board(*key, splits=tuple(splits), rows=tuple(rows))
+    data = records[0]  # of one data set, which they all describe alike
+    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows))
 
 
 def _or_lowest(value: float) -> float:
@@ -150,9 +167,16 @@ def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:
     return len(parts), [(float(part), "") if index % 2 else (0.0, part) for index, part in enumerate(parts)]
 
 
+def _is_trivial(job: Job) -> bool:
+    """Whether this is a trivial predictor as it comes; budget and seed change nothing in it."""
+    return job.method in TRIVIAL and not job.overrides
+
+
 def _label(record: RunRecord) -> str:
     """The method's name, with whatever differs from a plain run."""
     job = record.job
+    if _is_trivial(job):
+        return job.method
     differences = [*job.overrides]
     if job.budget != Budget():
         limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
@@ -167,17 +191,40 @@ def _median_ssim(record: RunRecord) -> float:
 
 
 def _section(board: Board, figure: str | None) -> str:
-    shared = {record.shares_transmitters for row in board.rows for record in row.by_split.values()}
-    sharing = "Tested transmitters are trained on at other carriers." if True in shared else ""
     parts = [
-        f"## {board.scene} · {board.protocol}",
-        f"Data set `{board.dataset_sha256[:16]}`. {sharing}".strip(),
+        f"## {board.title}",
+        _conditions(board),
         _summary_table(board),
         *(_split_table(board, split) for split in board.splits),
     ]
     if figure:
-        parts.append(f"![Distribution of SSIM]({figure})")
+        parts.append(f"![Distribution of SSIM, {board.title}]({figure})")
     return "\n\n".join([*parts, *_published(board.protocol)])
+
+
+def _conditions(board: Board) -> str:
+    """Where the data come from, what is shared between training and test, and whose times these are."""
+    machines = sorted({_machine(record.hardware) for record in board.records})
+    sentences = [f"Data set `{board.dataset_sha256[:16]}`: {_tracing(board)}."]
+    if any(record.shares_transmitters for record in board.records):
+        sentences.append("Tested transmitters are trained on at other carriers.")
+    return " ".join([*sentences, f"Times were taken on {'; '.join(machines)}."])
+
+
+def _tracing(board: Board) -> str:
+    settings = board.settings
+    parts = [f"{board.pas_kind} maps"]
+    if "solver" in settings:
+        parts.append(f"{settings['solver']} solver")
+    if "interactions" in settings:
+        parts.append(" and ".join(settings["interactions"]) or "no interactions")
+    if "max_depth" in settings:
+        parts.append(f"depth {settings['max_depth']}")
+    return ", ".join(parts)
+
+
+def _machine(hardware: Mapping[str, str]) -> str:
+    return ", ".join(f"{value} cores" if name == "cores" else value for name, value in hardware.items())
 
 
 def _summary_table(board: Board) -> str:
@@ -300,9 +347,15 @@ def _draw_cdf(board: Board, path: Path) -> None:
 
 def _kept_text(output_md: Path) -> tuple[str, str]:
     """What stands before and after the generated part."""
+    require_space(output_md, 1)
     if not output_md.exists():
         return "# Benchmark\n\n", "\n"
-    before, begin, rest = output_md.read_text("utf-8").partition(BEGIN)
+    try:
+        with storage_errors(output_md):
+            text = output_md.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise OutputExistsError(f"{output_md} exists and is not a text. Give another path.") from error
+    before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
         raise OutputExistsError(

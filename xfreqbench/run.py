@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +20,15 @@ from numpy.typing import NDArray
 
 from xfreqbench import machine, records
 from xfreqbench.angles import FloatArray
+from xfreqbench.config import as_json
 from xfreqbench.dataset import PasDataset, open_dataset, verify
-from xfreqbench.errors import DataError
-from xfreqbench.method import Fit, Method, build_method, fit_within, predict_checked
+from xfreqbench.errors import DataError, MethodError, XFreqBenchError
+from xfreqbench.method import Fit, Method, build_method, checked_maps, code_sha256, fit_within
 from xfreqbench.metrics import METRICS_VERSION, bootstrap_interval, quantiles, score_all
 from xfreqbench.predictions import MapBatch, read_predictions, write_predictions
 from xfreqbench.protocols import Split, find_split
 from xfreqbench.records import NUM_QUANTILES, RECORDS_FILE, Job, RunRecord, Summary
+from xfreqbench.storage import require_space, storage_errors
 
 __all__ = ["Job", "RunRecord", "run_all", "run_job"]
 
@@ -42,13 +48,14 @@ class _Task:
     split: Split
     method: Method
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Hash of everything that determines the result."""
         content = [
             self.dataset.sha256,
             self.job.method,
-            asdict(self.method.config),
+            code_sha256(self.method),
+            as_json(self.method.config),
             self.job.protocol,
             self.split.sha256,
             self.job.seed,
@@ -67,17 +74,18 @@ def run_all(
 ) -> list[RunRecord]:
     """Run jobs one after the other, the ones already in `results_dir` not again; their records, in order.
 
-    Every data set is verified and every job's names are resolved before the first fit. `progress` is told
-    jobs done, jobs in all and the record after each one. Raises any `XFreqBenchError`.
+    Every data set is verified, every job's names are resolved and `results_dir` is tried before the first
+    fit. `progress` is told jobs done, jobs in all and the record after each one. Raises any
+    `XFreqBenchError`; jobs that were finished before it are kept.
     """
     jobs = list(jobs)
-    for path in dict.fromkeys(job.dataset for job in jobs):
-        verify(path)
+    datasets = {path: _verified(path) for path in dict.fromkeys(job.dataset for job in jobs)}
     for job in jobs:
-        _prepare(job)
+        _ = _prepare(job, datasets[job.dataset]).id
+    _require_writable(results_dir)
     done = []
     for number, job in enumerate(jobs, start=1):
-        done.append(run_job(job, results_dir))
+        done.append(_run(_prepare(job, datasets[job.dataset]), results_dir))
         if progress:
             progress(number, len(jobs), done[-1])
     return done
@@ -85,13 +93,17 @@ def run_all(
 
 def run_job(job: Job, results_dir: Path) -> RunRecord:
     """Fit, predict and score one job, or return its record where that and its predictions are stored."""
-    task = _prepare(job)
+    return _run(_prepare(job, open_dataset(job.dataset)), results_dir)
+
+
+def _run(task: _Task, results_dir: Path) -> RunRecord:
     stored = _stored_record(task, results_dir)
     if stored:
         return stored
-    train = task.dataset.subset(task.split.train)
+    train = task.dataset.subset(task.split.train).isolated()
     machine.reset_peak_memory()
-    fit = fit_within(task.method, train, job.budget, job.seed)
+    with _method_errors(task, "fit"):
+        fit = fit_within(task.method, train, task.job.budget, task.job.seed)
     clock = _Stopwatch()
     _store_predictions(task, results_dir, clock)
     memory_mib = machine.peak_memory_mib()
@@ -100,8 +112,40 @@ def run_job(job: Job, results_dir: Path) -> RunRecord:
     return record
 
 
-def _prepare(job: Job) -> _Task:
-    dataset = open_dataset(job.dataset)
+def _verified(path: str) -> PasDataset:
+    verify(path)
+    return open_dataset(path)
+
+
+def _require_writable(results_dir: Path) -> None:
+    """Raise `StorageError` for a folder in which a run would find no place for its result."""
+    path = results_dir / RECORDS_FILE
+    for folder in (results_dir, results_dir / PREDICTIONS_FOLDER):
+        require_space(folder / RECORDS_FILE, 1)
+        with storage_errors(folder), tempfile.TemporaryFile(dir=folder):
+            pass
+    if path.exists():
+        with storage_errors(path), path.open("ab"):
+            pass
+
+
+@contextmanager
+def _method_errors(task: _Task, part: str) -> Iterator[None]:
+    """Turn whatever a method raises into a `MethodError` that says where."""
+    try:
+        yield
+    except XFreqBenchError:
+        raise
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        raise MethodError(
+            f"Method {task.job.method!r} failed in {part} on split {task.split.name!r}: "
+            f"{type(error).__name__}: {error} ({frame.filename}, line {frame.lineno}). "
+            "Mend it and run the same command again; finished jobs are kept."
+        ) from error
+
+
+def _prepare(job: Job, dataset: PasDataset) -> _Task:
     return _Task(
         job=job,
         dataset=dataset,
@@ -145,11 +189,10 @@ def _predicted(task: _Task, clock: _Stopwatch) -> Iterator[MapBatch]:
     test = task.dataset.subset(task.split.test)
     for start in range(0, len(test), BATCH_SIZE):
         part = slice(start, start + BATCH_SIZE)
-        with clock:
-            maps = predict_checked(
-                task.method, test.tx_position_m[part], test.carrier_hz[part], test.grid.shape
-            )
-        yield task.split.test[part], maps
+        rows, query = task.split.test[part], (test.tx_position_m[part], test.carrier_hz[part])
+        with _method_errors(task, "predict"), clock:
+            maps = task.method.predict(*query)
+        yield rows, checked_maps(task.method, maps, (len(rows), *test.grid.shape))
 
 
 def _summaries(task: _Task, results_dir: Path) -> dict[str, Summary]:
@@ -158,7 +201,7 @@ def _summaries(task: _Task, results_dir: Path) -> dict[str, Summary]:
     if predictions.split_sha256 != task.split.sha256 or not np.array_equal(predictions.rows, task.split.test):
         raise DataError(f"{predictions.path} holds predictions of another split. Delete it and run again.")
     batches = [
-        score_all(maps, task.dataset.pas(rows), task.dataset.grid)
+        score_all(maps, task.dataset.pas(rows), task.dataset.grid, task.dataset.header.pas_kind)
         for rows, maps in predictions.batches(BATCH_SIZE)
     ]
     test = task.dataset.subset(task.split.test)
@@ -195,10 +238,12 @@ def _record(
         job=task.job,
         dataset_sha256=task.dataset.sha256,
         scene=task.dataset.header.scene_name,
+        pas_kind=task.dataset.header.pas_kind,
+        settings=dict(task.dataset.header.settings),
         split_sha256=task.split.sha256,
         protocol_version=task.split.version,
         metrics_version=METRICS_VERSION,
-        config=asdict(task.method.config),
+        config=as_json(task.method.config),
         step=fit.step,
         fit_seconds=fit.seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,

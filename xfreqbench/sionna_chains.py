@@ -252,13 +252,6 @@ class _ChainTree:
         return Chains(self.interaction, self.triangle, self.vertex_m, hit_m[kept], side[kept], chain[kept])
 
 
-def _with_branches(table: NDArray[Any], parent: IntArray, depth: int, value: NDArray[Any]) -> NDArray[Any]:
-    """Rows of a table followed by copies of their parents', each with its own value at one depth."""
-    branches = table[parent]
-    branches[:, depth] = value
-    return np.concatenate([table, branches])
-
-
 def _evenly_thinned(chain: UInt[NDArray[np.uint32], "H"], most: int) -> IntArray:
     """Indices that keep at most `most` points of each chain, spread evenly over its rays."""
     order = np.argsort(chain, kind="stable")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.angles import FloatArray
 from xfreqbench.llvm import ensure_llvm
 from xfreqbench.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.mesh import SurfaceMesh, write_mitsuba
+from xfreqbench.mesh import SurfaceMesh, shape_ids, write_mitsuba
 from xfreqbench.scene import ReceiverArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
 
@@ -87,7 +87,7 @@ class RadioScene:
     def shape_pointer(self) -> UInt[NDArray[np.uint32], "S"]:
         """Dr.Jit's pointer to the shape of each mesh, in the order of the meshes."""
         shapes = {shape.id(): shape for shape in self.mitsuba.shapes()}
-        ordered = [shapes[f"mesh-{mesh.name}"] for mesh in self.meshes]
+        ordered = [shapes[identifier] for identifier in shape_ids(self.meshes)]
         pointers = [dr.reinterpret_array(mi.UInt, mi.ShapePtr(shape)).numpy()[0] for shape in ordered]
         return np.array(pointers, dtype=np.uint32)
 
