@@ -12,6 +12,7 @@ from xfreqbench.baselines.mean_over_frequency import MeanOverFrequency, MeanOver
 from xfreqbench.baselines.nearest import Nearest
 
 from xfreqbench.dataset import PasDataset
+from xfreqbench.errors import MethodError
 from xfreqbench.method import TRIVIAL, Budget, build_method, fit_within, predict_checked
 
 GRID_SHAPE = (90, 360)
@@ -141,3 +142,8 @@ def test_the_example_of_the_readme_runs_by_name(
     maps = predict_checked(method, *query, GRID_SHAPE)
     method.save(tmp_path)
     np.testing.assert_allclose(type(method).load(tmp_path).predict(*query), maps)
+
+
+def test_mean_over_frequency_needs_a_transmitter_to_average() -> None:
+    with pytest.raises(MethodError, match=r"num_nearest.*greater than or equal to 1"):
+        build_method("mean-over-frequency", ["num_nearest=0"])

@@ -3,6 +3,8 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from xfreqbench.method import (
     build_method,
     fit_within,
     method_names,
+    method_summaries,
+    parse_budget,
     predict_checked,
     resolve_method,
 )
@@ -80,6 +84,16 @@ class WithoutConfig(Short):
     def __init__(self): ...
 
 
+class WithoutDefault(Short):
+    def __init__(self, config):
+        self.config = config
+
+
+class ConfiguredByADict(Short):
+    def __init__(self, config=None):
+        self.config = config or {"hidden": 1}
+
+
 @pytest.fixture(scope="module")
 def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=1, maps=False)
@@ -106,6 +120,54 @@ def test_a_method_that_cannot_be_imported_says_so(name: str) -> None:
         resolve_method(name)
 
 
+@pytest.mark.parametrize(
+    ("code", "error"), [("class Method(:", "SyntaxError"), ("{}['a']", "KeyError: 'a'"), ("1 / 0", "ZeroDiv")]
+)
+def test_a_module_that_fails_while_it_is_imported_says_how(
+    code: str, error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_method.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(MethodError, match=f"cannot be imported: {error}"):
+        resolve_method("broken_method:Method")
+
+
+def test_a_broken_plugin_does_not_hide_the_other_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = {
+        "absent": "no_such_module:Method",
+        "endless": f"{__name__}:Endless",
+        "incomplete": f"{__name__}:Incomplete",
+        "silent": f"{__name__}:Silent",
+    }
+    found = [EntryPoint(name, value, "xfreqbench.methods") for name, value in entries.items()]
+    monkeypatch.setattr("xfreqbench.method.entry_points", lambda group: found)
+    summaries = method_summaries()
+    assert summaries["absent"] == "cannot be imported: No module named 'no_such_module'"
+    assert summaries["endless"] == "Trains for ever and predicts `answer`."
+    assert "lacks predict" in summaries["incomplete"]
+    assert summaries["silent"] == ""  # it has no docstring
+
+
+@pytest.mark.parametrize(
+    ("text", "budget"),
+    [
+        (None, Budget()),
+        ("300s", Budget(max_seconds=300)),
+        ("0.5 m", Budget(max_seconds=30)),
+        ("2h", Budget(max_seconds=7200)),
+        ("2000steps", Budget(max_steps=2000)),
+    ],
+)
+def test_a_budget_is_read_with_its_unit(text: str | None, budget: Budget) -> None:
+    assert parse_budget(text) == budget
+
+
+@pytest.mark.parametrize("text", ["", "300", "0s", "0steps", "0.2steps", "2.5steps", "-1s", "1d"])
+def test_a_budget_without_a_unit_or_of_part_of_a_step_is_refused(text: str) -> None:
+    with pytest.raises(MethodError, match="A budget is written as in 300s"):
+        parse_budget(text)
+
+
 def test_a_class_that_lacks_part_of_the_contract_is_told_which() -> None:
     with pytest.raises(MethodError, match="lacks predict, save, load"):
         resolve_method(f"{__name__}:Incomplete")
@@ -119,6 +181,16 @@ def test_a_function_is_no_method() -> None:
 def test_a_method_without_configuration_is_told_so() -> None:
     with pytest.raises(MethodError, match="has no config"):
         build_method(f"{__name__}:WithoutConfig")
+
+
+def test_a_constructor_without_a_default_configuration_is_told_so() -> None:
+    with pytest.raises(MethodError, match=r"cannot be constructed without arguments.*with a default"):
+        build_method(f"{__name__}:WithoutDefault")
+
+
+def test_a_configuration_that_is_no_dataclass_is_told_so() -> None:
+    with pytest.raises(MethodError, match="must be an instance of a frozen dataclass"):
+        build_method(f"{__name__}:ConfiguredByADict")
 
 
 def test_options_reach_the_configuration() -> None:

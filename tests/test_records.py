@@ -54,7 +54,7 @@ def make_record(
             name: make_summary(ssim)
             for name in ("ssim", "ssim_wrapped", "psnr", "power_error", "aoa_error", "beam_loss")
         },
-        "hardware": {"cores": "2"},
+        "hardware": {"processor": "AMD EPYC", "cores": "2"},
         "software": {"numpy": "2"},
         "git_commit": None,
         "time_utc": "2026-01-01T00:00:00+00:00",

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_records import make_record
 
-from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.method import TRIVIAL
+from xfreqbench.errors import DataError, OutputExistsError, StorageError
+from xfreqbench.method import TRIVIAL, Budget
 from xfreqbench.plots import plot_pas_maps
 from xfreqbench.records import append
-from xfreqbench.report import BEGIN, END, boards, leaderboard_markdown, write_report
+from xfreqbench.report import BEGIN, END, boards, leaderboard_markdown, leaderboard_summary, write_report
 
 SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
 
@@ -173,3 +173,58 @@ def test_pictures_of_maps_are_equal_bytes_for_equal_maps(tmp_path: Path) -> None
     plot_pas_maps(maps[::-1], ["truth", "predicted"], tmp_path / "c.png")
     a, b, c = ((tmp_path / name).read_bytes() for name in ("a.png", "b.png", "c.png"))
     assert a == b != c
+
+
+def _changed(record, **changes):
+    return record.model_copy(update={"job": record.job.__class__(**{**vars(record.job), **changes})})
+
+
+def test_skill_stands_whatever_budget_and_seed_were_given() -> None:
+    records = [_changed(record, budget=Budget(max_seconds=300), seed=3) for record in make_records()]
+    markdown = leaderboard_markdown(records)
+    assert cells(markdown, "ours (≤ 300 s, seed 3)")[5] == "0.500"
+    assert cells(markdown, "nearest")[0] == "nearest"  # budget and seed change nothing in it
+
+
+def test_a_trivial_predictor_with_other_options_sets_no_skill() -> None:
+    tuned = _changed(make_record("mean-over-frequency", 0.99), overrides=("num_nearest=3",))
+    markdown = leaderboard_markdown([make_record("nearest", 0.9), tuned, make_record("ours", 0.95)])
+    assert cells(markdown, "ours")[3] == "0.500"
+    assert cells(markdown, "mean-over-frequency (num_nearest=3)")[3] == "0.900"
+
+
+def test_a_board_says_its_maps_its_rays_and_whose_times_these_are() -> None:
+    markdown = leaderboard_markdown(make_records())
+    assert (
+        "Data set `aaaaaaaaaaaaaaaa`: power maps, image solver, specular, depth 1. Tested "
+        "transmitters are trained on at other carriers. Times were taken on AMD EPYC, 2 cores." in markdown
+    )
+
+
+def test_every_machine_that_took_times_is_named() -> None:
+    other = make_record("ours", hardware={"processor": "Intel Xeon", "cores": "16"})
+    assert "on AMD EPYC, 2 cores; Intel Xeon, 16 cores." in leaderboard_markdown([make_record(), other])
+
+
+def test_sets_of_different_kinds_of_map_have_different_headings() -> None:
+    records = [make_record(), make_record(pas_kind="amplitude", dataset_sha256="c" * 64)]
+    markdown = leaderboard_markdown(records)
+    assert "## office · lofo · power maps\n" in markdown
+    assert "## office · lofo · amplitude maps\n" in markdown
+    assert "office · lofo · amplitude maps. Median" in leaderboard_summary(records)
+
+
+def test_a_file_that_is_no_text_is_not_overwritten(tmp_path: Path) -> None:
+    _store(tmp_path)
+    output = tmp_path / "data.h5"
+    output.write_bytes(b"\x89HDF\r\n\xff")
+    with pytest.raises(OutputExistsError, match="not a text"):
+        write_report(tmp_path, output)
+    assert output.read_bytes() == b"\x89HDF\r\n\xff"
+
+
+def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
+    _store(tmp_path)
+    with pytest.raises(StorageError, match="is a folder"):
+        write_report(tmp_path, tmp_path)
+    assert not (tmp_path / "figures").exists()

@@ -3,19 +3,43 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from synthetic import paper_dataset
+from xfreqbench.baselines.nearest import Nearest
 
+from xfreqbench import method as method_module
 from xfreqbench import records
 from xfreqbench.dataset import PasDataset
-from xfreqbench.errors import DataError, UnknownNameError
+from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError
 from xfreqbench.metrics import METRICS
 from xfreqbench.predictions import read_predictions
 from xfreqbench.protocols import find_split
 from xfreqbench.run import Job, run_all, run_job
+
+
+@dataclass(frozen=True)
+class WeightsConfig:
+    weights: Path = Path("weights.pt")
+
+
+class WithAPath(Nearest):
+    Config = WeightsConfig
+
+
+class FailsInFit(Nearest):
+    def fit(self, train, budget, seed):
+        raise RuntimeError("no memory left")
+        yield
+
+
+class FailsInPredict(Nearest):
+    def predict(self, tx_position_m, carrier_hz):
+        return {}["map"]
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +152,52 @@ def test_running_needs_neither_sionna_nor_matplotlib() -> None:
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "set()"
+
+
+def test_a_configuration_with_a_path_is_hashed_and_recorded(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset, f"{__name__}:WithAPath"), tmp_path)
+    assert record.config == {"weights": "weights.pt"}
+    assert records.read(tmp_path / "records.jsonl").records == (record,)
+
+
+def test_a_record_says_what_data_it_is_of(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    assert record.pas_kind == dataset.header.pas_kind == "power"
+    assert record.settings == dataset.header.settings
+
+
+@pytest.mark.parametrize("name", ["", "predictions"])
+def test_results_that_cannot_be_written_are_told_before_the_first_fit(
+    dataset: PasDataset, tmp_path: Path, name: str
+) -> None:
+    results = tmp_path / "results"
+    if name:
+        results.mkdir()
+    (results / name).write_text("")
+    with pytest.raises(StorageError, match="results"):
+        run_all([make_job(dataset, f"{__name__}:FailsInFit")], results)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "FailsInFit",
+            r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*test_run\.py",
+        ),
+        ("FailsInPredict", r"failed in predict on split 'lofo-24\.25GHz': KeyError: 'map' \(.*test_run\.py"),
+    ],
+)
+def test_a_method_that_fails_is_named_and_the_jobs_before_it_are_kept(
+    dataset: PasDataset, tmp_path: Path, name: str, words: str
+) -> None:
+    with pytest.raises(MethodError, match=words):
+        run_all([make_job(dataset), make_job(dataset, f"{__name__}:{name}")], tmp_path)
+    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == ["nearest"]
+
+
+def test_the_time_of_a_prediction_leaves_our_checks_out(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(method_module, "_fault_of", lambda *_: time.sleep(1))
+    assert run_job(make_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps

@@ -174,9 +174,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     defaults = _constructed(name, method_class)
     for attribute in ("config", "num_parameters"):
         if not hasattr(defaults, attribute):
-            raise MethodError(
-                f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes."
-            )
+            raise MethodError(f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes.")
     if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
         raise MethodError(
             f"Method {name!r} has config {defaults.config!r}; it must be an instance of a frozen dataclass."
@@ -186,7 +184,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     return _constructed(name, method_class, override(defaults.config, overrides))
 
 
-def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:  # not yet known to be a method
+def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
     try:
         return method_class(*config)
     except Exception as error:

@@ -77,9 +77,7 @@ class Board:
 
     def best_trivial(self, split: str) -> float:
         """Largest median SSIM of the trivial predictors in a split; nan where none was run."""
-        trivial = [
-            record for record in self.records if record.job.split == split and _is_trivial(record.job)
-        ]
+        trivial = [record for record in self.records if record.job.split == split and _is_trivial(record.job)]
         return max(map(_median_ssim, trivial), default=nan)
 
     def skill(self, record: RunRecord) -> float:
