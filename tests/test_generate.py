@@ -120,7 +120,7 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
             process.send_signal(signal.SIGKILL)
         elif num_kills < 7:
             wait_for_writing(process, broken)
-            time.sleep(chance.uniform(0, 0.1))
+            time.sleep(chance.uniform(0, 0.03))
             process.send_signal(signal.SIGKILL)
         status = process.wait()
         num_kills += status == -signal.SIGKILL
