@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -88,4 +89,5 @@ def test_carriers_are_read_in_gigahertz() -> None:
 
 def test_the_lists_name_scenes_and_methods() -> None:
     assert "office" in xfreqbench("scenes").stdout
+    assert "surface" in json.loads(xfreqbench("scenes", "--schema").stdout)["properties"]
     assert "mean-over-frequency" in xfreqbench("methods").stdout

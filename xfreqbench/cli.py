@@ -115,10 +115,20 @@ def _say(text: str, quiet: bool = False) -> None:
 
 
 @app.command
-def scenes() -> None:
+def scenes(
+    *,
+    schema: Annotated[
+        bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")
+    ] = False,
+) -> None:
     """List the scenes that ship with the toolkit."""
-    from xfreqbench.scene import shipped_scenes
+    import json
 
+    from xfreqbench.scene import scene_schema, shipped_scenes
+
+    if schema:
+        print(json.dumps(scene_schema(), indent=2))
+        return
     for name, description in shipped_scenes().items():
         print(f"{name:12} {description}")
 

@@ -15,7 +15,7 @@ NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Si
 
 @dataclass(frozen=True)
 class Paths:
-    """P paths from one transmitter to the array centre, strongest information first left to the caller.
+    """P paths from one transmitter to the array centre, the earliest first.
 
     `gain` holds the antenna patterns, interactions and spreading (λ/4πd included) but **no** travel
     phase; `delay_s` is the travel time to the array centre; `arrival` points from the receiver towards
