@@ -22,7 +22,7 @@ def check_overlaps(meshes: Sequence[SurfaceMesh]) -> None:
     if sum(len(mesh.triangles) for mesh in meshes) > MAX_FACETS:
         return
     facets = planar_facets(meshes)
-    _, plane = group_by_plane(facets) if facets else (None, np.zeros(0, np.int64))
+    _, plane = group_by_plane(facets)
     for index in np.unique(plane):
         for first, second in combinations(np.flatnonzero(plane == index), 2):
             a, b = meshes[facets[first].surface], meshes[facets[second].surface]

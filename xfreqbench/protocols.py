@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -72,6 +72,7 @@ def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> li
 
 
 PROTOCOLS = ("lofo", "sparse")
+Known = TypeVar("Known")
 Targets = Sequence[float] | Literal["all"] | None
 
 
@@ -93,15 +94,16 @@ def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) 
 
 def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
     """One split of a protocol by name; raises `UnknownNameError` and `ProtocolError`."""
-    if protocol == "lofo":
+    if protocol == "lofo":  # only the one: another carrier may be without any path
         targets = {_lofo_name(target): target for target in np.unique(dataset.carrier_hz).tolist()}
-        if name not in targets:
-            raise UnknownNameError(f"split of {protocol!r}", name, targets)
-        return lofo(dataset, [targets[name]])[0]
-    splits = {split.name: split for split in make_splits(dataset, protocol)}
-    if name not in splits:
-        raise UnknownNameError(f"split of {protocol!r}", name, splits)
-    return splits[name]
+        return lofo(dataset, [_named(targets, protocol, name)])[0]
+    return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
+
+
+def _named(known: Mapping[str, Known], protocol: str, name: str) -> Known:
+    if name not in known:
+        raise UnknownNameError(f"split of {protocol!r}", name, known)
+    return known[name]
 
 
 def _lofo_name(target_hz: float) -> str:
