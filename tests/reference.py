@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 
@@ -47,3 +49,58 @@ def over_one_slab(
     across = across / np.linalg.norm(across)
     along_in, along_out = np.cross(across, incident), np.cross(across, outgoing)
     return te * (field @ across) * across + tm * (field @ along_in) * along_out
+
+
+def covariance(quaternion: Tensor, log_scale: Tensor) -> Tensor:
+    """Σ = R S Sᵀ Rᵀ of one Gaussian, Eq. (5): quaternion (w, x, y, z) of any length, log_scale (3,) → (3, 3)."""
+    w, x, y, z = quaternion / torch.sqrt((quaternion**2).sum())
+    rotation = torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+    scale = torch.diag(torch.exp(log_scale))
+    return rotation @ scale @ scale.T @ rotation.T
+
+
+def angular_centre(offset_m: Tensor) -> Tensor:
+    """(azimuth, elevation) in rad of the direction from the receiver to μ, Eq. (8): offset μ − r_0, (3,) → (2,)."""
+    x, y, z = offset_m
+    return torch.stack([torch.atan2(y, x), torch.asin(z / torch.sqrt(x**2 + y**2 + z**2))])
+
+
+def projection_jacobian(offset_m: Tensor) -> Tensor:
+    """∂(azimuth, elevation)/∂(x, y, z) in rad/m, the J of Eq. (9): (3,) → (2, 3)."""
+    x, y, z = offset_m
+    horizontal_squared = x**2 + y**2
+    squared, horizontal = horizontal_squared + z**2, torch.sqrt(horizontal_squared)
+    azimuth = torch.stack([-y / horizontal_squared, x / horizontal_squared, torch.zeros_like(z)])
+    elevation = torch.stack(
+        [-x * z / (squared * horizontal), -y * z / (squared * horizontal), horizontal / squared]
+    )
+    return torch.stack([azimuth, elevation])
+
+
+def projected_covariance(offset_m: Tensor, covariance_m2: Tensor, spread: Tensor | float = 1.0) -> Tensor:
+    """C^f = λ J Σ Jᵀ in rad² of (azimuth, elevation), Eqs. (9), (10): (3,), (3, 3) → (2, 2)."""
+    jacobian = projection_jacobian(offset_m)
+    return spread * (jacobian @ covariance_m2 @ jacobian.T)
+
+
+def accumulate(footprint: Tensor, signal: Tensor, factor: Tensor) -> Tensor:
+    """R = Σ_i G_i S_i Π_{m<i} factor_m of one pixel, nearest first, Eq. (11): (L, …) each → (…).
+
+    The paper's factor is δ; `continuous_factor` has no jump at a footprint's edge and equals it at G = 1.
+    """
+    field, product = torch.zeros_like(signal[:1].sum(0)), torch.ones_like(factor[:1].sum(0))
+    for own_footprint, own_signal, own_factor in zip(footprint, signal, factor, strict=True):
+        field = field + own_footprint * own_signal * product
+        product = product * own_factor
+    return field
+
+
+def continuous_factor(footprint: Tensor, attenuation: Tensor) -> Tensor:
+    """1 − G (1 − δ)."""
+    return 1 - footprint * (1 - attenuation)

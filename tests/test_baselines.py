@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -128,20 +127,6 @@ def test_a_transmitter_that_lacks_a_carrier_uses_those_it_has(dataset: PasDatase
     train = dataset.subset(np.flatnonzero(dataset.rows != 4 * 3 + 1))
     position_m = at(dataset, 4, 0).tx_position_m[0]
     np.testing.assert_array_equal(ask(fitted(Nearest(), train), position_m, 11e9), at(dataset, 4, 2).pas()[0])
-
-
-def test_the_example_of_the_readme_runs_by_name(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readme = (Path(__file__).parents[1] / "baselines" / "README.md").read_text()
-    code = [line for line in readme.splitlines() if line.startswith("    ") or not line]
-    (tmp_path / "your_module.py").write_text(textwrap.dedent("\n".join(code)))
-    monkeypatch.syspath_prepend(tmp_path)
-    method = fitted(build_method("your_module:GlobalMean", ["max_maps=3"]), dataset)
-    query = (dataset.tx_position_m[:2], dataset.carrier_hz[:2])
-    maps = predict_checked(method, *query, GRID_SHAPE)
-    method.save(tmp_path)
-    np.testing.assert_allclose(type(method).load(tmp_path).predict(*query), maps)
 
 
 def test_mean_over_frequency_needs_a_transmitter_to_average() -> None:

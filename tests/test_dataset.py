@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import pickle
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import xarray
 from synthetic import append_all, channel, make_header, transmitters, write_dataset
 
 from xfreqbench.angles import AngularGrid
-from xfreqbench.dataset import PasWriter, open_dataset, verify
+from xfreqbench.dataset import PasDataset, PasWriter, open_dataset, verify
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.pas import BartlettBeam
 from xfreqbench.predictions import read_predictions, write_predictions
@@ -79,6 +80,49 @@ def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> Non
     every = replace(view, rows=np.arange(len(dataset)))
     assert np.flatnonzero(np.abs(every.cfr).sum(axis=1)).tolist() == [1, 5]
     assert np.flatnonzero(every.peak_power).tolist() == [1, 5]
+
+
+def write_maps_alone(path: Path) -> tuple[PasDataset, np.ndarray]:
+    """Two transmitters × three carriers of random maps on a coarse grid, the one at (1, 2) of zeros."""
+    header = replace(make_header(num_tx=2), channels=False)
+    grid = AngularGrid.hemisphere(9, 36)
+    maps = np.random.default_rng(4).random((2, 3, *grid.shape), dtype=np.float32)
+    maps /= maps.max(axis=(2, 3), keepdims=True)
+    maps[1, 2] = 0
+    with PasWriter(path, header, grid) as writer:
+        for tx in range(2):
+            writer.append_maps(transmitters(2)[[tx]], np.array([True]), maps[[tx]])
+    return open_dataset(path), maps.reshape(-1, *grid.shape)
+
+
+def test_maps_that_came_without_channels_are_kept_on_their_grid(tmp_path: Path) -> None:
+    dataset, maps = write_maps_alone(tmp_path / "data.h5")
+    verify(dataset.path)
+    np.testing.assert_allclose(dataset.pas(), maps, atol=FLOAT16_STEP)
+    assert dataset.grid.shape == (9, 36)
+    np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
+    np.testing.assert_array_equal(dataset.num_paths, [-1, -1, -1, -1, -1, 0])
+    assert not dataset.header.channels
+
+
+def test_maps_that_came_without_channels_say_that_there_are_none(tmp_path: Path) -> None:
+    dataset, _ = write_maps_alone(tmp_path / "data.h5")
+    with pytest.raises(DataError, match="maps alone"):
+        _ = dataset.subset([1]).cfr
+
+
+def test_maps_that_came_without_channels_can_be_isolated_and_pickled(tmp_path: Path) -> None:
+    dataset, maps = write_maps_alone(tmp_path / "data.h5")
+    view = dataset.subset([1, 3]).isolated()
+    np.testing.assert_allclose(view.pas(), maps[[1, 3]], atol=FLOAT16_STEP)
+    assert np.flatnonzero(replace(view, rows=np.arange(6)).peak_power).tolist() == [1, 3]
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(view)).pas(), view.pas())
+
+
+def test_the_hash_of_a_data_set_with_channels_is_what_it_was_before_there_were_others() -> None:
+    attributes = make_header().attributes()
+    assert "channels" not in attributes
+    assert json.loads(replace(make_header(), channels=False).attributes()["channels"]) is False
 
 
 def test_batches_cover_every_row_once(tmp_path: Path) -> None:

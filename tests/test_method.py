@@ -11,12 +11,14 @@ import pytest
 from synthetic import write_dataset
 
 from xfreqbench.dataset import PasDataset
-from xfreqbench.errors import MethodError, UnknownNameError
+from xfreqbench.errors import DivergenceError, MethodError, UnknownNameError
 from xfreqbench.method import (
     TRIVIAL,
     Budget,
+    Fit,
     Progress,
     build_method,
+    code_sha256,
     fit_within,
     method_names,
     method_summaries,
@@ -64,6 +66,63 @@ class Short(Endless):
     def fit(self, train, budget, seed):
         for step in (1, 2, 3):
             yield Progress(step, math.nan)
+
+
+class Told(Endless):
+    """Remembers the shares of the budget that it is told."""
+
+    def fit(self, train, budget, seed):
+        self.shares = []
+        for step in range(1, 9):
+            self.shares.append((yield Progress(step, math.nan)))
+
+
+class Plain(Endless):
+    """Its `fit` is no generator, but a plain iterator."""
+
+    def fit(self, train, budget, seed):
+        return iter([Progress(1, 1.0), Progress(2, 0.5)])
+
+
+class Delegating(Endless):
+    """A generator that leaves its yields to an iterator that takes no share."""
+
+    def fit(self, train, budget, seed):
+        yield from self.steps()
+
+    def steps(self):
+        yield from map(Progress, (1, 2, 3), (1.0, 0.5, 0.25))
+
+
+class Losing(Endless):
+    """Yields the losses it is given."""
+
+    losses: tuple[float, ...] = ()
+
+    def fit(self, train, budget, seed):
+        for step, loss in enumerate(self.losses, start=1):
+            yield Progress(step, loss)
+
+
+class Untidy(Short):
+    """Takes its time when it is closed."""
+
+    def fit(self, train, budget, seed):
+        try:
+            yield from super().fit(train, budget, seed)
+        finally:
+            time.sleep(0.05)
+
+
+class Resumed(Endless):
+    """Goes on after `step`."""
+
+    step = 0
+
+    def fit(self, train, budget, seed):
+        while True:
+            self.step += 1
+            yield Progress(self.step, 1.0, {"gaussians": 10 * self.step})
 
 
 class Silent(Endless):
@@ -214,6 +273,124 @@ def test_the_budget_in_seconds_ends_training_with_the_step_that_crosses_it(train
 
 def test_without_a_budget_the_method_ends_itself(train: PasDataset) -> None:
     assert fit_within(Short(), train, Budget(), seed=0).step == 3
+
+
+@pytest.mark.parametrize(
+    ("budget", "share"),
+    [
+        (Budget(), 0.0),
+        (Budget(max_steps=8), 0.25),
+        (Budget(max_seconds=4), 0.75),
+        (Budget(max_steps=8, max_seconds=4), 0.75),
+    ],
+)
+def test_the_nearer_limit_says_how_much_of_a_budget_is_spent(budget: Budget, share: float) -> None:
+    assert budget.share(step=2, seconds=3.0) == share
+
+
+def test_a_method_is_told_the_spent_share_of_its_budget(train: PasDataset) -> None:
+    method = Told()
+    fit = fit_within(method, train, Budget(max_steps=4), seed=0)
+    assert method.shares == [0.25, 0.5, 0.75]  # at the fourth it is over
+    assert fit.share == 1
+    fit_within(method, train, Budget(), seed=0)
+    assert method.shares == [0.0] * 8
+
+
+def test_a_method_is_told_the_share_of_its_time(train: PasDataset) -> None:
+    method = Told()
+    fit_within(method, train, Budget(max_seconds=3600), seed=0)
+    assert 0 < method.shares[0] < method.shares[-1] < 0.01  # eight steps of nothing
+
+
+@pytest.mark.parametrize(("method", "step"), [(Plain(), 2), (Delegating(), 3)])
+def test_an_iterator_that_takes_no_share_is_a_fit_too(train: PasDataset, method: Endless, step: int) -> None:
+    assert fit_within(method, train, Budget(max_steps=100), seed=0).step == step
+
+
+def test_the_last_counts_are_those_of_the_fit(train: PasDataset) -> None:
+    fit = fit_within(Resumed(), train, Budget(max_steps=3), seed=0)
+    assert fit.counts == {"gaussians": 30}
+
+
+def test_an_observer_sees_every_step_and_its_time_is_not_charged(train: PasDataset) -> None:
+    seen = []
+
+    def observe(before, now):
+        time.sleep(0.05)
+        seen.append((before and before.step, now.step))
+
+    fit = fit_within(Short(), train, Budget(), seed=0, observe=observe)
+    assert seen == [(None, 1), (1, 2), (2, 3)]
+    assert fit.seconds < 0.05  # one of the three pauses alone
+
+
+def test_the_cleanup_of_a_method_is_charged(train: PasDataset) -> None:
+    assert fit_within(Untidy(), train, Budget(max_steps=1), seed=0).seconds >= 0.05
+
+
+def test_a_fit_that_goes_on_spends_what_is_left_of_its_budget(train: PasDataset) -> None:
+    method, seen = Resumed(), []
+    method.step = 5
+    spent = Fit(step=5, loss=1.0, seconds=100.0, share=0.5)
+    fit = fit_within(
+        method, train, Budget(max_steps=10), seed=0, spent=spent, observe=lambda *change: seen.append(change)
+    )
+    assert seen[0][0] == spent
+    assert [now.step for _, now in seen] == [6, 7, 8, 9, 10]
+    assert 100 < fit.seconds < 110  # five steps of nothing
+
+
+def test_a_fit_whose_budget_is_spent_takes_no_step(train: PasDataset) -> None:
+    spent = Fit(step=5, loss=1.0, seconds=100.0, share=1.0)
+    for budget in (Budget(max_steps=5), Budget(max_seconds=100)):
+        assert fit_within(Silent(), train, budget, seed=0, spent=spent) is spent
+
+
+def test_a_method_that_starts_anew_is_not_charged_for_what_was_lost(train: PasDataset) -> None:
+    seen, spent = [], Fit(step=5, loss=1.0, seconds=100.0)
+    fit = fit_within(
+        Resumed(), train, Budget(max_steps=7), 0, spent=spent, observe=lambda *change: seen.append(change)
+    )
+    assert seen[0][0] is None
+    assert [now.step for _, now in seen] == [1, 2, 3, 4, 5, 6, 7]
+    assert fit.seconds < 10  # seven steps of nothing, and not the 100 s before
+
+
+@pytest.mark.parametrize(
+    ("losses", "step"),
+    [((1.0, math.inf), 2), ((-math.inf,), 1), ((math.nan, 1.0, math.nan), 3), ((1.0, math.nan, 1.0), 2)],
+)
+def test_a_loss_that_is_no_longer_finite_is_a_divergence(
+    train: PasDataset, losses: tuple[float, ...], step: int
+) -> None:
+    method = Losing()
+    method.losses = losses
+    with pytest.raises(DivergenceError, match=f"loss is not finite at step {step}") as raised:
+        fit_within(method, train, Budget(), seed=0)
+    assert (raised.value.step, raised.value.tensor) == (step, "loss")
+
+
+def test_a_method_without_a_loss_does_not_diverge(train: PasDataset) -> None:
+    method = Losing()
+    method.losses = (math.nan, math.nan, 0.5)
+    assert fit_within(method, train, Budget(), seed=0).step == 3
+
+
+def test_code_that_methods_share_without_inheriting_it_is_part_of_their_hash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = [b"a"]
+    monkeypatch.setattr("xfreqbench.method._shared_sources", lambda: shared)
+    monkeypatch.syspath_prepend(tmp_path)
+    text = "from test_method import Short\n\nclass Own(Short):\n    # {}\n    pass\n"
+    hashes = {}
+    for name, words in (("alone", "Alone."), ("building", "Builds on xfreqbench." + "splatting.")):
+        (tmp_path / f"{name}.py").write_text(text.format(words))
+        method = build_method(f"{name}:Own")
+        before, shared[0] = code_sha256(method), shared[0] + b"a"
+        hashes[name] = code_sha256(method) == before
+    assert hashes == {"alone": True, "building": False}
 
 
 def test_a_fit_that_yields_nothing_breaks_the_contract(train: PasDataset) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 import multiprocessing
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.method import Budget
-from xfreqbench.records import NUM_QUANTILES, Job, RunRecord, Summary, append, read
+from xfreqbench.records import NUM_QUANTILES, CurvePoint, Job, RunRecord, Summary, append, read
 
 
 def make_summary(median: float) -> Summary:
@@ -80,6 +81,27 @@ def test_a_job_comes_back_with_its_budget_and_options(tmp_path: Path) -> None:
     job = Job("data.h5", "nearest", "lofo", "lofo-1GHz", ("a=1",), seed=3, budget=Budget(5, 1.5))
     append(tmp_path / "records.jsonl", make_record().model_copy(update={"job": job}))
     assert read(tmp_path / "records.jsonl").records[0].job == job
+
+
+def test_a_learning_curve_without_a_loss_comes_back(tmp_path: Path) -> None:
+    points = (
+        CurvePoint(step=1, seconds=0.5, loss=math.nan, ssim=0.4),
+        CurvePoint(step=2, seconds=1, loss=0.1, ssim=0.5),
+    )
+    append(tmp_path / "records.jsonl", make_record(curve=points, counts={"gaussians": 1024}))
+    (stored,) = read(tmp_path / "records.jsonl").records
+    assert math.isnan(stored.curve[0].loss)
+    assert stored.curve[1] == points[1]
+    assert stored.counts == {"gaussians": 1024}
+
+
+def test_a_record_from_before_curves_and_counts_is_still_read(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    content = json.loads(make_record().model_dump_json())
+    del content["curve"], content["counts"]
+    path.write_text(json.dumps(content) + "\n")
+    (stored,) = read(path).records
+    assert (stored.curve, stored.counts) == ((), {})
 
 
 def test_no_file_holds_no_records(tmp_path: Path) -> None:

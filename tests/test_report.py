@@ -9,7 +9,7 @@ from test_records import make_record
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.method import TRIVIAL, Budget
 from xfreqbench.plots import plot_pas_maps
-from xfreqbench.records import append
+from xfreqbench.records import CurvePoint, append
 from xfreqbench.report import BEGIN, END, boards, leaderboard_markdown, leaderboard_summary, write_report
 
 SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
@@ -58,11 +58,16 @@ def test_without_a_trivial_predictor_there_is_no_skill() -> None:
     assert cells(markdown, "ours")[3] == "–"
 
 
-def test_a_split_that_was_not_run_leaves_no_average_and_ranks_last() -> None:
-    records = [*make_records(), make_record("lucky", 0.99, SPLITS[0])]
-    markdown = leaderboard_markdown(records)
-    assert cells(markdown, "lucky")[2:6] == ["–", "–", "–", "–"]
-    assert markdown.index("| lucky ") > markdown.index("| line-of-sight ")
+def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
+    some = [make_record("partial", 0.97, split) for split in SPLITS[:2]]
+    lucky = make_record("lucky", 0.99, SPLITS[0])
+    markdown = leaderboard_markdown([*make_records(), *some, lucky])
+    whole, shared, *of_splits = markdown.split("best average first:")[1:][:2] + markdown.split("### ")[1:]
+    assert "| partial " not in whole and "| lucky " not in whole + shared.partition("###")[0]
+    assert cells(shared, "partial")[1:4] == ["0.9700 [0.9600, 0.9800]"] * 2 + ["0.9700"]
+    assert cells(shared, "ours")[3] == "0.9500"
+    assert shared.index("| partial ") < shared.index("| ours ")
+    assert "| lucky " in of_splits[0]
 
 
 def test_targets_stand_in_order_of_frequency() -> None:
@@ -228,3 +233,60 @@ def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="is a folder"):
         write_report(tmp_path, tmp_path)
     assert not (tmp_path / "figures").exists()
+
+
+def test_gaussians_are_counted_where_a_method_has_any() -> None:
+    counted = [
+        make_record("ours", 0.95, split, counts={"gaussians": number})
+        for split, number in zip(SPLITS, (1000, 2000, 3000), strict=True)
+    ]
+    markdown = leaderboard_markdown([make_record("nearest", 0.9, SPLITS[0]), *counted])
+    assert cells(markdown, "method")[-1] == "Gaussians"
+    assert cells(markdown, "ours")[-1] == "2000"
+    assert cells(markdown, "nearest")[-1] == "–"
+    assert "Gaussians" not in leaderboard_markdown(make_records())
+
+
+def test_runs_that_differ_in_their_seed_alone_are_summed_up() -> None:
+    seeded = [
+        _changed(make_record("ours", ssim, split), seed=seed, budget=Budget(max_seconds=300))
+        for split in SPLITS[:2]
+        for seed, ssim in enumerate((0.90, 0.92, 0.94))
+    ]
+    records = [*seeded, make_record("nearest", 0.8, SPLITS[0]), make_record("nearest", 0.8, SPLITS[1])]
+    assert (
+        "* ours (≤ 300 s): median SSIM, mean ± standard deviation over seeds 0, 1, 2: "
+        "2.4GHz 0.9200 ± 0.0200, 24.25GHz 0.9200 ± 0.0200, average 0.9200 ± 0.0200."
+        in leaderboard_markdown(records)
+    )
+    assert "over seeds 0, 1, 2" in leaderboard_summary(records)
+
+
+def test_a_split_that_one_seed_was_not_run_on_has_no_spread() -> None:
+    records = [_changed(make_record("ours", 0.9, SPLITS[0]), seed=seed) for seed in (1, 2)]
+    records.append(_changed(make_record("ours", 0.9, SPLITS[1]), seed=1))
+    spreads = "2.4GHz 0.9000 ± 0.0000, 24.25GHz –, average –."
+    assert f"over seeds 1, 2: {spreads}" in leaderboard_markdown(records)
+
+
+def test_one_seed_alone_has_no_spread() -> None:
+    assert "over seeds" not in leaderboard_markdown(make_records())
+
+
+def test_a_learning_curve_stands_by_share_of_the_budget() -> None:
+    points = [
+        CurvePoint(step=step, seconds=step / 10, loss=0.1, ssim=ssim)
+        for step, ssim in ((1, 0.5), (9, 0.6), (64, 0.7))
+    ]
+    record = _changed(make_record("ours", 0.7, SPLITS[0], curve=points), budget=Budget(max_steps=64))
+    markdown = leaderboard_markdown([record, make_record("nearest", 0.6, SPLITS[0])])
+    assert cells(markdown.partition("on a fixed sample")[2], "ours (≤ 64 steps)") == [
+        "ours (≤ 64 steps)",
+        "2.4GHz",
+        "0.5000 (0.1 s)",
+        *["–"] * 2,
+        "0.6000 (0.9 s)",
+        *["–"] * 2,
+        "0.7000 (6.4 s)",
+    ]
+    assert "on a fixed sample" not in leaderboard_markdown(make_records())

@@ -12,10 +12,11 @@ import pytest
 from synthetic import paper_dataset
 from xfreqbench.baselines.nearest import Nearest
 
+from xfreqbench import cli, machine, records
 from xfreqbench import method as method_module
-from xfreqbench import records
 from xfreqbench.dataset import PasDataset
-from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError
+from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError, XFreqBenchError
+from xfreqbench.method import Budget, Progress
 from xfreqbench.metrics import METRICS
 from xfreqbench.predictions import read_predictions
 from xfreqbench.protocols import find_split
@@ -29,6 +30,27 @@ class WeightsConfig:
 
 class WithAPath(Nearest):
     Config = WeightsConfig
+
+
+@dataclass(frozen=True)
+class DeviceConfig:
+    device: str = "cpu"
+
+
+class Stepwise(Nearest):
+    """Knows more maps at every step, and is slow to predict."""
+
+    Config = DeviceConfig
+    pause_s = 0.0
+
+    def fit(self, train, budget, seed):
+        for step in range(1, 33):
+            self.level = step / 32
+            yield from super().fit(train, budget, seed) if step == 1 else [Progress(step, 1 - self.level)]
+
+    def predict(self, tx_position_m, carrier_hz):
+        time.sleep(self.pause_s)
+        return super().predict(tx_position_m, carrier_hz) ** np.float32(1 / self.level)
 
 
 class FailsInFit(Nearest):
@@ -201,3 +223,101 @@ def test_the_time_of_a_prediction_leaves_our_checks_out(
 ) -> None:
     monkeypatch.setattr(method_module, "_fault_of", lambda *_: time.sleep(1))
     assert run_job(make_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps
+
+
+def run_stepwise(dataset: PasDataset, folder: Path, budget: Budget) -> records.RunRecord:
+    return run_job(make_job(dataset, f"{__name__}:Stepwise", budget=budget), folder)
+
+
+def test_a_learning_curve_has_a_point_at_each_share_of_the_budget_and_at_the_end(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=64))
+    assert [point.step for point in record.curve] == [1, 2, 4, 8, 16, 32]  # it ends itself at 1/2
+    ssim = [point.ssim for point in record.curve]
+    assert ssim == sorted(ssim)
+    assert ssim[-1] == pytest.approx(record.scores["ssim"].median, abs=1e-3)  # stored maps are float16
+    assert [point.loss for point in record.curve][1:] == [1 - step / 32 for step in (2, 4, 8, 16, 32)]
+    assert records.read(tmp_path / "records.jsonl").records[0].curve[1:] == record.curve[1:]
+
+
+def test_a_step_that_crosses_several_shares_is_one_point(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
+    assert [point.step for point in record.curve] == [1, 2, 3, 6]  # shares of 1/6, 1/3, 1/2 and the end
+
+
+def test_a_learning_curve_is_not_charged(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Stepwise, "pause_s", 0.2)
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
+    assert record.fit_seconds < 0.2  # one of its four predictions
+
+
+def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    assert run_stepwise(dataset, tmp_path, Budget()).curve == ()
+    assert run_job(make_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
+
+
+def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path) -> None:
+    seen = []
+    job = make_job(dataset, f"{__name__}:Stepwise", budget=Budget(max_steps=4))
+    run_all([job], tmp_path, fitting=lambda *told: seen.append(told))
+    assert [(told.step, told.share) for _, told in seen] == [(1, 0.25), (2, 0.5), (3, 0.75), (4, 1.0)]
+    assert {told_job for told_job, _ in seen} == {job}
+
+
+def run_cli(dataset: PasDataset, results: Path, method: str, **options: str) -> list[records.Job]:
+    data, method = Path(dataset.path), f"nearest,{__name__}:{method}"
+    cli.run(data=data, results=results, method=method, targets="77", quiet=True, **options)
+    return [record.job for record in records.read(results / "records.jsonl").records]
+
+
+def test_a_list_of_seeds_is_a_run_each(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = run_cli(dataset, tmp_path, "Stepwise", seed="0, 2,2")
+    assert [(job.method, job.seed) for job in jobs] == [
+        ("nearest", 0),
+        ("nearest", 2),
+        (f"{__name__}:Stepwise", 0),
+        (f"{__name__}:Stepwise", 2),
+    ]
+
+
+@pytest.mark.parametrize("seed", ["", "1;2", "-1", "0.5"])
+def test_a_seed_that_is_no_whole_number_is_refused(dataset: PasDataset, tmp_path: Path, seed: str) -> None:
+    with pytest.raises(XFreqBenchError, match="--seed takes whole numbers"):
+        run_cli(dataset, tmp_path, "Stepwise", seed=seed)
+
+
+def test_a_device_is_an_option_of_the_methods_that_have_one(dataset: PasDataset, tmp_path: Path) -> None:
+    assert [job.overrides for job in run_cli(dataset, tmp_path / "cpu", "Stepwise", device="cpu")] == [(), ()]
+    on_cuda = run_cli(dataset, tmp_path / "cuda", "Stepwise", device="cuda")
+    assert [job.overrides for job in on_cuda] == [(), ("device=cuda",)]
+
+
+def test_a_running_fit_is_shown(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
+    cli.run(data=Path(dataset.path), results=tmp_path, **options)
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "1/1 runs" in shown
+    assert "step 4, loss 0.875" in shown
+
+
+def test_a_process_pinned_to_one_core_has_one() -> None:
+    code = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))});"
+        "from xfreqbench import machine; print(machine.hardware()['cores'])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "1"
+
+
+def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_LIBRARIES", ("numpy", "no-such-library"))
+    machine.software.cache_clear()
+    assert machine.software().keys() == {"python", "numpy"}
+    machine.software.cache_clear()

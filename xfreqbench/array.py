@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
@@ -9,15 +11,22 @@ from numpy.typing import NDArray
 from xfreqbench.angles import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
+ArrayPlane = Literal["xy", "yz"]
 
-def planar_array(rows: int, cols: int, spacing_wavelengths: float) -> Float[FloatArray, "M 3"]:
+
+def planar_array(
+    rows: int, cols: int, spacing_wavelengths: float, plane: ArrayPlane = "xy"
+) -> Float[FloatArray, "M 3"]:
     """Element positions in wavelengths, in the receiver's frame, centred; row by row.
 
-    Columns run along +x and rows along +y: the array lies in the equator, its boresight is the pole.
+    Columns run along the plane's first axis and rows along its second. In `xy` the array lies in the
+    equator and faces the pole; in `yz` the pole lies in the array, as in one on a wall whose pole is up.
     """
-    x = (np.arange(cols) - (cols - 1) / 2) * spacing_wavelengths
-    y = (np.arange(rows) - (rows - 1) / 2) * spacing_wavelengths
-    return np.stack([np.tile(x, rows), np.repeat(y, cols), np.zeros(rows * cols)], axis=-1)
+    along_columns = (np.arange(cols) - (cols - 1) / 2) * spacing_wavelengths
+    along_rows = (np.arange(rows) - (rows - 1) / 2) * spacing_wavelengths
+    in_plane = [np.tile(along_columns, rows), np.repeat(along_rows, cols)]
+    across = np.zeros(rows * cols)
+    return np.stack([*in_plane, across] if plane == "xy" else [across, *in_plane], axis=-1)
 
 
 def frame_rotation(boresight: tuple[float, float, float]) -> Float[FloatArray, "3 3"]:

@@ -142,6 +142,33 @@ def methods() -> None:
         print(f"{name:22} {summary}")
 
 
+@app.command(name="check-method")
+def check_method(
+    method: str,
+    *,
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+) -> None:
+    """Try every part of a method's contract on a small data set, in seconds.
+
+    Parameters
+    ----------
+    method
+        An installed method's name, or package.module:Class.
+    """
+    from xfreqbench.errors import MethodError
+    from xfreqbench.testing import check_method as findings_of
+
+    findings = findings_of(method, set_)
+    for finding in findings:
+        print(finding)
+    num_faults = sum(finding.is_fault for finding in findings)
+    if num_faults:
+        raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
+
+
 @app.command
 def generate(
     scene: str = "office",
@@ -239,6 +266,33 @@ def _read_positions(path: Path | None) -> Any:
         ) from error
 
 
+@app.command(name="import")
+def import_(
+    folder: Path,
+    *,
+    output: Output,
+    convention: Annotated[
+        Literal["wideband3dgs"], Parameter(help="Whose angles, array and file names the folder follows.")
+    ] = "wideband3dgs",
+    quiet: Quiet = False,
+) -> None:
+    """Read a folder of PNG maps, as other groups publish theirs, into an HDF5 file without channels.
+
+    Parameters
+    ----------
+    folder
+        Holds spectrum/00001.png, …, tx_pos.csv, freq.txt and gateway_info.yml.
+    """
+    from xfreqbench.interchange import import_png_folder, read_png_folder
+
+    source = read_png_folder(folder)
+    if source.ignored:
+        _say(f"{' and '.join(source.ignored)} ignored: protocols make the splits", quiet)
+    is_new = import_png_folder(source, output)
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    _say(f"wrote {output} ({size})" if is_new else f"{output} already holds this data set", quiet)
+
+
 @app.command
 def info(file: Path) -> None:
     """Say what a data set holds and verify every byte of it against its hashes."""
@@ -254,7 +308,7 @@ def info(file: Path) -> None:
 def run(
     *,
     data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
-    results: Annotated[Path, Parameter(help="Folder for records and predictions.")],
+    results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
         str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
     ] = "all",
@@ -265,15 +319,21 @@ def run(
         str | None,
         Parameter(help="Held-out carriers of lofo in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
-    seed: Annotated[int, Parameter(help="Seed of the methods.")] = 0,
+    seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
     budget: Annotated[str | None, Parameter(help="Fitting budget: 300s, 5m, or 2000steps.")] = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
+    ] = "cpu",
     set_: Annotated[
         tuple[str, ...],
         Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
     ] = (),
     quiet: Quiet = False,
 ) -> None:
-    """Fit methods on a protocol's training rows, store their predictions and score them."""
+    """Fit methods on a protocol's training rows, store their predictions and score them.
+
+    A killed run goes on where it stopped, in mid-fit too.
+    """
     from xfreqbench.dataset import open_dataset
     from xfreqbench.method import method_names, parse_budget
     from xfreqbench.protocols import make_splits
@@ -283,14 +343,70 @@ def run(
     dataset = open_dataset(data)
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     splits = make_splits(dataset, protocol, _target_carriers_hz(targets))
+    overrides = {name: (*set_, *_device_override(name, device)) for name in names}
     jobs = [
-        Job(str(data), name, protocol, split.name, set_, seed, parse_budget(budget))
+        Job(str(data), name, protocol, split.name, overrides[name], number, parse_budget(budget))
         for name in names
+        for number in _seeds(seed)
         for split in splits
     ]
-    with progress_bars("runs", [f"{protocol} on {data.name}"], quiet) as (progress,):
-        records = run_all(jobs, results, lambda done, total, record: progress(done, total))
+    with _run_bars(f"{protocol} on {data.name}", quiet) as (progress, fitting):
+        records = run_all(jobs, results, progress, fitting)
     _say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
+
+
+def _seeds(text: str) -> list[int]:
+    """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() for part in parts):
+        raise XFreqBenchError(
+            f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
+        )
+    return list(dict.fromkeys(map(int, parts)))
+
+
+def _device_override(method: str, device: str) -> list[str]:
+    """The option that sends a method to a device, where it has one and this is not its default."""
+    from dataclasses import fields
+
+    from xfreqbench.method import build_method
+
+    if device == "cpu":
+        return []
+    names = [field.name for field in fields(build_method(method).config)]
+    return [f"device={device}"] if "device" in names else []
+
+
+@contextmanager
+def _run_bars(title: str, quiet: bool) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
+    """A bar of the runs and one of the fit at hand, driven by `run_all`'s two callbacks."""
+    if quiet:
+        yield (lambda done, total, record: None), (lambda job, fit: None)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}")
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        runs = progress.add_task(title, total=None, state="")
+        steps = progress.add_task("fitting", total=None, state="")
+
+        def finished(done: int, total: int, record: Any) -> None:
+            progress.update(runs, completed=done, total=total, state=f"{done}/{total} runs")
+
+        def fitting(job: Any, fit: Any) -> None:
+            state = (
+                f"step {fit.step:,}, loss {fit.loss:.4g}, {fit.seconds:.0f} s, {fit.share:.0%} of the budget"
+            )
+            progress.update(
+                steps,
+                description=f"fitting {job.method} {job.split}",
+                completed=fit.share,
+                total=1 if fit.share else None,  # without a budget nobody knows when it ends
+                state=state if fit.share else state.rpartition(", ")[0],
+            )
+
+        yield finished, fitting
 
 
 def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
@@ -362,6 +478,28 @@ def bench_generate(
             if name not in ("image", "sionna"):
                 raise UnknownNameError("solver", name, ("image", "sionna"))
         convergence.bench_generate(scene, names, _say)
+
+
+@bench.command(name="render")
+def bench_render(
+    *,
+    gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, comma-separated.")] = "1000,4000,16000",
+    batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated.")] = "1,8,32",
+    step: Annotated[
+        bool, Parameter(help="Also take the training step of xfreq-gs and its savings apart.")
+    ] = True,
+) -> None:
+    """Print the speed of splatting and training, with errors, against dense rendering."""
+    from xfreqbench import rendering
+
+    rendering.bench_render(_counts("--gaussians", gaussians), _counts("--batch", batch), step, _say)
+
+
+def _counts(option: str, text: str) -> list[int]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and int(part) > 0 for part in parts):
+        raise XFreqBenchError(f"{option} takes whole numbers from 1 on, as in 1,8,32, but got {text!r}.")
+    return [int(part) for part in parts]
 
 
 @bench.command(name="reference")

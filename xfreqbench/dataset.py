@@ -1,7 +1,7 @@
 """Data sets on disk (schema `xfreqbench/pas/1`): written whole, sealed by a sha256, read lazily.
 
 The channel frequency response is the truth; the maps are derived from it, and stored beside it because
-users expect them.
+users expect them. A data set that others published as maps alone has no channels, and is read the same way.
 """
 
 from __future__ import annotations
@@ -39,12 +39,17 @@ Rows = slice | Sequence[int] | IntArray
 
 _TX, _CARRIER, _ELEMENT = "tx", "carrier_hz", "element"
 _AXIS, _FRAME_AXIS = "axis", "receiver_axis"
+UNKNOWN_NUM_PATHS = -1
 _WRITE_BLOCK = 64  # transmitters whose maps are derived at once: 10 carriers of them are 83 MB
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetHeader:
-    """All that a data set says of itself. `settings` are the solver's, `rejected` counts transmitters."""
+    """All that a data set says of itself. `settings` are the solver's, `rejected` counts transmitters.
+
+    Without `channels` the maps came as such, and must be stored. What nobody told of them is then marked:
+    `peak_power` is 1 where there is a map, `num_paths` −1, and `line_of_sight` 1 unless it is known.
+    """
 
     scene_name: str
     scene_json: str
@@ -57,6 +62,10 @@ class DatasetHeader:
     settings: Mapping[str, Any]
     software: Mapping[str, str]
     rejected: Mapping[str, int]
+    channels: bool = True
+
+    def __post_init__(self) -> None:
+        assert self.maps or self.channels, "a data set without channels stores its maps"
 
     @property
     def num_bytes(self) -> int:
@@ -65,6 +74,7 @@ class DatasetHeader:
 
     def attributes(self) -> dict[str, str]:
         """The header as HDF5 text attributes; the carriers are a dataset and stay out."""
+        without_channels = {} if self.channels else {"channels": "false"}  # absent where hashes are older
         return {
             "schema": SCHEMA,
             "scene_name": self.scene_name,
@@ -77,6 +87,7 @@ class DatasetHeader:
             "settings_json": json.dumps(self.settings, sort_keys=True),
             "software_json": json.dumps(self.software, sort_keys=True),
             "rejected_json": json.dumps(self.rejected, sort_keys=True),
+            **without_channels,
         }
 
     @classmethod
@@ -96,20 +107,23 @@ class DatasetHeader:
             settings=json.loads(attributes["settings_json"]),
             software=json.loads(attributes["software_json"]),
             rejected=json.loads(attributes["rejected_json"]),
+            channels=json.loads(attributes.get("channels", "true")),
         )
 
 
 class PasWriter:
     """Writes one data set: a context manager that is fed transmitters and leaves a whole file, or none.
 
+    It takes channels by `append`, or maps on `grid` by `append_maps` where the header has no channels.
     Raises `StorageError` where the file cannot be written, up front where space is known to be short,
     and `DataError` where the transmitters appended are not the header's number. A file at `path` is
     replaced at the end, not before.
     """
 
-    def __init__(self, path: Path, header: DatasetHeader) -> None:
+    def __init__(self, path: Path, header: DatasetHeader, grid: AngularGrid | None = None) -> None:
         self._header = header
-        self._beam = BartlettBeam(header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+        grid = grid or AngularGrid.hemisphere()
+        self._beam = BartlettBeam(header.receiver.element_position_wavelengths, grid)
         variables = _variables(header, self._beam.grid)
         self._context = create_sealed(path, variables, header.attributes())
 
@@ -134,10 +148,30 @@ class PasWriter:
         """Write the next T transmitters; the maps are derived from the channel as it is stored."""
         for start in range(0, len(cfr), _WRITE_BLOCK):
             self._append_channels(cfr[start : start + _WRITE_BLOCK].astype(np.complex64))
+        self._append_transmitters(tx_position_m, line_of_sight, num_paths)
+
+    def append_maps(
+        self,
+        tx_position_m: Float[FloatArray, "T 3"],
+        line_of_sight: Bool[NDArray[np.bool_], "T"],
+        maps: Float[NDArray[np.float32], "T F E A"],
+    ) -> None:
+        """Write the next T transmitters of a data set without channels; each map has peak 1, or is zero."""
+        is_heard = np.asarray(maps.any(axis=(2, 3)))
+        self._file.append("pas", maps)
+        self._file.append("peak_power", is_heard)
+        self._append_transmitters(tx_position_m, line_of_sight, np.where(is_heard, UNKNOWN_NUM_PATHS, 0))
+
+    def _append_transmitters(
+        self,
+        tx_position_m: Float[FloatArray, "T 3"],
+        line_of_sight: Bool[NDArray[np.bool_], "T"],
+        num_paths: Int[NDArray[np.integer], "T F"],
+    ) -> None:
         self._file.append("tx_position_m", tx_position_m)
         self._file.append("line_of_sight", line_of_sight)
         self._file.append("num_paths", num_paths)
-        self._file.append("complete", np.ones(len(cfr)))
+        self._file.append("complete", np.ones(len(num_paths)))
 
     def _append_channels(self, cfr: Complex[NDArray[np.complex64], "T F M"]) -> None:
         maps, peak_power = self._beam.maps(cfr.reshape(-1, cfr.shape[-1]), self._header.pas_kind)
@@ -200,7 +234,7 @@ class PasDataset:
 
     @cached_property
     def peak_power(self) -> Float[FloatArray, "N"]:
-        """Peak of each map before it was divided out; 0 where no path arrives."""
+        """Peak of each map before it was divided out; 0 where no path arrives, 1 where it is not known."""
         return self._samples("peak_power")
 
     @cached_property
@@ -210,12 +244,16 @@ class PasDataset:
 
     @cached_property
     def num_paths(self) -> Int[NDArray[np.int32], "N"]:
-        """Paths that reach at least one element."""
+        """Paths that reach at least one element; −1 where nobody told."""
         return self._samples("num_paths")
 
     @cached_property
     def cfr(self) -> Complex[NDArray[np.complex64], "N M"]:
-        """Channel at the array's elements (Eq. 1)."""
+        """Channel at the array's elements (Eq. 1); raises `DataError` for a data set of maps alone."""
+        if not self.header.channels:
+            raise DataError(
+                f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated."
+            )
         return self._samples("cfr")
 
     def pas(self, rows: Rows = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
@@ -242,7 +280,7 @@ class PasDataset:
     def isolated(self) -> PasDataset:
         """The same view with the channels of all other samples erased: what a method is given to train on."""
         tables = dict(self.tables)
-        for name in ("cfr", "peak_power", "num_paths"):
+        for name in self.tables.keys() & {"cfr", "peak_power", "num_paths"}:
             samples = tables[name].reshape(-1, *tables[name].shape[2:])
             kept = np.zeros_like(samples)
             kept[self.rows] = samples[self.rows]
@@ -258,9 +296,9 @@ def open_dataset(path: str | Path) -> PasDataset:
     """Every sample of a data set; raises `DataError` for a missing, truncated or foreign file."""
     path = Path(path)
     with open_sealed(path, SCHEMA) as file:
-        names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
-        tables = {name: file[name][...] for name in names}
         header = DatasetHeader.from_attributes(text_attributes(file), file["carrier_hz"][...])
+        names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
+        tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
         grid = AngularGrid(np.radians(file["elevation_deg"][...]), np.radians(file["azimuth_deg"][...]))
         beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
@@ -285,6 +323,9 @@ def _variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
     E, A = grid.shape
     sample = (_TX, _CARRIER)
     angles = ("elevation_deg", "azimuth_deg")
+    cfr = Variable(
+        "cfr", "<c8", (T, F, M), (*sample, _ELEMENT), "1", "channel frequency response, exp(+j2πft)"
+    )
     variables = [
         Variable(_TX, "<i4", (T,), (_TX,), "1", "transmitter index"),
         Variable(_CARRIER, "<f8", (F,), (_CARRIER,), "Hz", "carrier frequency"),
@@ -306,9 +347,7 @@ def _variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
             "element position about the array centre, in wavelengths, in the receiver's frame",
         ),
         Variable("frame_rotation", "<f8", (3, 3), (_AXIS, _FRAME_AXIS), "1", "receiver's frame to world"),
-        Variable(
-            "cfr", "<c8", (T, F, M), (*sample, _ELEMENT), "1", "channel frequency response, exp(+j2πft)"
-        ),
+        *([cfr] if header.channels else []),
         Variable("peak_power", "<f8", (T, F), sample, "1", "peak of the map before it was divided out"),
         Variable("line_of_sight", "u1", (T,), (_TX,), "1", "1 where nothing blocks the direct path"),
         Variable("num_paths", "<i4", (T, F), sample, "1", "paths that reach at least one element"),

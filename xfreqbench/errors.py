@@ -9,6 +9,7 @@ XFreqBenchError
 ├── DataError              a data set, split or record that is damaged or of another schema
 ├── ProtocolError          a protocol that the data set cannot serve
 ├── MethodError            a method that breaks its contract
+│   └── DivergenceError    a fit whose loss, gradients or parameters are no longer finite
 ├── StorageError           no space, or no permission, where the output goes
 └── MissingLLVMError       no LLVM library that Dr.Jit can use
 """
@@ -59,6 +60,15 @@ class ProtocolError(XFreqBenchError):
 
 class MethodError(XFreqBenchError):
     """A method that breaks the `Method` contract."""
+
+
+class DivergenceError(MethodError):
+    """A fit that left the finite numbers at `step`; `tensor` names the loss, a gradient or a parameter."""
+
+    def __init__(self, step: int, tensor: str, context: str = "Lower the learning rate.") -> None:
+        super().__init__(f"{tensor} is not finite at step {step}. {context}")
+        self.step = step
+        self.tensor = tensor
 
 
 class StorageError(XFreqBenchError):

@@ -15,13 +15,12 @@ def describe(path: Path) -> str:
     dataset = open_dataset(path)
     header = dataset.header
     receiver = header.receiver
-    lit = np.unique(dataset.tx_index[dataset.line_of_sight])
     lines = [
-        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters ({len(lit)} in sight of the "
-        f"receiver) × {dataset.num_carriers} carriers",
+        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters ({_in_sight(dataset)} in sight of "
+        f"the receiver) × {dataset.num_carriers} carriers",
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
-        f"apart at {receiver.position_m} m, boresight {receiver.boresight}, {receiver.pattern} pattern, "
-        f"polarization {receiver.polarization}",
+        f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
+        f"{receiver.pattern} pattern, polarization {receiver.polarization}",
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths",
         "settings   " + ", ".join(f"{name} {value}" for name, value in header.settings.items()),
@@ -34,14 +33,26 @@ def describe(path: Path) -> str:
     return "\n".join(lines + _carrier_lines(dataset))
 
 
+def _in_sight(dataset: PasDataset) -> str:
+    """How many transmitters; unknown where maps came without channels."""
+    lit = np.unique(dataset.tx_index[dataset.line_of_sight])
+    return str(len(lit)) if dataset.header.channels else "unknown number"
+
+
 def _carrier_lines(dataset: PasDataset) -> list[str]:
     lines = []
     for carrier_hz in dataset.header.carrier_hz:
         at_carrier = dataset.subset(np.flatnonzero(dataset.carrier_hz == carrier_hz))
-        power = at_carrier.peak_power[at_carrier.has_path]
-        median_db = f"{10 * np.log10(np.median(power)):.1f}" if len(power) else "none"
-        lines.append(
-            f"{format_ghz(carrier_hz):12} {int((~at_carrier.has_path).sum()):12} "
-            f"{np.median(at_carrier.num_paths):14.0f}   {median_db:>22}"
-        )
+        num_silent = int((~at_carrier.has_path).sum())
+        median_paths, median_db = _medians(at_carrier)
+        lines.append(f"{format_ghz(carrier_hz):12} {num_silent:12} {median_paths:>14}   {median_db:>22}")
     return lines
+
+
+def _medians(at_carrier: PasDataset) -> tuple[str, str]:
+    """Median number of paths and peak power in dB."""
+    if not at_carrier.header.channels:
+        return "unknown", "unknown"
+    power = at_carrier.peak_power[at_carrier.has_path]
+    median_db = f"{10 * np.log10(np.median(power)):.1f}" if len(power) else "none"
+    return f"{np.median(at_carrier.num_paths):.0f}", median_db

@@ -7,12 +7,12 @@ import platform
 import resource
 import subprocess
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
-_LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py")
+_LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "safetensors", "numba")
 
 
 def reset_peak_memory() -> None:
@@ -35,18 +35,19 @@ def peak_memory_mib() -> float:
 
 @cache
 def hardware() -> dict[str, str]:
-    """Processor, number of cores and operating system."""
+    """Processor, number of cores that this process may use, and operating system."""
     return {
         "processor": _processor(),
-        "cores": str(os.cpu_count()),
+        "cores": str(_usable_cores()),
         "system": f"{platform.system()} {platform.machine()}",
     }
 
 
 @cache
 def software() -> dict[str, str]:
-    """Versions that scores depend on."""
-    return {"python": platform.python_version()} | {name: version(name) for name in _LIBRARIES}
+    """Versions that scores and times depend on, of what is installed."""
+    versions = {name: _version(name) for name in _LIBRARIES}
+    return {"python": platform.python_version()} | {name: text for name, text in versions.items() if text}
 
 
 @cache
@@ -65,6 +66,18 @@ def _git(folder: Path, *arguments: str) -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return answer.stdout.strip()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _usable_cores() -> int | None:
+    """Cores that the process is not kept from, as by `taskset`; all of them where that is unknown."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
 def _processor() -> str:

@@ -6,11 +6,12 @@ import hashlib
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
+from math import isfinite, isinf
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -21,11 +22,13 @@ from numpy.typing import NDArray
 from xfreqbench.angles import FloatArray
 from xfreqbench.config import override
 from xfreqbench.dataset import PasDataset
-from xfreqbench.errors import MethodError, UnknownNameError
+from xfreqbench.errors import DivergenceError, MethodError, UnknownNameError
 
 ENTRY_POINT_GROUP = "xfreqbench.methods"
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
 _CONTRACT = ("fit", "predict", "save", "load")
+_SHARED_CODE = "xfreqbench.splatting"  # a package that methods build on without inheriting from it
+_ENDED = object()
 _RANGE_TOLERANCE = 1e-4  # float32 rounding of a map that was divided by its own maximum
 
 Maps = NDArray[np.float32]
@@ -37,6 +40,11 @@ class Budget:
 
     max_steps: int | None = None
     max_seconds: float | None = None
+
+    def share(self, step: int, seconds: float) -> float:
+        """Spent part of the limit, of the one that is nearer where both are set; 0 without any."""
+        limits = (step, self.max_steps), (seconds, self.max_seconds)
+        return max((spent / limit for spent, limit in limits if limit is not None), default=0.0)
 
 
 def parse_budget(text: str | None) -> Budget:
@@ -54,10 +62,14 @@ def parse_budget(text: str | None) -> Budget:
 
 @dataclass(frozen=True)
 class Progress:
-    """What a method yields: steps done, and its loss (nan where it has none)."""
+    """What a method yields: steps done, its loss (nan where it has none), and what it counts.
+
+    `counts` are sizes that change while it trains, as in `{"gaussians": 1024}`.
+    """
 
     step: int
     loss: float
+    counts: Mapping[str, float] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -75,10 +87,17 @@ class Method(Protocol):
         ...
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
-        """Train, yielding often: at every yield `predict` is valid, and the generator may be closed.
+        """Train, yielding often: at every yield `predict` and `save` are valid, and the generator may be closed.
 
         `train` holds the training rows alone, and the receiver's geometry is allowed knowledge. The
-        harness owns the clock; `budget` is told so that schedules can be planned.
+        harness owns the clock. `budget` is told so that schedules can be planned, and every yield gives
+        back the spent share of it, from 0 to below 1 (0 without a limit): `share = yield Progress(…)`,
+        typed `Generator[Progress, float, None]`. A method that needs no share just yields.
+
+        `fit` of a loaded method goes on where it was saved, with a higher step, or starts anew; which of
+        them is seen from the first step that it yields. A yield's share comes after it was saved, so a fit
+        that goes on begins with `max(saved share, budget.share(saved step, 0.0))`: exact for a budget of
+        steps. Raise `DivergenceError` where something is no longer finite.
         """
         ...
 
@@ -89,7 +108,10 @@ class Method(Protocol):
         ...
 
     def save(self, directory: Path) -> None:
-        """Store everything that `predict` needs in an existing folder."""
+        """Store in an existing folder everything that `predict` needs, and what `fit` needs to go on.
+
+        Called between steps too: neither this nor `predict` may change how training goes on.
+        """
         ...
 
     @classmethod
@@ -100,11 +122,32 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Fit:
-    """How training went: the last progress and the seconds that the method itself took."""
+    """How a fit stands at a yield, or stood at its end.
+
+    `seconds` are those that the method itself took, `share` is the spent part of the budget.
+    """
 
     step: int
     loss: float
     seconds: float
+    share: float = 0.0
+    counts: Mapping[str, float] = field(default_factory=dict)
+
+
+Observer = Callable[[Fit | None, Fit], None]
+
+
+class Stopwatch:
+    """Seconds spent inside `with` blocks, and `seconds` before them."""
+
+    def __init__(self, seconds: float = 0.0) -> None:
+        self.seconds = seconds
+
+    def __enter__(self) -> None:
+        self._started_s = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += time.perf_counter() - self._started_s
 
 
 def method_names() -> list[str]:
@@ -196,38 +239,121 @@ def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -
 
 
 def code_sha256(method: Method) -> str:
-    """Hash of the files that define a method's class and its bases; a class typed into a shell has none."""
+    """Hash of the files that define a method's class and its bases; a class typed into a shell has none.
+
+    All of `xfreqbench.splatting` is hashed too where one of those files names it.
+    """
     modules = dict.fromkeys(base.__module__ for base in type(method).__mro__)
-    paths = [getattr(sys.modules.get(module), "__file__", None) for module in modules]
-    digest = hashlib.sha256()
-    for path in paths:
-        if path and Path(path).is_file():
-            digest.update(hashlib.sha256(Path(path).read_bytes()).digest())
-    return digest.hexdigest()
+    paths = [Path(getattr(sys.modules.get(module), "__file__", None) or "") for module in modules]
+    sources = [path.read_bytes() for path in paths if path.is_file()]
+    if any(_SHARED_CODE.encode() in source for source in sources):
+        sources += _shared_sources()
+    return hashlib.sha256(b"".join(hashlib.sha256(source).digest() for source in sources)).hexdigest()
 
 
-def fit_within(method: Method, train: PasDataset, budget: Budget, seed: int) -> Fit:
+def _shared_sources() -> list[bytes]:
+    folder = Path(__file__).with_name(_SHARED_CODE.rpartition(".")[2])
+    return [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
+
+
+def fit_within(
+    method: Method,
+    train: PasDataset,
+    budget: Budget,
+    seed: int,
+    *,
+    spent: Fit | None = None,
+    observe: Observer | None = None,
+) -> Fit:
     """Train until the method ends or the budget is spent, the step that crosses it included.
 
-    Only the method's own time counts. Its generator is closed in every case. Raises `MethodError` where
-    it yields something else than `Progress`, or nothing.
+    Only the method's own time counts. Its generator is sent the spent share of the budget, and is closed
+    in every case. `observe(before, now)` is told how the fit stood before each yield and stands at it.
+
+    `spent` is how the fit of a loaded method stood when it was saved: the budget counts on from there,
+    and a spent one ends it at once. Where the first step is not beyond it the method has started anew;
+    `spent` is then forgotten, and `before` is None as at every start.
+
+    Raises `MethodError` where the method yields something else than `Progress`, or nothing, and
+    `DivergenceError` for a loss that is infinite, or is nan and was finite before.
     """
-    last: Progress | None = None
-    started_s = time.perf_counter()
-    with closing(cast("Any", method.fit(train, budget, seed))) as progress_of:
-        for progress in progress_of:
-            last = _checked_progress(method, progress)
-            if _is_spent(budget, last.step, time.perf_counter() - started_s):
-                break
-    if last is None:
-        raise MethodError(f"{_name(method)}.fit yielded nothing; it must yield Progress at least once.")
-    return Fit(last.step, last.loss, time.perf_counter() - started_s)
+    if spent and budget.share(spent.step, spent.seconds) >= 1:
+        return spent
+    running = _RunningFit(method, train, budget, seed, spent)
+    with closing(running):
+        for before, now in running.changes():
+            if observe:
+                observe(before, now)
+    return running.end()
 
 
-def _is_spent(budget: Budget, step: int, seconds: float) -> bool:
-    out_of_steps = budget.max_steps is not None and step >= budget.max_steps
-    out_of_time = budget.max_seconds is not None and seconds >= budget.max_seconds
-    return out_of_steps or out_of_time
+class _RunningFit:
+    """A method's `fit` under a clock that runs only while the method itself does."""
+
+    def __init__(
+        self, method: Method, train: PasDataset, budget: Budget, seed: int, spent: Fit | None
+    ) -> None:
+        self._method, self._budget, self._spent = method, budget, spent
+        self._last = spent
+        self._clock = Stopwatch(spent.seconds if spent else 0.0)
+        with self._clock:
+            self._yields: Any = iter(method.fit(train, budget, seed))
+
+    def changes(self) -> Iterator[tuple[Fit | None, Fit]]:
+        """How the fit stood before and stands at each yield, until it ends or the budget is spent."""
+        yielded = self._next(None)
+        while yielded is not _ENDED:
+            before, now = self._advance(_checked_progress(self._method, yielded))
+            yield before, now
+            yielded = self._next(now.share) if now.share < 1 else _ENDED
+
+    def close(self) -> None:
+        """Run the method's cleanup, on its own time."""
+        with self._clock:
+            getattr(self._yields, "close", lambda: None)()
+
+    def end(self) -> Fit:
+        """The fit after its cleanup."""
+        if self._last is None:
+            raise MethodError(
+                f"{_name(self._method)}.fit yielded nothing; it must yield Progress at least once."
+            )
+        return replace(self._last, seconds=self._clock.seconds)
+
+    def _next(self, share: float | None) -> object:
+        with self._clock:
+            try:
+                return self._yields.send(share) if _takes_share(self._yields) else next(self._yields)
+            except StopIteration:
+                return _ENDED
+
+    def _advance(self, progress: Progress) -> tuple[Fit | None, Fit]:
+        if self._spent and self._last is self._spent and progress.step <= self._spent.step:
+            self._last = None  # it started anew
+            self._clock.seconds -= self._spent.seconds
+        before, self._last = self._last, self._stands(progress)
+        _require_finite(before, self._last)
+        return before, self._last
+
+    def _stands(self, progress: Progress) -> Fit:
+        seconds = self._clock.seconds
+        counts = {name: float(count) for name, count in progress.counts.items()}
+        share = self._budget.share(progress.step, seconds)
+        return Fit(int(progress.step), float(progress.loss), seconds, share, counts)
+
+
+def _takes_share(steps: Any) -> bool:
+    """Whether a value can be sent; `yield from` a plain iterator, however deep, takes none."""
+    while (inner := getattr(steps, "gi_yieldfrom", None)) is not None:
+        steps = inner
+    return hasattr(steps, "send")
+
+
+def _require_finite(before: Fit | None, now: Fit) -> None:
+    """Raise `DivergenceError`; a loss that was nan from the start is one that the method does not have."""
+    was_finite = before is not None and isfinite(before.loss)
+    if isinf(now.loss) or (was_finite and not isfinite(now.loss)):
+        raise DivergenceError(now.step, "loss")
 
 
 def _checked_progress(method: Method, progress: object) -> Progress:

@@ -16,6 +16,7 @@ from xfreqbench.storage import storage_errors
 
 RECORDS_FILE = "records.jsonl"
 NUM_QUANTILES = 101
+CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
 Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
 
 
@@ -45,10 +46,24 @@ class Summary(BaseModel):
     median_by_carrier_hz: dict[str, float]
 
 
+class CurvePoint(BaseModel):
+    """A fit on its way: `ssim` is the median over a fixed sample of test maps, `seconds` are of fitting."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    step: int
+    seconds: float
+    loss: float
+    ssim: float
+
+
 class RunRecord(BaseModel):
     """What was run, on what, with which result. `id` hashes everything that determines the result.
 
     `pas_kind` and `settings` are the data set's: its kind of map and what was asked of the rays.
+    `counts` are what the method counted last, such as its Gaussians. `curve` has a point at each of
+    `CURVE_SHARES` of the budget that was reached, and one at the end of the fit; it is empty without a
+    limit, and where the method yielded once.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
@@ -76,6 +91,8 @@ class RunRecord(BaseModel):
     software: dict[str, str]
     git_commit: str | None
     time_utc: str
+    counts: dict[str, float] = {}
+    curve: tuple[CurvePoint, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ from importlib.resources import files
 from itertools import groupby
 from math import inf, isnan, nan
 from pathlib import Path
+from statistics import mean, stdev
 from typing import Any
 
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.method import TRIVIAL, Budget
 from xfreqbench.metrics import METRICS, skill
-from xfreqbench.records import RECORDS_FILE, Job, RunRecord, read
+from xfreqbench.records import CURVE_SHARES, RECORDS_FILE, CurvePoint, Job, RunRecord, read
 from xfreqbench.storage import require_space, storage_errors, write_text
 
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
@@ -40,6 +41,11 @@ class Row:
 
     label: str
     by_split: Mapping[str, RunRecord]
+
+    @property
+    def job(self) -> Job:
+        """What was run; jobs of a row differ in their split alone."""
+        return next(iter(self.by_split.values())).job
 
     def average(self, splits: Sequence[str], value: Callable[[RunRecord], float]) -> float:
         """Mean over the splits; nan where one was not run, for a mean of others is not comparable."""
@@ -109,7 +115,7 @@ def _markdown(ranked: Iterable[Board], figures: Mapping[str, str]) -> str:
 
 def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     """The first table of every data set and protocol, to be read in a terminal."""
-    return "\n\n".join(f"{board.title}. {_summary_table(board)}" for board in boards(records))
+    return "\n\n".join(f"{board.title}. {_summary_tables(board)}" for board in boards(records))
 
 
 def write_report(results: Path, output_md: Path) -> list[Path]:
@@ -172,15 +178,18 @@ def _is_trivial(job: Job) -> bool:
 
 def _label(record: RunRecord) -> str:
     """The method's name, with whatever differs from a plain run."""
-    job = record.job
+    seed = [f"seed {record.job.seed}"] if record.job.seed else []
+    return _labelled(record.job, seed)
+
+
+def _labelled(job: Job, more: Sequence[str] = ()) -> str:
     if _is_trivial(job):
         return job.method
     differences = [*job.overrides]
     if job.budget != Budget():
         limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
         differences += [f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None]
-    if job.seed:
-        differences.append(f"seed {job.seed}")
+    differences += more
     return f"{job.method} ({', '.join(differences)})" if differences else job.method
 
 
@@ -192,7 +201,8 @@ def _section(board: Board, figure: str | None) -> str:
     parts = [
         f"## {board.title}",
         _conditions(board),
-        _summary_table(board),
+        _summary_tables(board),
+        *_curve_table(board),
         *(_split_table(board, split) for split in board.splits),
     ]
     if figure:
@@ -225,30 +235,105 @@ def _machine(hardware: Mapping[str, str]) -> str:
     return ", ".join(f"{value} cores" if name == "cores" else value for name, value in hardware.items())
 
 
-def _summary_table(board: Board) -> str:
-    header = ["method", *map(_short, board.splits), "average", "skill", "fit s", "ms/map", "peak MiB"]
+def _summary_tables(board: Board) -> str:
+    """One table for every set of splits that a row was run on: averages over different ones don't compare.
+
+    What was run on one split alone stands in that split's own table, unless there is nothing else.
+    """
+    sets = sorted({tuple(row.by_split) for row in board.rows}, key=lambda splits: (-len(splits), splits))
+    shown = [splits for splits in sets if len(splits) > 1] or sets
+    ordered = [tuple(split for split in board.splits if split in splits) for splits in shown]
+    return "\n\n".join([*(_summary_table(board, splits) for splits in ordered), *_seed_lines(board)])
+
+
+def _summary_table(board: Board, splits: Sequence[str]) -> str:
+    counts = ["Gaussians"] if _counts_gaussians(board) else []
+    costs = ["average", "skill", "fit s", "ms/map", "peak MiB"]
+    header = ["method", *map(_short, splits), *costs, *counts]
+    rows = [row for row in board.rows if set(splits) <= set(row.by_split)]
+    rows.sort(key=lambda row: (-row.average(splits, _median_ssim), row.label))
     title = "Median SSIM (95 % bootstrap interval over transmitters), best average first:"
-    return f"{title}\n\n{_table(header, [_summary_cells(board, row) for row in board.rows])}"
+    return f"{title}\n\n{_table(header, [_summary_cells(board, row, splits) for row in rows])}"
 
 
-def _summary_cells(board: Board, row: Row) -> Cells:
+def _summary_cells(board: Board, row: Row, splits: Sequence[str]) -> Cells:
     def average(value: Callable[[RunRecord], float], decimals: int) -> str:
-        return _number(row.average(board.splits, value), decimals)
+        return _number(row.average(splits, value), decimals)
 
     return [
         row.label,
-        *(_ssim_cell(row.by_split.get(split)) for split in board.splits),
+        *(_ssim_cell(row.by_split[split]) for split in splits),
         average(_median_ssim, 4),
         average(board.skill, 3),
         average(lambda record: record.fit_seconds, 2),
         average(lambda record: record.predict_ms_per_map, 2),
         average(lambda record: record.peak_memory_mib, 0),
+        *([average(_num_gaussians, 0)] if _counts_gaussians(board) else []),
     ]
+
+
+def _num_gaussians(record: RunRecord) -> float:
+    return record.counts.get("gaussians", nan)
+
+
+def _counts_gaussians(board: Board) -> bool:
+    return any("gaussians" in record.counts for record in board.records)
+
+
+def _seed_lines(board: Board) -> list[str]:
+    """How much the seed alone changes each method that was run with several."""
+    by_label: dict[str, list[Row]] = {}
+    for row in board.rows:
+        by_label.setdefault(_labelled(row.job), []).append(row)
+    groups = sorted((label, rows) for label, rows in by_label.items() if len(rows) > 1)
+    return ["\n".join(f"* {label}: {_over_seeds(board, rows)}." for label, rows in groups)] if groups else []
+
+
+def _over_seeds(board: Board, rows: Sequence[Row]) -> str:
+    seeds = ", ".join(str(seed) for seed in sorted(row.job.seed for row in rows))
+    columns = {_short(split): [row.average([split], _median_ssim) for row in rows] for split in board.splits}
+    columns["average"] = [row.average(board.splits, _median_ssim) for row in rows]
+    spreads = ", ".join(f"{name} {_spread(values)}" for name, values in columns.items())
+    return f"median SSIM, mean ± standard deviation over seeds {seeds}: {spreads}"
+
+
+def _spread(values: Sequence[float]) -> str:
+    """Of all seeds or of none: a mean over some of them is not comparable."""
+    return _ABSENT if any(map(isnan, values)) else f"{mean(values):.4f} ± {stdev(values):.4f}"
+
+
+def _curve_table(board: Board) -> list[str]:
+    """How soon each fit with a budget got where it got; nothing where no record says it."""
+    followed = [
+        (row.label, split, row.by_split[split])
+        for row in board.rows
+        for split in board.splits
+        if split in row.by_split and row.by_split[split].curve
+    ]
+    if not followed:
+        return []
+    shares = [f"1/{1 / share:.0f}" for share in CURVE_SHARES]
+    header = ["method", "split", *shares, "end"]
+    rows = [[label, _short(split), *_curve_cells(record)] for label, split, record in followed]
+    title = "Median SSIM on a fixed sample of test maps (after seconds of fitting), by share of the budget:"
+    return [f"{title}\n\n{_table(header, rows)}"]
+
+
+def _curve_cells(record: RunRecord) -> Cells:
+    *points, end = record.curve
+    spent = {point: record.job.budget.share(point.step, point.seconds) for point in points}
+    reached = {max(filter(spent[point].__ge__, CURVE_SHARES)): point for point in points}
+    return [*(_point_cell(reached.get(share)) for share in CURVE_SHARES), _point_cell(end)]
+
+
+def _point_cell(point: CurvePoint | None) -> str:
+    return f"{point.ssim:.4f} ({point.seconds:.3g} s)" if point else _ABSENT
 
 
 def _split_table(board: Board, split: str) -> str:
     others = [name for name in METRICS if name != "ssim"]
-    costs = ["fit s", "ms/map", "peak MiB", "parameters"]
+    counts = ["Gaussians"] if _counts_gaussians(board) else []
+    costs = ["fit s", "ms/map", "peak MiB", "parameters", *counts]
     header = ["method", "SSIM", "skill", *(f"{_TITLES[name]}{_unit(name)}" for name in others), *costs]
     tested = [row for row in board.rows if split in row.by_split]
     tested.sort(key=lambda row: -_median_ssim(row.by_split[split]))
@@ -269,6 +354,7 @@ def _split_cells(board: Board, record: RunRecord, others: Sequence[str]) -> Cell
         _number(record.predict_ms_per_map, 2),
         _number(record.peak_memory_mib, 0),
         f"{record.parameters:,}",
+        *([_number(_num_gaussians(record), 0)] if _counts_gaussians(board) else []),
     ]
 
 

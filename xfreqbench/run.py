@@ -1,15 +1,17 @@
-"""Runs jobs: fit, predict, store the predictions, score what was stored, record it."""
+"""Runs jobs: fit, predict, store the predictions, score what was stored, record it.
+
+A long fit is saved on its way, and a run that was killed goes on from there.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import tempfile
-import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -18,16 +20,28 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from xfreqbench import machine, records
+from xfreqbench import checkpoints, machine, records
 from xfreqbench.angles import FloatArray
+from xfreqbench.checkpoints import CHECKPOINTS_FOLDER, Checkpoint, CheckpointFolder
 from xfreqbench.config import as_json
-from xfreqbench.dataset import PasDataset, open_dataset, verify
-from xfreqbench.errors import DataError, MethodError, XFreqBenchError
-from xfreqbench.method import Fit, Method, build_method, checked_maps, code_sha256, fit_within
-from xfreqbench.metrics import METRICS_VERSION, bootstrap_interval, quantiles, score_all
+from xfreqbench.dataset import IntArray, PasDataset, open_dataset, verify
+from xfreqbench.errors import DataError, DivergenceError, MethodError, XFreqBenchError
+from xfreqbench.method import (
+    Budget,
+    Fit,
+    Maps,
+    Method,
+    Stopwatch,
+    build_method,
+    checked_maps,
+    code_sha256,
+    fit_within,
+    predict_checked,
+)
+from xfreqbench.metrics import METRICS_VERSION, bootstrap_interval, quantiles, score_all, ssim
 from xfreqbench.predictions import MapBatch, read_predictions, write_predictions
 from xfreqbench.protocols import Split, find_split
-from xfreqbench.records import NUM_QUANTILES, RECORDS_FILE, Job, RunRecord, Summary
+from xfreqbench.records import CURVE_SHARES, NUM_QUANTILES, RECORDS_FILE, CurvePoint, Job, RunRecord, Summary
 from xfreqbench.storage import require_space, storage_errors
 
 __all__ = ["Job", "RunRecord", "run_all", "run_job"]
@@ -35,8 +49,10 @@ __all__ = ["Job", "RunRecord", "run_all", "run_job"]
 PREDICTIONS_FOLDER = "predictions"
 BATCH_SIZE = 32
 _BOOTSTRAP_SEED = 0
+_CURVE_MAPS = 64  # scored at every point of a learning curve
 
 ProgressCallback = Callable[[int, int, RunRecord], None]
+FittingCallback = Callable[[Job, Fit], None]
 
 
 @dataclass(frozen=True)
@@ -68,24 +84,32 @@ class _Task:
         """Where this job's predictions are."""
         return results_dir / PREDICTIONS_FOLDER / f"{self.id}.h5"
 
+    def checkpoint_folder(self, results_dir: Path) -> CheckpointFolder:
+        """Where this job's fit is saved while it runs."""
+        return CheckpointFolder(results_dir / CHECKPOINTS_FOLDER / self.id, self.id)
+
 
 def run_all(
-    jobs: Iterable[Job], results_dir: Path, progress: ProgressCallback | None = None
+    jobs: Iterable[Job],
+    results_dir: Path,
+    progress: ProgressCallback | None = None,
+    fitting: FittingCallback | None = None,
 ) -> list[RunRecord]:
     """Run jobs one after the other, the ones already in `results_dir` not again; their records, in order.
 
-    Every data set is verified, every job's names are resolved and `results_dir` is tried before the first
-    fit. `progress` is told jobs done, jobs in all and the record after each one. Raises any
-    `XFreqBenchError`; jobs that were finished before it are kept.
+    A fit that was killed goes on from its last checkpoint. Every data set and checkpoint is verified,
+    every job's names are resolved and `results_dir` is tried before the first fit. `progress` is told
+    jobs done, jobs in all and the record after each one; `fitting` is told at every step how the fit
+    stands. Raises any `XFreqBenchError`; jobs that were finished before it are kept.
     """
     jobs = list(jobs)
     datasets = {path: _verified(path) for path in dict.fromkeys(job.dataset for job in jobs)}
     for job in jobs:
-        _ = _prepare(job, datasets[job.dataset]).id
+        _prepare(job, datasets[job.dataset]).checkpoint_folder(results_dir).read()
     _require_writable(results_dir)
     done = []
     for number, job in enumerate(jobs, start=1):
-        done.append(_run(_prepare(job, datasets[job.dataset]), results_dir))
+        done.append(_run(_prepare(job, datasets[job.dataset]), results_dir, fitting))
         if progress:
             progress(number, len(jobs), done[-1])
     return done
@@ -96,20 +120,103 @@ def run_job(job: Job, results_dir: Path) -> RunRecord:
     return _run(_prepare(job, open_dataset(job.dataset)), results_dir)
 
 
-def _run(task: _Task, results_dir: Path) -> RunRecord:
-    stored = _stored_record(task, results_dir)
-    if stored:
-        return stored
-    train = task.dataset.subset(task.split.train).isolated()
+def _run(task: _Task, results_dir: Path, fitting: FittingCallback | None = None) -> RunRecord:
+    saved = task.checkpoint_folder(results_dir)
+    record = _stored_record(task, results_dir) or _new_record(task, results_dir, saved, fitting)
+    saved.remove()
+    return record
+
+
+def _new_record(
+    task: _Task, results_dir: Path, saved: CheckpointFolder, fitting: FittingCallback | None
+) -> RunRecord:
+    earlier = saved.read()
+    if earlier:
+        task = replace(task, method=saved.load(task.method))
     machine.reset_peak_memory()
-    with _method_errors(task, "fit"):
-        fit = fit_within(task.method, train, task.job.budget, task.job.seed)
-    clock = _Stopwatch()
+    fit, curve = _fitted(task, saved, earlier, fitting)
+    clock = Stopwatch()
     _store_predictions(task, results_dir, clock)
     memory_mib = machine.peak_memory_mib()
-    record = _record(task, fit, clock, memory_mib, _summaries(task, results_dir))
+    record = _record(task, fit, curve, clock, memory_mib, _summaries(task, results_dir))
     records.append(results_dir / RECORDS_FILE, record)
     return record
+
+
+def _fitted(
+    task: _Task, saved: CheckpointFolder, earlier: Checkpoint | None, fitting: FittingCallback | None
+) -> tuple[Fit, tuple[CurvePoint, ...]]:
+    train = task.dataset.subset(task.split.train).isolated()
+    watch = _Watch(task, saved, earlier, fitting)
+    spent = earlier.fit if earlier else None
+    with _method_errors(task, "fit"), _divergence_advice(task, saved):
+        fit = fit_within(task.method, train, task.job.budget, task.job.seed, spent=spent, observe=watch)
+    return fit, watch.whole_curve(fit)
+
+
+class _Watch:
+    """Looks at a fit at every yield, on nobody's time: takes its learning curve, saves it, tells of it."""
+
+    def __init__(
+        self,
+        task: _Task,
+        saved: CheckpointFolder,
+        earlier: Checkpoint | None,
+        fitting: FittingCallback | None,
+    ) -> None:
+        self._task, self._saved, self._fitting = task, saved, fitting
+        self._curve = earlier.curve if earlier else ()
+        self._saved_s = earlier.seconds if earlier else 0.0
+        self._yielded_often = earlier is not None
+
+    def __call__(self, before: Fit | None, now: Fit) -> None:
+        self._yielded_often = before is not None
+        if before is None:
+            self._curve, self._saved_s = (), 0.0
+        if _is_curve_due(before, now):
+            self._curve += (self._point(now),)
+        if now.seconds - self._saved_s >= checkpoints.CHECKPOINT_SECONDS:
+            self._save(now)
+        if self._fitting:
+            self._fitting(self._task.job, now)
+
+    def whole_curve(self, end: Fit) -> tuple[CurvePoint, ...]:
+        """The learning curve with the fit's end; empty without a budget, or for a method that yielded once."""
+        if self._task.job.budget == Budget() or not self._yielded_often:
+            return ()
+        is_taken = bool(self._curve) and self._curve[-1].step == end.step
+        return self._curve if is_taken else (*self._curve, self._point(end))
+
+    def _point(self, fit: Fit) -> CurvePoint:
+        with _method_errors(self._task, "predict"):
+            median = _median(_sampled_ssim(self._task))
+        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=median)
+
+    def _save(self, fit: Fit) -> None:
+        with _method_errors(self._task, "save"):
+            self._saved.write(self._task.method, fit, self._curve)
+        self._saved_s = fit.seconds
+
+
+def _is_curve_due(before: Fit | None, now: Fit) -> bool:
+    reached = before.share if before else 0.0
+    return any(reached < share <= now.share for share in CURVE_SHARES)
+
+
+def _sampled_ssim(task: _Task) -> Float[FloatArray, "n"]:
+    """SSIM of what the method now predicts for a sample of the test rows, the same for every method."""
+    generator = np.random.default_rng(int(task.split.sha256, 16))
+    count = min(_CURVE_MAPS, len(task.split.test))
+    rows = np.sort(generator.choice(task.split.test, count, replace=False))
+    return np.concatenate(
+        [_batch_ssim(task, part) for part in np.split(rows, range(BATCH_SIZE, count, BATCH_SIZE))]
+    )
+
+
+def _batch_ssim(task: _Task, rows: Int[IntArray, "n"]) -> Float[FloatArray, "n"]:
+    part, grid = task.dataset.subset(rows), task.dataset.grid
+    predicted: Maps = predict_checked(task.method, part.tx_position_m, part.carrier_hz, grid.shape)
+    return ssim(predicted, task.dataset.pas(rows), grid)
 
 
 def _verified(path: str) -> PasDataset:
@@ -145,6 +252,25 @@ def _method_errors(task: _Task, part: str) -> Iterator[None]:
         ) from error
 
 
+@contextmanager
+def _divergence_advice(task: _Task, saved: CheckpointFolder) -> Iterator[None]:
+    """Name the job that diverged, and what is left of it."""
+    try:
+        yield
+    except DivergenceError as error:
+        newest = saved.newest()
+        job, left = (
+            task.job,
+            f"its last good checkpoint is {newest}" if newest else "it has no checkpoint yet",
+        )
+        raise DivergenceError(
+            error.step,
+            error.tensor,
+            f"Method {job.method!r} diverged on split {task.split.name!r} with seed {job.seed}; {left}. Lower "
+            "the learning rate, as in --set learning_rate=…; a checkpoint is deleted to start anew.",
+        ) from error
+
+
 def _prepare(job: Job, dataset: PasDataset) -> _Task:
     return _Task(
         job=job,
@@ -161,20 +287,7 @@ def _stored_record(task: _Task, results_dir: Path) -> RunRecord | None:
     return next((record for record in reversed(known) if record.id == task.id), None)
 
 
-class _Stopwatch:
-    """Seconds spent inside `with` blocks."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    def __enter__(self) -> None:
-        self._started_s = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds += time.perf_counter() - self._started_s
-
-
-def _store_predictions(task: _Task, results_dir: Path, clock: _Stopwatch) -> None:
+def _store_predictions(task: _Task, results_dir: Path, clock: Stopwatch) -> None:
     write_predictions(
         task.predictions_path(results_dir),
         _predicted(task, clock),
@@ -185,7 +298,7 @@ def _store_predictions(task: _Task, results_dir: Path, clock: _Stopwatch) -> Non
     )
 
 
-def _predicted(task: _Task, clock: _Stopwatch) -> Iterator[MapBatch]:
+def _predicted(task: _Task, clock: Stopwatch) -> Iterator[MapBatch]:
     test = task.dataset.subset(task.split.test)
     for start in range(0, len(test), BATCH_SIZE):
         part = slice(start, start + BATCH_SIZE)
@@ -231,7 +344,12 @@ def _median(values: Float[FloatArray, "N"]) -> float:
 
 
 def _record(
-    task: _Task, fit: Fit, clock: _Stopwatch, memory_mib: float, scores: dict[str, Summary]
+    task: _Task,
+    fit: Fit,
+    curve: tuple[CurvePoint, ...],
+    clock: Stopwatch,
+    memory_mib: float,
+    scores: dict[str, Summary],
 ) -> RunRecord:
     return RunRecord(
         id=task.id,
@@ -257,4 +375,6 @@ def _record(
         software=machine.software(),
         git_commit=machine.git_commit(),
         time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        counts=dict(fit.counts),
+        curve=curve,
     )

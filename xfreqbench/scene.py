@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_serializer, model_validator
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.angles import FloatArray
-from xfreqbench.array import frame_rotation, planar_array
+from xfreqbench.array import ArrayPlane, frame_rotation, planar_array
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.materials import material_bands
 
@@ -54,6 +54,8 @@ class Surface:
 class ReceiverArray:
     """A planar array, half a wavelength apart at each carrier, whose boresight is the hemisphere's pole.
 
+    Data sets that others published may hold an array in plane `yz` of its frame: `boresight` is then the
+    hemisphere's pole alone, and lies in the array. The default plane is left out of the JSON.
     Every element has the same antenna: `pattern` `iso` or `dipole` (short, along the vertical), its field
     polarised along the vertical (`V`, the unit vector of the polar angle in world axes) or the horizontal
     (`H`, that of the azimuth). Transmitters carry the same antenna.
@@ -66,6 +68,14 @@ class ReceiverArray:
     boresight: Point = (0.0, 0.0, -1.0)
     pattern: Literal["iso", "dipole"] = "iso"
     polarization: Literal["V", "H"] = "V"
+    plane: ArrayPlane = "xy"
+
+    @model_serializer(mode="wrap")
+    def _without_the_default_plane(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        content = serialize(self)
+        if self.plane == "xy":
+            del content["plane"]  # JSON, and every hash of it, is what it was before planes could be chosen
+        return content
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ReceiverArray:
@@ -86,7 +96,7 @@ class ReceiverArray:
     @property
     def element_position_wavelengths(self) -> Float[FloatArray, "M 3"]:
         """Element positions about the array centre, in wavelengths, in the receiver's frame."""
-        return planar_array(self.rows, self.cols, self.spacing_wavelengths)
+        return planar_array(self.rows, self.cols, self.spacing_wavelengths, self.plane)
 
     def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
         """Element positions in the world at one wavelength."""
@@ -130,6 +140,15 @@ class Scene:
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
     folder: Annotated[Path, Field(exclude=True)] = Path()
+
+    @model_validator(mode="after")
+    def _receiver_faces_its_pole(self) -> Scene:
+        if self.receiver.plane != "xy":
+            raise ValueError(
+                f"the receiver lies in plane {self.receiver.plane!r} of its frame; rays are traced to arrays in "
+                "'xy' alone, which is the default: leave the plane out"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_are_unique_and_materials_known(self) -> Scene:

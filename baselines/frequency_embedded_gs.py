@@ -1,0 +1,21 @@
+"""Reduced baseline: the carrier is one more encoded input of one network (family of Wideband3DGS)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .xfreq_gs import XFreqGS, XFreqGSConfig
+
+
+@dataclass(frozen=True)
+class FrequencyEmbeddedGSConfig(XFreqGSConfig):
+    """The carrier goes in, but there is no latent and no carrier widens a footprint."""
+
+    latent: int = 0
+    max_spread: float = 1.0
+
+
+class FrequencyEmbeddedGS(XFreqGS):
+    """Gaussian splatting with attributes from transmitter, place and embedded carrier."""
+
+    Config = FrequencyEmbeddedGSConfig

@@ -1,0 +1,165 @@
+"""Fits on disk while they run: whole at any moment, checked byte by byte before they go on.
+
+The checkpoints of a job are numbered folders in one of its own. Each holds what the method saved, in
+`method/`, and a `checkpoint.json` that says how the fit stood. Only the newest is kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from xfreqbench.config import as_json
+from xfreqbench.errors import DataError
+from xfreqbench.method import Fit, Method
+from xfreqbench.records import CurvePoint
+from xfreqbench.storage import storage_errors
+
+CHECKPOINTS_FOLDER = "checkpoints"
+CHECKPOINT_SECONDS = 30.0  # of fitting, from one checkpoint to the next
+_METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
+
+
+class Checkpoint(BaseModel):
+    """How a fit stood when its method was saved; `sha256` is of every file that the method wrote."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    task_id: str
+    step: int
+    loss: float
+    seconds: float
+    share: float
+    counts: dict[str, float]
+    curve: tuple[CurvePoint, ...]
+    sha256: dict[str, str]
+
+    @property
+    def fit(self) -> Fit:
+        """The state that `fit_within` goes on from."""
+        return Fit(self.step, self.loss, self.seconds, self.share, self.counts)
+
+
+@dataclass(frozen=True)
+class CheckpointFolder:
+    """Where one job's checkpoints are."""
+
+    path: Path
+    task_id: str
+
+    def write(self, method: Method, fit: Fit, curve: tuple[CurvePoint, ...]) -> None:
+        """Save the method and how its fit stands, then remove the checkpoint before it.
+
+        A process killed at any moment leaves a whole checkpoint, this or the one before. Raises
+        `StorageError`, and what `method.save` raises.
+        """
+        unfinished = self.path / _UNFINISHED
+        numbers = self._numbers()
+        with storage_errors(self.path):
+            _remove(unfinished)
+            (unfinished / _METHOD_FOLDER).mkdir(parents=True)
+            method.save(unfinished / _METHOD_FOLDER)
+            state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
+            (unfinished / _STATE_FILE).write_text(state.model_dump_json())
+            _sync_tree(unfinished)
+            unfinished.rename(self.path / str(max(numbers, default=0) + 1))
+            _sync(self.path)  # or the rename itself may be lost with the power
+            for number in numbers:
+                _remove(self.path / str(number))
+
+    def newest(self) -> Path | None:
+        """Folder of the newest checkpoint; None where there is none yet."""
+        numbers = self._numbers()
+        return self.path / str(max(numbers)) if numbers else None
+
+    def read(self) -> Checkpoint | None:
+        """How the fit stood at the newest checkpoint, once its bytes are known to be whole; None without one.
+
+        Raises `DataError` where it is damaged, or of another job.
+        """
+        newest = self.newest()
+        if newest is None:
+            return None
+        try:
+            checkpoint = Checkpoint.model_validate_json((newest / _STATE_FILE).read_bytes())
+            sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
+        except (OSError, ValidationError) as error:
+            raise self._refusal(f"cannot be read: {error}") from error
+        if checkpoint.task_id != self.task_id:
+            raise self._refusal(f"belongs to job {checkpoint.task_id}, not to {self.task_id}")
+        if sha256 != checkpoint.sha256:
+            names = sorted(name for name, _ in sha256.items() ^ checkpoint.sha256.items())
+            raise self._refusal(f"is damaged: {', '.join(dict.fromkeys(names))} changed since it was written")
+        return checkpoint
+
+    def load(self, method: Method) -> Method:
+        """The method of the newest checkpoint, of the class and with the configuration of `method`.
+
+        Raises `DataError` where it cannot be loaded or is configured otherwise.
+        """
+        try:
+            loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
+        except Exception as error:  # a method reads its files in its own way
+            raise self._refusal(f"cannot be loaded: {type(error).__name__}: {error}") from error
+        config = getattr(loaded, "config", None)
+        if as_json(config) != as_json(method.config):
+            raise self._refusal(f"has configuration {config!r}, but the job has {method.config!r}")
+        return loaded
+
+    def remove(self) -> None:
+        """Remove all of it; half of it is never found under its name."""
+        removed = self.path.with_name(f".{self.path.name}.removed")
+        with storage_errors(self.path):
+            _remove(removed)
+            if self.path.exists():
+                self.path.rename(removed)
+                _remove(removed)
+
+    def _numbers(self) -> list[int]:
+        return sorted(int(path.name) for path in self.path.glob("*") if path.name.isdigit())
+
+    def _state(self, fit: Fit, curve: tuple[CurvePoint, ...], sha256: dict[str, str]) -> Checkpoint:
+        return Checkpoint(
+            task_id=self.task_id,
+            step=fit.step,
+            loss=fit.loss,
+            seconds=fit.seconds,
+            share=fit.share,
+            counts=dict(fit.counts),
+            curve=curve,
+            sha256=sha256,
+        )
+
+    def _refusal(self, fault: str) -> DataError:
+        return DataError(f"The checkpoint in {self.path} {fault}. Delete that folder to fit anew.")
+
+
+def _sha256_by_name(folder: Path) -> dict[str, str]:
+    """Hash of every file by its path within the folder; raises `OSError`."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
+    }
+
+
+def _remove(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)
+
+
+def _sync_tree(folder: Path) -> None:
+    for path in (*folder.rglob("*"), folder):
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,1 @@
+"""Radiance fields of RF Gaussians: projection, accumulation, conditioning and training (torch)."""

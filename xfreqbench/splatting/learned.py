@@ -1,0 +1,281 @@
+"""What the learned methods share: one training loop, and checkpoints that hold all of its state."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from pydantic import Field as Limits
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from xfreqbench.angles import AngularGrid, FloatArray
+from xfreqbench.config import as_json
+from xfreqbench.dataset import PasDataset
+from xfreqbench.errors import DivergenceError, MethodError
+from xfreqbench.method import Budget, Progress
+from xfreqbench.pas import BartlettBeam, PasKind
+from xfreqbench.splatting.loss import map_loss
+from xfreqbench.splatting.view import Beams, Targets, View, as_kind
+
+TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
+_PREDICT_BATCH = 16
+_MAX_GRADIENT_NORM = 1.0
+_MIN_RATE = 0.01  # of the learning rate, at the end
+
+Fraction = Annotated[float, Limits(ge=0, le=1)]
+Positive = Annotated[float, Limits(gt=0)]
+Count = Annotated[int, Limits(ge=1)]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How any learned method is trained. `steps` counts where no budget ends it before.
+
+    Carriers are moved at random, by a deviation of `carrier_blur` on a logarithmic axis where the training
+    band is 2 wide: what is learned then holds between them too. The maps of so few carriers cannot say how
+    a fading channel goes on from one to the next, and a network that follows them goes astray between them.
+    """
+
+    steps: Count = 200_000  # the paper's
+    batch_size: Count = 32
+    learning_rate: Positive = 2e-3
+    ssim_weight: Fraction = 0.8  # reached after `ssim_ramp` of the training (Eq. 12); the paper: 0.4
+    ssim_ramp: Fraction = 0.25
+    carrier_blur: Annotated[float, Limits(ge=0)] = 0.5
+    stride: Count = 5  # training looks at every fifth direction, another fifth at each step
+    ssim_window: Count = 3  # directions in view
+    derive_targets: bool = True  # from the channels, rather than read maps from disk
+    device: str = "cpu"
+
+
+class ChannelField(nn.Module):
+    """A radiance field: the received power of any transmitter and carrier from the directions in view."""
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Take scales from training rows, and random values from the generator."""
+        raise NotImplementedError
+
+    def power(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+    ) -> Float[Tensor, "B E A"]:
+        """|R_k|², of any scale."""
+        raise NotImplementedError
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
+        """Parameters with their learning rates, as an optimiser takes them."""
+        return [{"params": list(self.parameters()), "lr": learning_rate}]
+
+    def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
+        """What a field changes of itself between steps, once it has its gradients."""
+
+    def counts(self) -> dict[str, float]:
+        """Sizes that a table shows."""
+        return {}
+
+    def match(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take the sizes of stored tensors, before they are loaded."""
+
+
+@dataclass
+class _Training:
+    """Everything that goes on from a checkpoint."""
+
+    field: ChannelField
+    optimizer: torch.optim.Adam
+    generator: torch.Generator
+    beams: Beams
+    kind: PasKind
+    step: int = 0
+    share: float = 0.0  # of the budget, as told last
+
+
+class LearnedMethod:
+    """A radiance field trained on maps. A method derives from it and says which field, and its `Config`."""
+
+    Config: ClassVar[type]
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = self.Config() if config is None else config
+        self._device = _device(self.config.device)
+        self._training: _Training | None = None
+
+    def field(self) -> ChannelField:
+        """The field that the config asks for, before training."""
+        raise NotImplementedError
+
+    @property
+    def num_parameters(self) -> int:
+        """Numbers that training sets."""
+        field = self._training.field if self._training else self.field()
+        return sum(parameter.numel() for parameter in field.parameters())
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
+        """Minimise Eq. 12 by Adam, the learning rate falling as half a cosine over the share spent.
+
+        Raises `DivergenceError` where the loss, a gradient or a parameter is no longer finite.
+        """
+        if self._training is None:
+            self._training = self._started(train, seed)
+        training = self._training
+        targets = Targets(train, training.beams, self.config.derive_targets)
+        own_share = training.step / self.config.steps
+        training.share = max(training.share, own_share, budget.share(training.step, 0.0))
+        while training.step < self.config.steps:
+            loss = self._step(training, targets)
+            spent = yield Progress(training.step, loss, training.field.counts())
+            training.share = max(spent or 0.0, training.step / self.config.steps)
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """Maps on the training data's grid and of their kind, peak 1."""
+        training = self._trained()
+        position_m = torch.as_tensor(tx_position_m, dtype=torch.float32).to(self._device)
+        carrier = torch.as_tensor(carrier_hz).to(self._device)
+        with torch.no_grad():
+            maps = [
+                as_kind(training.field.power(*query, View(), training.beams), training.kind)
+                for query in zip(position_m.split(_PREDICT_BATCH), carrier.split(_PREDICT_BATCH), strict=True)
+            ]
+        return torch.cat(maps).cpu().numpy()
+
+    def save(self, directory: Path) -> None:
+        """Field, optimiser and random state as safetensors, the rest as JSON: nothing that runs when loaded."""
+        training = self._trained()
+        tensors = {f"field.{name}": tensor.clone() for name, tensor in training.field.state_dict().items()}
+        tensors |= _moments(training)
+        tensors["generator"] = training.generator.get_state()
+        tensors |= {
+            "beam.element_position_wavelengths": torch.as_tensor(training.beams.element_position_wavelengths),
+            "beam.elevation_rad": torch.as_tensor(training.beams.grid.elevation_rad),
+            "beam.azimuth_rad": torch.as_tensor(training.beams.grid.azimuth_rad),
+        }
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, directory / TENSORS_FILE)
+        state = {
+            "config": as_json(self.config),
+            "step": training.step,
+            "share": training.share,
+            "kind": training.kind,
+        }
+        (directory / STATE_FILE).write_text(json.dumps(state))
+
+    @classmethod
+    def load(cls, directory: Path) -> LearnedMethod:
+        """The method as it was saved; its `fit` goes on from there."""
+        state = json.loads((directory / STATE_FILE).read_text())
+        method = cls(cls.Config(**state["config"]))
+        tensors = load_file(directory / TENSORS_FILE, device=str(method._device))
+        grid = AngularGrid(
+            tensors["beam.elevation_rad"].cpu().numpy(), tensors["beam.azimuth_rad"].cpu().numpy()
+        )
+        beam = BartlettBeam(tensors["beam.element_position_wavelengths"].cpu().numpy(), grid)
+        training = method._new_training(beam, state["kind"], tensors)
+        training.step, training.share = state["step"], state["share"]
+        training.generator.set_state(tensors["generator"].cpu())
+        method._training = training
+        return method
+
+    def _trained(self) -> _Training:
+        if self._training is None:
+            raise MethodError(f"{type(self).__name__} knows nothing yet; fit or load it first.")
+        return self._training
+
+    def _started(self, train: PasDataset, seed: int) -> _Training:
+        if len(train.grid.azimuth_rad) % self.config.stride:
+            raise MethodError(
+                f"stride={self.config.stride} does not divide the {len(train.grid.azimuth_rad)} azimuths of "
+                "the data; choose one that does."
+            )
+        generator = torch.Generator().manual_seed(seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            field = self.field()
+            field.adapt(train, generator)
+        return self._assembled(field, generator, train.beam, train.header.pas_kind)
+
+    def _assembled(
+        self, field: ChannelField, generator: torch.Generator, beam: BartlettBeam, kind: PasKind
+    ) -> _Training:
+        field.to(self._device)
+        optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
+        for group in optimizer.param_groups:
+            group["initial_lr"] = group["lr"]
+        return _Training(field, optimizer, generator, Beams(beam, self._device), kind)
+
+    def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> _Training:
+        of_field = {name[6:]: tensor for name, tensor in tensors.items() if name.startswith("field.")}
+        field = self.field()
+        field.match(of_field)
+        field.load_state_dict(of_field)
+        training = self._assembled(field, torch.Generator(), beam, kind)
+        for name, parameter in field.named_parameters():
+            stored = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM if f"adam.{key}.{name}" in tensors}
+            if stored:
+                training.optimizer.state[parameter] = stored
+        return training
+
+    def _step(self, training: _Training, targets: Targets) -> float:
+        config, share = self.config, training.share
+        nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
+        view = View.draw(config.stride, training.generator)
+        position_m, carrier_hz = targets.queries(nth, config.carrier_blur, training.generator)
+        power = training.field.power(position_m, carrier_hz, view, training.beams)
+        weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
+        loss = map_loss(as_kind(power, training.kind), targets.maps(nth, view), weight, config.ssim_window)
+        training.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        training.step += 1
+        _require_finite(training, loss)
+        rate = _MIN_RATE + (1 - _MIN_RATE) * (0.5 + 0.5 * math.cos(math.pi * min(share, 1.0)))
+        for group in training.optimizer.param_groups:
+            group["lr"] = group["initial_lr"] * rate
+        training.optimizer.step()
+        training.field.after_step(training.optimizer, training.step, share)
+        return float(loss.detach())
+
+
+_ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+def _moments(training: _Training) -> dict[str, Tensor]:
+    state = training.optimizer.state
+    return {
+        f"adam.{key}.{name}": state[parameter][key]
+        for name, parameter in training.field.named_parameters()
+        if parameter in state
+        for key in _ADAM
+    }
+
+
+def _require_finite(training: _Training, loss: Tensor) -> None:
+    """Raise before a step that would spoil the parameters."""
+    parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
+    norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+    if bool(torch.isfinite(loss) & torch.isfinite(norm)):
+        nn.utils.clip_grads_with_norm_(parameters, _MAX_GRADIENT_NORM, norm)
+        return
+    faults = [
+        name
+        for name, parameter in training.field.named_parameters()
+        if parameter.grad is not None and not bool(torch.isfinite(parameter.grad).all())
+    ]
+    raise DivergenceError(training.step, "loss" if not torch.isfinite(loss) else f"gradient of {faults[0]}")
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise MethodError(f"{name!r} is no device of torch; use cpu, cuda or cuda:0.") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise MethodError(f"device={name} is asked for, but torch {torch.__version__} sees no CUDA device.")
+    return device

@@ -1,0 +1,68 @@
+"""Where the receiver sees a Gaussian, and how wide (Eqs. 8–10).
+
+Angles are (azimuth, elevation) in radians in the receiver's frame. Close to the pole the azimuth of a
+small step grows without bound, so the distance from the pole's axis is taken as at least
+`POLE_DISTANCE` of the range; what is wider than the circle covers all of it once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+POLE_DISTANCE = math.sin(math.radians(1.0))
+MIN_VARIANCE = math.radians(0.5) ** 2  # rad²: nothing is sharper than half a degree, the grid's half step
+MIN_RANGE_M = 1e-2  # a Gaussian at the receiver has no direction
+_OFF_AXIS_M = 1e-6  # where the azimuth of a point on the pole's axis is taken, to have one
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """N Gaussians on the sphere of directions."""
+
+    azimuth_rad: Float[Tensor, "N"]
+    elevation_rad: Float[Tensor, "N"]
+    covariance: Float[Tensor, "N 2 2"]  # rad², before the frequency's spread
+    range_m: Float[Tensor, "N"]
+
+
+def project(position_m: Float[Tensor, "N 3"], covariance_m2: Float[Tensor, "N 3 3"]) -> Projection:
+    """Angular centre (Eq. 8) and projected covariance J Σ Jᵀ (Eq. 9), `MIN_VARIANCE` added to its diagonal."""
+    position_m = _off_the_axis(position_m)
+    azimuth_rad, elevation_rad, range_m = angular_centre(position_m)
+    jacobian = projection_jacobian(position_m)
+    projected = jacobian @ covariance_m2 @ jacobian.mT
+    blurred = projected + MIN_VARIANCE * torch.eye(2, dtype=projected.dtype, device=projected.device)
+    return Projection(azimuth_rad, elevation_rad, blurred, range_m)
+
+
+def angular_centre(
+    position_m: Float[Tensor, "N 3"],
+) -> tuple[Float[Tensor, "N"], Float[Tensor, "N"], Float[Tensor, "N"]]:
+    """Azimuth, elevation and range of positions off the pole's axis, in the receiver's frame (Eq. 8)."""
+    x, y, z = position_m.unbind(-1)
+    horizontal = torch.hypot(x, y)
+    return torch.atan2(y, x), torch.atan2(z, horizontal), torch.hypot(horizontal, z)
+
+
+def projection_jacobian(position_m: Float[Tensor, "N 3"]) -> Float[Tensor, "N 2 3"]:
+    """∂(azimuth, elevation)/∂(x, y, z) of positions off the pole's axis, in rad/m (Eq. 9)."""
+    x, y, z = position_m.unbind(-1)
+    range_m = position_m.norm(dim=-1).clamp_min(MIN_RANGE_M)
+    horizontal = torch.hypot(x, y)
+    cosine, sine = x / horizontal, y / horizontal
+    reach = horizontal.maximum(POLE_DISTANCE * range_m)[:, None]
+    of_azimuth = torch.stack([-sine, cosine, torch.zeros_like(z)], dim=-1) / reach
+    of_elevation = torch.stack([-z * cosine, -z * sine, horizontal], dim=-1) / range_m[:, None] ** 2
+    return torch.stack([of_azimuth, of_elevation], dim=-2)
+
+
+def _off_the_axis(position_m: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    """Moved a micrometre along x where the azimuth has no derivative."""
+    x, y, z = position_m.unbind(-1)
+    on_axis = x.abs() + y.abs() < _OFF_AXIS_M
+    return torch.stack([torch.where(on_axis, x + 2 * _OFF_AXIS_M, x), y, z], dim=-1)

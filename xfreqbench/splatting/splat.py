@@ -1,0 +1,112 @@
+"""Gaussians splatted on the sphere of directions (Adaptive Orthographic Splatting, Eqs. 8–11)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import torch
+from jaxtyping import Bool, Complex, Float
+from pydantic import Field as Limits
+from torch import Tensor
+
+from xfreqbench.dataset import PasDataset
+from xfreqbench.splatting.composite import PixelLists, composite
+from xfreqbench.splatting.density import DensityConfig, DensityControl
+from xfreqbench.splatting.encoding import Scaling
+from xfreqbench.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.splatting.gaussians import RFGaussians
+from xfreqbench.splatting.learned import ChannelField, Count
+from xfreqbench.splatting.network import Attributes, NetworkConfig, WideFreqNetwork
+from xfreqbench.splatting.projection import Projection, project
+from xfreqbench.splatting.view import Beams, View
+
+SUPPORT = 9.0  # squared Mahalanobis distance at which a footprint ends: three deviations
+_GAUSSIAN_RATE = 10.0  # of the learning rate: a metre matters less than a weight
+
+
+@dataclass(frozen=True)
+class SplatConfig(DensityConfig):
+    """The Gaussians and their footprints."""
+
+    num_gaussians: Count = 256
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # one deviation, to start with
+    footprint: Literal["projected", "circular"] = "projected"  # circular: fixed at the starting size
+
+
+class SplatField(ChannelField):
+    """Complex Gaussians accumulated along every direction, nearest first."""
+
+    def __init__(self, config: SplatConfig, network: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.scaling = Scaling()
+        self.network = WideFreqNetwork(network, self.scaling)
+        self.gaussians = RFGaussians(config.num_gaussians)
+        self.density = DensityControl(config)
+        self._support = SUPPORT * network.max_spread
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Random points in the box of the data."""
+        self.scaling.adapt(train)
+        self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
+        """The network's, and one for the Gaussians, which move faster than weights."""
+        gaussians = {"params": list(self.gaussians.parameters()), "lr": _GAUSSIAN_RATE * learning_rate}
+        return [*self.network.parameter_groups(learning_rate), gaussians]
+
+    def power(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+    ) -> Float[Tensor, "B E A"]:
+        """|R_k|² of every direction in view."""
+        grid = view.of_grid(beams.grid)
+        projection = self.projection()
+        lists = bin_footprints(projection, grid, self._support)
+        distance = squared_distance(projection, lists, grid)
+        seen = torch.bincount(lists.gaussian, minlength=lists.num_gaussians) > 0
+        position_m = self.gaussians.position_m.detach()[seen]
+        attributes = self.network(self.scaling.in_frame(tx_position_m), carrier_hz, position_m)
+        self.density.watch(seen, attributes.signal)
+        response = _accumulate(_renumbered(lists, seen), distance, attributes)
+        return torch.view_as_real(response).square().sum(-1).reshape(-1, *grid.shape)
+
+    def projection(self) -> Projection:
+        """The footprints before the frequency's spread."""
+        projection = project(self.gaussians.position_m, self.gaussians.covariance)
+        if self.config.footprint == "projected":
+            return projection
+        size = math.radians(self.config.angular_size_deg) ** 2
+        circle = size * torch.eye(2).to(projection.covariance)
+        return Projection(
+            projection.azimuth_rad,
+            projection.elevation_rad,
+            circle.expand_as(projection.covariance),
+            projection.range_m,
+        )
+
+    def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
+        """Densify and prune."""
+        self.density.after_step(self.gaussians, optimizer, step, share)
+
+    def counts(self) -> dict[str, float]:
+        """Number of Gaussians."""
+        return {"gaussians": len(self.gaussians)}
+
+    def match(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take the number of Gaussians that were stored."""
+        self.gaussians = RFGaussians(len(tensors["gaussians.position_m"]))
+        self.density.resize(len(tensors["density.contribution"]))  # none where nothing was summed yet
+
+
+def _renumbered(lists: PixelLists, seen: Bool[Tensor, "N"]) -> PixelLists:
+    """Lists of the Gaussians that are seen, which alone have attributes."""
+    return PixelLists(lists.start, (seen.cumsum(0) - 1)[lists.gaussian], int(seen.sum()))
+
+
+def _accumulate(
+    lists: PixelLists, distance: Float[Tensor, "P"], attributes: Attributes
+) -> Complex[Tensor, "B K"]:
+    return composite(lists, distance, attributes.inverse_spread, attributes.signal[0], attributes.attenuation)
