@@ -6,5 +6,6 @@ cd "$(dirname "$0")"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
 .venv/bin/xfreqbench generate office --tx "${NUM_TX:-240}" --output data/office-small.h5
 .venv/bin/xfreqbench info data/office-small.h5
-.venv/bin/xfreqbench run --method all --data data/office-small.h5 --protocol lofo --results results/quickstart
+.venv/bin/xfreqbench run --method all --data data/office-small.h5 --protocol lofo --budget "${BUDGET:-15s}" \
+    --results results/quickstart
 .venv/bin/xfreqbench report results/quickstart --output results/quickstart/BENCHMARK.md

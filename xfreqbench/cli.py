@@ -320,7 +320,7 @@ def run(
         Parameter(help="Held-out carriers of lofo in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
     seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
-    budget: Annotated[str | None, Parameter(help="Fitting budget: 300s, 5m, or 2000steps.")] = None,
+    budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
     ] = "cpu",

@@ -127,6 +127,8 @@ class LearnedMethod:
             self._training = self._started(train, seed)
         training = self._training
         targets = Targets(train, training.beams, self.config.derive_targets)
+        if not len(targets):
+            raise MethodError("No training row has a path; there is nothing to learn from.")
         own_share = training.step / self.config.steps
         training.share = max(training.share, own_share, budget.share(training.step, 0.0))
         while training.step < self.config.steps:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -87,6 +88,7 @@ def is_narrow(precision: Precision, device: torch.device) -> bool:
     return device.type == "cuda" or bool(_cpu_capabilities().get("avx512_bf16"))
 
 
+@cache
 def _cpu_capabilities() -> dict[str, object]:
     known = getattr(torch.cpu, "get_capabilities", dict)
     return dict(known())

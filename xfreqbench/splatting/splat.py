@@ -13,6 +13,7 @@ from pydantic import Field as Limits
 from torch import Tensor
 
 from xfreqbench.dataset import PasDataset
+from xfreqbench.errors import MethodError
 from xfreqbench.splatting.composite import PixelLists, composite
 from xfreqbench.splatting.density import DensityConfig, DensityControl
 from xfreqbench.splatting.encoding import Scaling
@@ -41,6 +42,11 @@ class SplatField(ChannelField):
 
     def __init__(self, config: SplatConfig, network: NetworkConfig) -> None:
         super().__init__()
+        if config.num_gaussians > config.max_gaussians:
+            raise MethodError(
+                f"num_gaussians={config.num_gaussians} is more than max_gaussians={config.max_gaussians}; raise "
+                "the latter too."
+            )
         self.config = config
         self.scaling = Scaling()
         self.network = WideFreqNetwork(network, self.scaling)

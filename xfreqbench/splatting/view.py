@@ -11,10 +11,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
+from numpy.typing import NDArray
 from torch import Tensor
 
-from xfreqbench.angles import AngularGrid
+from xfreqbench.angles import AngularGrid, FloatArray
 from xfreqbench.dataset import PasDataset
 from xfreqbench.pas import BartlettBeam, PasKind
 
@@ -58,10 +59,13 @@ class Beams:
         self.element_position_wavelengths = beam.element_position_wavelengths
         element = self.element_position_wavelengths
         lag = (element[:, None] - element[None]).reshape(-1, 3).round(6)
-        unique, of_pair = np.unique(lag, axis=0, return_inverse=True)
-        phase = 2 * np.pi * beam.grid.directions @ unique.T  # of a_n* a_m, in the phase convention of PHYSICS
-        waves = np.stack([np.cos(phase), np.sin(phase)]) / len(element) ** 2
-        self._of_pair = torch.as_tensor(of_pair.reshape(-1), device=device)
+        pairs = np.flatnonzero(_is_forward(lag))
+        unique, of_pair = np.unique(lag[pairs], axis=0, return_inverse=True)
+        phase = 2 * np.pi * beam.grid.directions @ unique.T
+        weight = np.where((unique == 0).all(axis=1), 1.0, 2.0) / len(element) ** 2
+        waves = weight * np.stack([np.cos(phase), np.sin(phase)])
+        self._pairs = torch.as_tensor(pairs, device=device)
+        self._lag_of_pair = torch.as_tensor(of_pair.reshape(-1), device=device)
         self._waves = torch.as_tensor(waves, dtype=torch.float32, device=device).movedim(-1, 1).flatten(0, 1)
         self._num_lags = len(unique)
         self._in_view: dict[View, Tensor] = {}
@@ -73,9 +77,16 @@ class Beams:
         waves = self._in_view[view]
         channels = cfr.reshape(-1, *cfr.shape[-2:])
         covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
-        lags = covariance.new_zeros(len(covariance), self._num_lags).index_add(1, self._of_pair, covariance)
+        lags = covariance.new_zeros(len(covariance), self._num_lags)
+        lags = lags.index_add(1, self._lag_of_pair, covariance.index_select(1, self._pairs))
         power = torch.cat([lags.real, lags.imag], dim=1) @ waves.flatten(1)
         return power.clamp_min(0).reshape(-1, *waves.shape[1:])
+
+
+def _is_forward(lag: Float[FloatArray, "P 3"]) -> Bool[NDArray[np.bool_], "P"]:
+    """One of each lag and its opposite, whose sums are conjugates: where the first coordinate but zero is positive."""
+    x, y, z = lag.T
+    return (x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z >= 0))))
 
 
 class Targets:
