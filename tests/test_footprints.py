@@ -82,6 +82,20 @@ def test_a_direction_sees_exactly_the_gaussians_that_lie_within_the_support(
     assert torch.equal(counts, expected.long())
 
 
+@either_backend
+@pytest.mark.parametrize("stride", [1, 7])
+def test_azimuths_that_repeat_the_first_or_do_not_close_see_what_lies_within_the_support(
+    stride: int, backend: Backend
+) -> None:
+    published = AngularGrid(np.linspace(0, np.pi / 2, 19), np.linspace(-np.pi, np.pi, 73))
+    grid = View(stride, row=2, column=3).of_grid(published) if stride > 1 else published
+    projection = random_projection()
+    counts = times_seen(bin_footprints(projection, grid, SUPPORT, backend), grid)
+    expected = distance_to_all(projection, grid) <= SUPPORT
+    assert torch.equal(counts, expected.long())
+    assert stride > 1 or torch.equal(counts[:, :, 0], counts[:, :, -1])
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_both_backends_give_the_same_lists(seed: int) -> None:
     lists = [bin_footprints(random_projection(seed=seed), GRID, SUPPORT, each) for each in ("torch", "numba")]

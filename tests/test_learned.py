@@ -236,9 +236,15 @@ def test_a_device_that_torch_does_not_know_is_refused() -> None:
         tiny(XFreqGS, device="gpu")
 
 
-def test_a_stride_that_does_not_divide_the_azimuths_is_refused(dataset: PasDataset) -> None:
-    with pytest.raises(MethodError, match="stride=7 does not divide the 360 azimuths"):
-        next(tiny(XFreqGS, stride=7).fit(dataset, Budget(1), 0))
+def test_more_gaussians_than_there_may_be_are_refused(dataset: PasDataset) -> None:
+    with pytest.raises(MethodError, match="num_gaussians=30 is more than max_gaussians=20"):
+        next(tiny(XFreqGS, max_gaussians=20).fit(dataset, Budget(1), 0))
+
+
+def test_without_a_row_that_has_a_path_there_is_nothing_to_learn(tmp_path: Path) -> None:
+    silent = write_dataset(tmp_path / "silent.h5", 1, (1.0, 10.0), silent=((0, 0), (0, 1)))
+    with pytest.raises(MethodError, match="No training row has a path"):
+        next(tiny(XFreqGS).fit(silent, Budget(1), 0))
 
 
 def test_a_method_that_was_not_fitted_says_so(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from xfreqbench.angles import AngularGrid
 from xfreqbench.splatting.composite import PixelLists
-from xfreqbench.splatting.footprint_kernels import fill_lists, footprint_rows
+from xfreqbench.splatting.footprint_kernels import HIGHEST_RAD, LOWEST_RAD, fill_lists, footprint_spans
 from xfreqbench.splatting.projection import Projection
 
 Backend = Literal["auto", "torch", "numba"]
@@ -25,7 +25,10 @@ Backend = Literal["auto", "torch", "numba"]
 def bin_footprints(
     projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto"
 ) -> PixelLists:
-    """Gaussians of every direction of a uniform grid, nearest first; directions are numbered row by row."""
+    """Gaussians of every direction, nearest first; directions are numbered row by row.
+
+    The grid's azimuths are evenly spaced, over one turn at most; its first may be repeated at the end.
+    """
     order = projection.range_m.argsort(stable=True)
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)[order].double()
     conic = inverse(projection.covariance.double())[order]
@@ -65,10 +68,8 @@ def _directions(grid: AngularGrid, like: Tensor) -> tuple[Float[Tensor, "A"], Fl
 def _bin_numba(
     centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float
 ) -> tuple[Int[Tensor, "K1"], Int[Tensor, "P"]]:
-    spans = footprint_rows(
-        centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad[0], len(grid.azimuth_rad), support
-    )
-    start, gaussian = fill_lists(*spans, len(grid.elevation_rad), len(grid.azimuth_rad))
+    spans = footprint_spans(centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad, support)
+    start, gaussian = fill_lists(*spans, len(grid.azimuth_rad))
     return torch.from_numpy(start), torch.from_numpy(gaussian)
 
 
@@ -76,32 +77,33 @@ def _bin_torch(
     centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float
 ) -> tuple[Int[Tensor, "K1"], Int[Tensor, "P"]]:
     """The same on any device: all rows of all footprints, then all directions of all rows."""
-    gaussian, row, first, count = _row_spans(centre, conic, grid, support)
+    gaussian, row, first, count = _spans(centre, conic, grid, support)
     span = torch.repeat_interleave(count)
     nth = torch.arange(len(span), device=span.device) - (count.cumsum(0) - count)[span]
-    num_azimuths = len(grid.azimuth_rad)
-    pixel = row[span] * num_azimuths + (first[span] + nth) % num_azimuths
+    pixel = (row * len(grid.azimuth_rad) + first)[span] + nth
     by_pixel = pixel.argsort(stable=True)
-    counts = torch.bincount(pixel, minlength=num_azimuths * len(grid.elevation_rad))
+    counts = torch.bincount(pixel, minlength=len(grid.azimuth_rad) * len(grid.elevation_rad))
     start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
     return start, gaussian[span][by_pixel]
 
 
-def _row_spans(
+def _spans(
     centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float
 ) -> tuple[Int[Tensor, "S"], Int[Tensor, "S"], Int[Tensor, "S"], Int[Tensor, "S"]]:
-    """Gaussian, row, first column and number of columns wherever a footprint meets a row."""
+    """Gaussian, row, first column and number of columns wherever a footprint meets a row, turn by turn."""
     elevation_rad = torch.as_tensor(grid.elevation_rad, device=centre.device)
-    step_rad = 2 * math.pi / len(grid.azimuth_rad)
+    num_azimuths, first_azimuth_rad = len(grid.azimuth_rad), float(grid.azimuth_rad[0])
+    step_rad = float(grid.azimuth_rad[1]) - first_azimuth_rad if num_azimuths > 1 else 2 * math.pi
     a, b, c = conic[:, None].unbind(-1)
     along = elevation_rad[None, :] - centre[:, 1:]
     discriminant = (b * along) ** 2 - a * (c * along * along - support)
     reach = discriminant.clamp_min(0).sqrt()
-    low = ((-b * along - reach) / a).clamp_min(-math.pi)
-    high = ((-b * along + reach) / a).clamp_max(math.pi)
-    offset = centre[:, :1] - float(grid.azimuth_rad[0])
-    first = torch.ceil((offset + low) / step_rad).long()
-    last = torch.floor((offset + high) / step_rad).long()
-    count = (last - first + 1).clamp(0, len(grid.azimuth_rad))
-    gaussian, row = torch.nonzero((discriminant >= 0) & (count > 0), as_tuple=True)
-    return gaussian, row, first[gaussian, row] % len(grid.azimuth_rad), count[gaussian, row]
+    offset = torch.remainder(centre[:, :1] - first_azimuth_rad, 2 * math.pi)
+    turns = 2 * math.pi * torch.tensor([-1.0, 0.0, 1.0]).to(centre)
+    low = (offset + ((-b * along - reach) / a).clamp_min(LOWEST_RAD))[..., None] + turns
+    high = (offset + ((-b * along + reach) / a).clamp_max(HIGHEST_RAD))[..., None] + turns
+    first = torch.ceil(low / step_rad).long().clamp_min(0)
+    last = torch.floor(high / step_rad).long().clamp_max(num_azimuths - 1)
+    gaussian, row, turn = torch.nonzero((discriminant >= 0)[..., None] & (last >= first), as_tuple=True)
+    count = (last - first + 1)[gaussian, row, turn]
+    return gaussian, row, first[gaussian, row, turn], count

@@ -192,11 +192,6 @@ class LearnedMethod:
         return self._training
 
     def _started(self, train: PasDataset, seed: int) -> _Training:
-        if len(train.grid.azimuth_rad) % self.config.stride:
-            raise MethodError(
-                f"stride={self.config.stride} does not divide the {len(train.grid.azimuth_rad)} azimuths of "
-                "the data; choose one that does."
-            )
         generator = torch.Generator().manual_seed(seed)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
