@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from xfreqbench.angles import FloatArray
 from xfreqbench.config import override
 from xfreqbench.dataset import PasDataset
-from xfreqbench.errors import DivergenceError, MethodError, UnknownNameError
+from xfreqbench.errors import DivergenceError, MethodError, UnknownNameError, XFreqBenchError
 
 ENTRY_POINT_GROUP = "xfreqbench.methods"
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
@@ -230,6 +230,8 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
 def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
     try:
         return method_class(*config)
+    except XFreqBenchError:
+        raise
     except Exception as error:
         given = f"with {config[0]!r}" if config else "without arguments"
         raise MethodError(

@@ -103,10 +103,12 @@ def run_all(
     stands. Raises any `XFreqBenchError`; jobs that were finished before it are kept.
     """
     jobs = list(jobs)
-    datasets = {path: _verified(path) for path in dict.fromkeys(job.dataset for job in jobs)}
+    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
     for job in jobs:
         _prepare(job, datasets[job.dataset]).checkpoint_folder(results_dir).read()
     _require_writable(results_dir)
+    for path in datasets:
+        verify(path)
     done = []
     for number, job in enumerate(jobs, start=1):
         done.append(_run(_prepare(job, datasets[job.dataset]), results_dir, fitting))
@@ -217,11 +219,6 @@ def _batch_ssim(task: _Task, rows: Int[IntArray, "n"]) -> Float[FloatArray, "n"]
     part, grid = task.dataset.subset(rows), task.dataset.grid
     predicted: Maps = predict_checked(task.method, part.tx_position_m, part.carrier_hz, grid.shape)
     return ssim(predicted, task.dataset.pas(rows), grid)
-
-
-def _verified(path: str) -> PasDataset:
-    verify(path)
-    return open_dataset(path)
 
 
 def _require_writable(results_dir: Path) -> None:

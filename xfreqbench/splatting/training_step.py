@@ -23,7 +23,14 @@ from xfreqbench.splatting.splat import SUPPORT, SplatField
 from xfreqbench.splatting.view import Beams, Targets, View, as_kind
 
 # the paper's width and depth, every direction, footprints of about 200 directions
-PAPER_NETWORK = ("width=256", "layers=6", "stride=1", "ssim_window=7", "angular_size_deg=1.8")
+PAPER_NETWORK = (
+    "width=256",
+    "layers=6",
+    "stride=1",
+    "ssim_window=7",
+    "angular_size_deg=1.8",
+    "max_gaussians=16000",
+)
 
 
 class Stopwatch:
