@@ -265,8 +265,16 @@ def test_runs_that_differ_in_their_seed_alone_are_summed_up() -> None:
 def test_a_split_that_one_seed_was_not_run_on_has_no_spread() -> None:
     records = [_changed(make_record("ours", 0.9, SPLITS[0]), seed=seed) for seed in (1, 2)]
     records.append(_changed(make_record("ours", 0.9, SPLITS[1]), seed=1))
-    spreads = "2.4GHz 0.9000 ± 0.0000, 24.25GHz –, average –."
-    assert f"over seeds 1, 2: {spreads}" in leaderboard_markdown(records)
+    assert "over seeds 1, 2: 2.4GHz 0.9000 ± 0.0000." in leaderboard_markdown(records)
+
+
+def test_rows_of_other_defaults_are_told_apart_by_their_commits() -> None:
+    older, newer = make_record("ours", 0.8), make_record("ours", 0.9)
+    older = older.model_copy(update={"config": {"width": 1}, "git_commit": "a" * 40})
+    newer = newer.model_copy(update={"config": {"width": 2}, "git_commit": "b" * 40})
+    markdown = leaderboard_markdown([older, newer])
+    assert "| ours @ aaaaaaa " in markdown
+    assert "| ours @ bbbbbbb " in markdown
 
 
 def test_one_seed_alone_has_no_spread() -> None:

@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
+_GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "safetensors", "numba")
 
@@ -35,12 +36,19 @@ def peak_memory_mib() -> float:
 
 @cache
 def hardware() -> dict[str, str]:
-    """Processor, number of cores that this process may use, and operating system."""
+    """Processor, number of cores that this process may use, operating system, and NVIDIA GPUs where there are."""
     return {
         "processor": _processor(),
         "cores": str(_usable_cores()),
         "system": f"{platform.system()} {platform.machine()}",
-    }
+    } | _gpus()
+
+
+def _gpus() -> dict[str, str]:
+    """What the driver calls them; empty without one."""
+    lines = [line for path in sorted(_GPUS.glob("*/information")) for line in path.read_text().splitlines()]
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
+    return {"gpu": " + ".join(names)} if names else {}
 
 
 @cache

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -152,13 +154,27 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
             "ranked together. Delete the older lines and run those jobs again."
         )
     splits = sorted({record.job.split for record in records}, key=_natural)
-    by_label: dict[str, dict[str, RunRecord]] = {}
-    for record in records:
-        by_label.setdefault(_label(record), {})[record.job.split] = record
-    rows = [Row(label, by_split) for label, by_split in by_label.items()]
+    rows = _rows(records)
     rows.sort(key=lambda row: (-_or_lowest(row.average(splits, _median_ssim)), row.label))
     data = records[0]  # of one data set, which they all describe alike
     return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows))
+
+
+def _rows(records: Sequence[RunRecord]) -> list[Row]:
+    """A row for every method as it was configured; where defaults changed since, the commit tells rows apart."""
+    by_config: dict[tuple[str, str], dict[str, RunRecord]] = {}
+    for record in records:
+        key = _label(record), json.dumps(record.config, sort_keys=True)
+        by_config.setdefault(key, {})[record.job.split] = record
+    times = Counter(label for label, _ in by_config)
+    return [
+        Row(label if times[label] == 1 else f"{label} @ {_commit(by_split)}", by_split)
+        for (label, _), by_split in by_config.items()
+    ]
+
+
+def _commit(by_split: Mapping[str, RunRecord]) -> str:
+    return next(((record.git_commit or "?")[:7] for record in by_split.values()), "?")
 
 
 def _or_lowest(value: float) -> float:
@@ -291,9 +307,11 @@ def _seed_lines(board: Board) -> list[str]:
 
 def _over_seeds(board: Board, rows: Sequence[Row]) -> str:
     seeds = ", ".join(str(seed) for seed in sorted(row.job.seed for row in rows))
-    columns = {_short(split): [row.average([split], _median_ssim) for row in rows] for split in board.splits}
-    columns["average"] = [row.average(board.splits, _median_ssim) for row in rows]
-    spreads = ", ".join(f"{name} {_spread(values)}" for name, values in columns.items())
+    shared = [split for split in board.splits if all(split in row.by_split for row in rows)]
+    columns = {_short(split): [row.average([split], _median_ssim) for row in rows] for split in shared}
+    if len(shared) > 1:
+        columns["average"] = [row.average(shared, _median_ssim) for row in rows]
+    spreads = ", ".join(f"{name} {_spread(values)}" for name, values in columns.items()) or _ABSENT
     return f"median SSIM, mean ± standard deviation over seeds {seeds}: {spreads}"
 
 

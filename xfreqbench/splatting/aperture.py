@@ -43,7 +43,7 @@ class ApertureField(ChannelField):
             self.position_m.copy_(unit * self.scaling.half_size_m + self.scaling.center_m)
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
-        """The network's, and one for the Gaussians: positions are of the order of metres."""
+        """The network's, and the Gaussians at the same rate: positions are of the order of metres."""
         gaussians = {"params": [self.position_m, self.log_angle], "lr": learning_rate}
         return [*self.network.parameter_groups(learning_rate), gaussians]
 

@@ -53,7 +53,7 @@ def composite(
 
 
 def _chosen(backend: Backend, distance: Tensor) -> Backend:
-    can_compile = distance.device.type == "cpu" and distance.dtype == torch.float32
+    can_compile = distance.device.type == "cpu" and distance.dtype == torch.float32  # as all of them are
     if backend == "numba" and not can_compile:
         raise ValueError(
             f"The numba backend takes float32 tensors on a CPU, but distance is {distance.dtype} on "

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from xfreqbench.splatting.gaussians import RFGaussians
 
-_SHRINK = 0.5  # log of 1.6: what a divided Gaussian's size is divided by, as in 3-D Gaussian splatting
+_SHRINK = 0.5  # log of 1.65: what a divided Gaussian's size is divided by, as in 3-D Gaussian splatting
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class DensityControl(nn.Module):
     ) -> None:
         """Add to the sums, and act on them every `densify_every` steps."""
         if not self.config.densify_every or self._watched is None or share >= self.config.densify_until:
+            self._watched = None
             return
         if len(self.contribution) != len(gaussians):
             self.resize(len(gaussians))

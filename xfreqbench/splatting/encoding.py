@@ -73,7 +73,7 @@ class Scaling(nn.Module):
 
 
 class FeatureGrid(nn.Module):
-    """Learned features of places, interpolated from grids of 4, 8, 16, … points an axis.
+    """Learned features of places, interpolated from grids of 4, 8, 16, … points an axis and fewer in height.
 
     A network of sines learns what differs from one place to the next slowly; a grid has a number for it
     (multi-resolution grids: Müller et al., Instant Neural Graphics Primitives, 2022).

@@ -28,7 +28,7 @@ from xfreqbench.splatting.view import Beams, Targets, View, as_kind
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
 _PREDICT_BATCH = 16
-_MAX_GRADIENT_NORM = 1.0
+MAX_GRADIENT_NORM = 1.0
 _MIN_RATE = 0.01  # of the learning rate, at the end
 
 Fraction = Annotated[float, Limits(ge=0, le=1)]
@@ -51,8 +51,8 @@ class TrainingConfig:
     ssim_weight: Fraction = 0.8  # reached after `ssim_ramp` of the training (Eq. 12); the paper: 0.4
     ssim_ramp: Fraction = 0.25
     carrier_blur: Annotated[float, Limits(ge=0)] = 0.5
-    stride: Count = 5  # training looks at every fifth direction, another fifth at each step
-    ssim_window: Count = 3  # directions in view
+    stride: Count = 5  # training looks at every fifth row and column, others at each step
+    ssim_window: Annotated[int, Limits(ge=2)] = 3  # rows and columns in view
     derive_targets: bool = True  # from the channels, rather than read maps from disk
     device: str = "cpu"
 
@@ -258,14 +258,18 @@ def _require_finite(training: _Training, loss: Tensor) -> None:
     parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
     norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
     if bool(torch.isfinite(loss) & torch.isfinite(norm)):
-        nn.utils.clip_grads_with_norm_(parameters, _MAX_GRADIENT_NORM, norm)
+        nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
         return
     faults = [
         name
         for name, parameter in training.field.named_parameters()
         if parameter.grad is not None and not bool(torch.isfinite(parameter.grad).all())
     ]
-    raise DivergenceError(training.step, "loss" if not torch.isfinite(loss) else f"gradient of {faults[0]}")
+    raise DivergenceError(training.step, _named(faults) if torch.isfinite(loss) else "loss")
+
+
+def _named(faults: list[str]) -> str:
+    return f"gradient of {faults[0]}" if faults else "norm of all gradients"
 
 
 def _device(name: str) -> torch.device:

@@ -85,7 +85,9 @@ def is_narrow(precision: Precision, device: torch.device) -> bool:
     """Whether hidden layers run in bfloat16."""
     if precision != "auto":
         return precision == "bfloat16"
-    return device.type == "cuda" or bool(_cpu_capabilities().get("avx512_bf16"))
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return bool(_cpu_capabilities().get("avx512_bf16"))
 
 
 @cache

@@ -17,7 +17,8 @@ from xfreqbench.splatting.composite import composite
 from xfreqbench.splatting.footprints import squared_distance
 from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.network import PairwiseMLP, is_narrow
-from xfreqbench.splatting.training_step import Step, loop_s, outputs_of, renumbered, seen_of
+from xfreqbench.splatting.splat import renumbered, seen_of
+from xfreqbench.splatting.training_step import Step, loop_s, outputs_of
 from xfreqbench.splatting.view import Targets, View
 
 

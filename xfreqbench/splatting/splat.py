@@ -72,11 +72,11 @@ class SplatField(ChannelField):
         projection = self.projection()
         lists = bin_footprints(projection, grid, self._support)
         distance = squared_distance(projection, lists, grid)
-        seen = torch.bincount(lists.gaussian, minlength=lists.num_gaussians) > 0
+        seen = seen_of(lists)
         position_m = self.gaussians.position_m.detach()[seen]
         attributes = self.network(self.scaling.in_frame(tx_position_m), carrier_hz, position_m)
         self.density.watch(seen, attributes.signal)
-        response = _accumulate(_renumbered(lists, seen), distance, attributes)
+        response = _accumulate(renumbered(lists, seen), distance, attributes)
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *grid.shape)
 
     def projection(self) -> Projection:
@@ -107,7 +107,12 @@ class SplatField(ChannelField):
         self.density.resize(len(tensors["density.contribution"]))  # none where nothing was summed yet
 
 
-def _renumbered(lists: PixelLists, seen: Bool[Tensor, "N"]) -> PixelLists:
+def seen_of(lists: PixelLists) -> Bool[Tensor, "N"]:
+    """Which Gaussians any direction sees."""
+    return torch.bincount(lists.gaussian, minlength=lists.num_gaussians) > 0
+
+
+def renumbered(lists: PixelLists, seen: Bool[Tensor, "N"]) -> PixelLists:
     """Lists of the Gaussians that are seen, which alone have attributes."""
     return PixelLists(lists.start, (seen.cumsum(0) - 1)[lists.gaussian], int(seen.sum()))
 

@@ -16,10 +16,11 @@ from xfreqbench.method import Budget, build_method
 from xfreqbench.splatting.benchmark import REPEATS, Leaves, accumulated, least_s
 from xfreqbench.splatting.composite import PixelLists
 from xfreqbench.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.splatting.learned import MAX_GRADIENT_NORM
 from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.network import Attributes, PairwiseMLP, is_narrow
 from xfreqbench.splatting.projection import Projection
-from xfreqbench.splatting.splat import SUPPORT, SplatField
+from xfreqbench.splatting.splat import SUPPORT, SplatField, renumbered, seen_of
 from xfreqbench.splatting.view import Beams, Targets, View, as_kind
 
 # the paper's width and depth, every direction, footprints of about 200 directions
@@ -123,19 +124,9 @@ class Step:
 
     def update(self) -> None:
         """Clip the gradients and take them, as the training loop does."""
-        nn.utils.clip_grad_norm_(self.field.parameters(), 1.0)
+        nn.utils.clip_grad_norm_(self.field.parameters(), MAX_GRADIENT_NORM)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
-
-
-def seen_of(lists: PixelLists) -> Tensor:
-    """Which Gaussians any direction sees."""
-    return torch.bincount(lists.gaussian, minlength=lists.num_gaussians) > 0
-
-
-def renumbered(lists: PixelLists, kept: Tensor) -> PixelLists:
-    """Lists that count the kept Gaussians alone."""
-    return PixelLists(lists.start, (kept.cumsum(0) - 1)[lists.gaussian], int(kept.sum()))
 
 
 def outputs_of(attributes: Attributes) -> tuple[Tensor, Tensor, Tensor]:

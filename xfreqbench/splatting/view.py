@@ -1,7 +1,7 @@
 """Part of an angular grid, and the beams and training targets on it.
 
-A map of a small array is smooth (PAS of 16 elements: 49 real degrees of freedom), so that every third
-direction, another third at each step, teaches as much as all of them at a ninth of the cost.
+A map of a small array is smooth (PAS of 16 elements: 49 real degrees of freedom), so that some rows
+and columns, others at each step, teach almost as much as all of them at a fraction of the cost.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Targets:
         return float(np.ptp(np.log(self._train.carrier_hz))) / 2
 
     def maps(self, nth: Int[Tensor, "B"], view: View) -> Float[Tensor, "B E A"]:
-        """Maps of the `nth` of those rows, peak 1 over the whole grid."""
+        """Maps of the `nth` of those rows, their peak over the whole grid 1 wherever the view looks."""
         if not self._derived:
             maps = self._train.pas(self.rows[nth.numpy()])
             return view.of_maps(torch.from_numpy(maps)).to(self._device)
@@ -138,7 +138,7 @@ class Targets:
 
 
 def as_kind(power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:
-    """Maps of a kind with peak 1, from power of any scale; a map of zeros stays one."""
+    """Maps of a kind with peak 1, from power of any scale; a map of zeros stays one, but for 1e-6."""
     peak = power.amax(dim=(1, 2), keepdim=True).clamp_min(_MIN_PEAK)
     unit = power / peak
     return (unit + 1e-12).sqrt() if kind == "amplitude" else unit
