@@ -264,7 +264,8 @@ def test_only_a_fixed_frequency_method_gives_all_carriers_one_map(
     trained(model, dataset, 5)
     carrier_hz = np.array([1e9, 10e9, 37e9, 80e9])
     across = np.ptp(model.predict(dataset.tx_position_m[:1].repeat(4, axis=0), carrier_hz), axis=0)
-    assert (across.max() == 0) == (method is FixedFrequencyGS)
+    # rows of one batch are rounded apart; what a carrier changes is far above that
+    assert (across.max() < 1e-5) == (method is FixedFrequencyGS)
 
 
 def test_gaussians_out_of_view_never_reach_the_network(

@@ -248,7 +248,11 @@ def _tracing(board: Board) -> str:
 
 
 def _machine(hardware: Mapping[str, str]) -> str:
-    return ", ".join(f"{value} cores" if name == "cores" else value for name, value in hardware.items())
+    return ", ".join(_counted(value) if name == "cores" else value for name, value in hardware.items())
+
+
+def _counted(cores: str) -> str:
+    return "1 core" if cores == "1" else f"{cores} cores"
 
 
 def _summary_tables(board: Board) -> str:
