@@ -59,7 +59,7 @@ def test_without_a_trivial_predictor_there_is_no_skill() -> None:
 
 
 def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
-    some = [make_record("partial", 0.97, split) for split in SPLITS[:2]]
+    some = [make_record("partial", 0.97, split) for split in SPLITS[1::-1]]
     lucky = make_record("lucky", 0.99, SPLITS[0])
     markdown = leaderboard_markdown([*make_records(), *some, lucky])
     whole, shared, *of_splits = markdown.split("best average first:")[1:][:2] + markdown.split("### ")[1:]
@@ -68,6 +68,14 @@ def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
     assert cells(shared, "ours")[3] == "0.9500"
     assert shared.index("| partial ") < shared.index("| ours ")
     assert "| lucky " in of_splits[0]
+
+
+def test_the_order_in_which_splits_were_run_makes_no_table_of_its_own() -> None:
+    later = [
+        make_record("ours", 0.95, split).model_copy(update={"time_utc": f"2026-01-02T00:00:0{second}+00:00"})
+        for second, split in enumerate(SPLITS[::-1])
+    ]
+    assert leaderboard_markdown([*make_records()[:4], *make_records()[5:], *later]).count("best average") == 1
 
 
 def test_targets_stand_in_order_of_frequency() -> None:

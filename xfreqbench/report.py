@@ -260,7 +260,9 @@ def _summary_tables(board: Board) -> str:
 
     What was run on one split alone stands in that split's own table, unless there is nothing else.
     """
-    sets = sorted({tuple(row.by_split) for row in board.rows}, key=lambda splits: (-len(splits), splits))
+    sets = sorted(
+        {frozenset(row.by_split) for row in board.rows}, key=lambda each: (-len(each), sorted(each))
+    )
     shown = [splits for splits in sets if len(splits) > 1] or sets
     ordered = [tuple(split for split in board.splits if split in splits) for splits in shown]
     return "\n\n".join([*(_summary_table(board, splits) for splits in ordered), *_seed_lines(board)])
