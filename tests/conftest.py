@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from jaxtyping import install_import_hook
 
 sys.path.insert(0, str(Path(__file__).parent))  # `typechecking` and `reference` are modules of the tests
@@ -17,3 +19,14 @@ PACKAGE = Path(__file__).parents[1] / "xfreqbench"
 SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]
 MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__init__"} - UNCHECKED
 install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """Sums in the same order at every run, and no waiting for a second thread, which small tensors mostly do."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -4,7 +4,7 @@ import functools
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
@@ -13,6 +13,8 @@ from reference import accumulate, continuous_factor
 from torch import Tensor
 
 from xfreqbench.splatting.composite import Backend, PixelLists, composite
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 TOLERANCE = 1e-5  # float32 rounds to 6e-8, 3,000 factors in a row were seen to err by 2e-6
 BACKENDS: list[tuple[Backend, torch.dtype]] = [
@@ -105,15 +107,6 @@ def assert_same(got: Answer, wanted: Answer, tolerance: float = TOLERANCE) -> No
     for name, one, other in zip(Answer._fields, got, wanted, strict=True):
         error, most = (one.cpu().to(other.dtype) - other).abs().max(), other.abs().max()
         assert error <= tolerance * most, f"{name} is off by {error:.1e}, its largest entry is {most:.1e}"
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small tensors on shared cores: a second thread mostly waits."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @functools.cache

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,8 @@ from xfreqbench.splatting.projection import project
 from xfreqbench.splatting.splat import SplatField
 from xfreqbench.splatting.view import View
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SPLATTING = [XFreqGS, FixedFrequencyGS, FrequencyEmbeddedGS]
 METHODS = [*SPLATTING, ApertureGS]
 TINY = {"width": 8, "layers": 2, "num_gaussians": 30, "batch_size": 8, "stride": 15, "precision": "float32"}
@@ -46,15 +47,6 @@ every_method = pytest.mark.parametrize("method", METHODS)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Sums in the same order at every run, and no waiting for the other tests' threads."""
-    num_threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(num_threads)
 
 
 def tiny(method: type[LearnedMethod], **options: Any) -> LearnedMethod:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -15,6 +14,8 @@ from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.training_step import Step
 from xfreqbench.splatting.view import View, as_kind
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 ROUNDING = 1e-5  # float32 sums over the Gaussians that a direction sees
 NARROW = 1e-2  # mean over a map of peak 1: bfloat16 keeps 3 digits
 STORED = 1e-3  # maps on disk are float16
@@ -24,15 +25,6 @@ TINY = ("width=16", "layers=2", "stride=1", "ssim_window=7", "num_gaussians=40",
 @pytest.fixture(scope="module")
 def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return rendering.plane_wave_data(tmp_path_factory.mktemp("data") / "waves.h5", num_tx=2)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small tensors on shared cores: a second thread mostly waits."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture

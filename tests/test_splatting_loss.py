@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
@@ -14,16 +12,9 @@ from xfreqbench import metrics
 from xfreqbench.angles import AngularGrid
 from xfreqbench.splatting.loss import map_loss, mean_ssim
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 GRID = AngularGrid.hemisphere(30, 60)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Products of small matrices wait for a second thread longer than they take."""
-    num_threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(num_threads)
 
 
 def smooth_maps(seed: int, num_maps: int = 6) -> Tensor:

@@ -7,7 +7,6 @@ The checkpoints of a job are numbered folders in one of its own. Each holds what
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from xfreqbench.config import as_json
 from xfreqbench.errors import DataError
 from xfreqbench.method import Fit, Method
 from xfreqbench.records import CurvePoint
-from xfreqbench.storage import storage_errors
+from xfreqbench.storage import storage_errors, sync
 
 CHECKPOINTS_FOLDER = "checkpoints"
 CHECKPOINT_SECONDS = 30.0  # of fitting, from one checkpoint to the next
@@ -68,7 +67,7 @@ class CheckpointFolder:
             (unfinished / _STATE_FILE).write_text(state.model_dump_json())
             _sync_tree(unfinished)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
-            _sync(self.path)  # or the rename itself may be lost with the power
+            sync(self.path)  # or the rename itself may be lost with the power
             for number in numbers:
                 _remove(self.path / str(number))
 
@@ -154,12 +153,4 @@ def _remove(folder: Path) -> None:
 
 def _sync_tree(folder: Path) -> None:
     for path in (*folder.rglob("*"), folder):
-        _sync(path)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        sync(path)

@@ -172,7 +172,7 @@ def generate(
     """
     num_tx = len(plan.tx_position_m)
     if path.exists():
-        _check_same_job(path, plan)
+        require_same_job(path, plan.sha256, "job")
         progress(num_tx, num_tx)
         write_progress(num_tx, num_tx)
         return path
@@ -188,7 +188,8 @@ def generate(
     return path
 
 
-def _check_same_job(path: Path, plan: Plan) -> None:
+def require_same_job(path: Path, sha256: str, kind: str) -> None:
+    """Raise `OutputExistsError` unless a whole data set of that `job_sha256` is there; `kind` is what it says."""
     if not path.is_file():
         raise StorageError(f"{path} is not a file that a data set can be written to. Choose another with -o.")
     try:
@@ -199,9 +200,9 @@ def _check_same_job(path: Path, plan: Plan) -> None:
             f"{path} exists, but holds no data set that can be read: {error} Delete it, or choose another "
             "output with -o."
         ) from error
-    if job_sha256(existing.header, existing.tables["tx_position_m"]) != plan.sha256:
+    if job_sha256(existing.header, existing.tables["tx_position_m"]) != sha256:
         raise OutputExistsError(
-            f"{path} exists and holds another job ({existing.header.scene_name}, "
+            f"{path} exists and holds another {kind} ({existing.header.scene_name}, "
             f"{existing.header.num_tx} transmitters, settings {existing.header.settings}). Choose another "
             "output with -o, or delete that file."
         )

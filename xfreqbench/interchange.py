@@ -38,9 +38,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.angles import AngularGrid, FloatArray
-from xfreqbench.dataset import DatasetHeader, PasWriter, open_dataset, verify
-from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.generate import job_sha256
+from xfreqbench.dataset import DatasetHeader, PasWriter
+from xfreqbench.errors import DataError
+from xfreqbench.generate import job_sha256, require_same_job
 from xfreqbench.scene import Point, ReceiverArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
@@ -136,7 +136,7 @@ def import_png_folder(source: PngFolder, path: Path) -> bool:
     """
     header = source.header
     if path.exists():
-        _check_same_content(path, header, source.tx_position_m)
+        require_same_job(path, job_sha256(header, source.tx_position_m), "data set")
         return False
     with PasWriter(path, header, source.grid) as writer:
         for start in range(0, header.num_tx, _BATCH):
@@ -144,22 +144,6 @@ def import_png_folder(source: PngFolder, path: Path) -> bool:
             positions = source.tx_position_m[part]
             writer.append_maps(positions, np.ones(len(positions), bool), source.maps(part))
     return True
-
-
-def _check_same_content(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> None:
-    try:
-        verify(path)
-        existing = open_dataset(path)
-    except DataError as error:
-        raise OutputExistsError(
-            f"{path} exists, but holds no data set that can be read: {error} Delete it, or choose another "
-            "output with -o."
-        ) from error
-    if job_sha256(existing.header, existing.tables["tx_position_m"]) != job_sha256(header, tx_position_m):
-        raise OutputExistsError(
-            f"{path} exists and holds another data set ({existing.header.scene_name}, "
-            f"{existing.header.num_tx} transmitters). Choose another output with -o, or delete that file."
-        )
 
 
 def _lines(path: Path) -> list[str]:

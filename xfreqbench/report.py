@@ -174,7 +174,7 @@ def _rows(records: Sequence[RunRecord]) -> list[Row]:
 
 
 def _commit(by_split: Mapping[str, RunRecord]) -> str:
-    return next(((record.git_commit or "?")[:7] for record in by_split.values()), "?")
+    return (next(iter(by_split.values())).git_commit or "?")[:7]
 
 
 def _or_lowest(value: float) -> float:
@@ -322,8 +322,7 @@ def _over_seeds(board: Board, rows: Sequence[Row]) -> str:
 
 
 def _spread(values: Sequence[float]) -> str:
-    """Of all seeds or of none: a mean over some of them is not comparable."""
-    return _ABSENT if any(map(isnan, values)) else f"{mean(values):.4f} ± {stdev(values):.4f}"
+    return f"{mean(values):.4f} ± {stdev(values):.4f}"
 
 
 def _curve_table(board: Board) -> list[str]:

@@ -28,9 +28,9 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
             _try_allocating(temporary, num_bytes)
         yield temporary
         with storage_errors(target, num_bytes):
-            _sync(temporary)
+            sync(temporary)
             temporary.replace(target)
-            _sync(target.parent)  # or the rename itself may be lost with the power
+            sync(target.parent)  # or the rename itself may be lost with the power
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -84,7 +84,8 @@ def _try_allocating(temporary: Path, num_bytes: int) -> None:
             os.posix_fallocate(file.fileno(), 0, num_bytes)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Have a file, or the names in a folder, on disk before this returns."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

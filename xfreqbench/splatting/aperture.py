@@ -38,9 +38,8 @@ class ApertureField(ChannelField):
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
         """Random points in the box of the data."""
         self.scaling.adapt(train)
-        unit = 2 * torch.rand(self.position_m.shape, generator=generator) - 1
         with torch.no_grad():
-            self.position_m.copy_(unit * self.scaling.half_size_m + self.scaling.center_m)
+            self.position_m.copy_(self.scaling.random_positions(len(self.position_m), generator))
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """The network's, and the Gaussians at the same rate: positions are of the order of metres."""

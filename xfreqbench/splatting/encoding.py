@@ -61,6 +61,11 @@ class Scaling(nn.Module):
         """World positions relative to the array, in its frame."""
         return (position_m - self.receiver_m) @ self.rotation
 
+    def random_positions(self, number: int, generator: torch.Generator) -> Float[Tensor, "N 3"]:
+        """Points of the box in the receiver's frame, in metres."""
+        unit = 2 * torch.rand(number, 3, generator=generator) - 1
+        return unit.to(self.center_m) * self.half_size_m + self.center_m
+
     def unit_position(self, position_m: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
         """Positions in the receiver's frame, the box scaled to [−1, 1]."""
         return (position_m - self.center_m) / self.half_size_m

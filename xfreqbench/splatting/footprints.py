@@ -7,18 +7,15 @@ It runs across the azimuth's seam, holds no direction twice, and ends at the gri
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from xfreqbench.angles import AngularGrid
-from xfreqbench.splatting.composite import PixelLists
+from xfreqbench.splatting.composite import Backend, PixelLists
 from xfreqbench.splatting.footprint_kernels import HIGHEST_RAD, LOWEST_RAD, fill_lists, footprint_spans
 from xfreqbench.splatting.projection import Projection
-
-Backend = Literal["auto", "torch", "numba"]
 
 
 @torch.no_grad()

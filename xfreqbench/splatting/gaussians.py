@@ -47,8 +47,7 @@ class RFGaussians(nn.Module):
     @torch.no_grad()
     def scatter(self, scaling: Scaling, angular_size_rad: float, generator: torch.Generator) -> None:
         """Random points in the box of the data, each as large as seen under `angular_size_rad`, turned at random."""
-        unit = 2 * torch.rand(len(self), 3, generator=generator) - 1
-        self.position_m.copy_(unit.to(scaling.center_m) * scaling.half_size_m + scaling.center_m)
+        self.position_m.copy_(scaling.random_positions(len(self), generator))
         self.quaternion.copy_(torch.randn(len(self), 4, generator=generator))
         size_m = self.position_m.norm(dim=-1, keepdim=True).clamp_min(0.1) * angular_size_rad
         self.log_scale.copy_(size_m.log().expand(-1, 3))

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor
 
+from xfreqbench.angles import AngularGrid
 from xfreqbench.dataset import PasDataset
 from xfreqbench.errors import MethodError
 from xfreqbench.splatting.composite import PixelLists, composite
@@ -70,11 +71,10 @@ class SplatField(ChannelField):
         """|R_k|² of every direction in view."""
         grid = view.of_grid(beams.grid)
         projection = self.projection()
-        lists = bin_footprints(projection, grid, self._support)
+        lists = self.lists(projection, grid)
         distance = squared_distance(projection, lists, grid)
         seen = seen_of(lists)
-        position_m = self.gaussians.position_m.detach()[seen]
-        attributes = self.network(self.scaling.in_frame(tx_position_m), carrier_hz, position_m)
+        attributes = self.attributes(tx_position_m, carrier_hz, seen)
         self.density.watch(seen, attributes.signal)
         response = _accumulate(renumbered(lists, seen), distance, attributes)
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *grid.shape)
@@ -92,6 +92,17 @@ class SplatField(ChannelField):
             circle.expand_as(projection.covariance),
             projection.range_m,
         )
+
+    def lists(self, projection: Projection, grid: AngularGrid) -> PixelLists:
+        """Which directions see which Gaussians, at the widest spread."""
+        return bin_footprints(projection, grid, self._support)
+
+    def attributes(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
+    ) -> Attributes:
+        """The network's answer for some of the Gaussians."""
+        position_m = self.gaussians.position_m.detach()[seen]
+        return self.network(self.scaling.in_frame(tx_position_m), carrier_hz, position_m)
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
         """Densify and prune."""

@@ -15,12 +15,12 @@ from xfreqbench.dataset import PasDataset
 from xfreqbench.method import Budget, build_method
 from xfreqbench.splatting.benchmark import REPEATS, Leaves, accumulated, least_s
 from xfreqbench.splatting.composite import PixelLists
-from xfreqbench.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.splatting.footprints import squared_distance
 from xfreqbench.splatting.learned import MAX_GRADIENT_NORM
 from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.network import Attributes, PairwiseMLP, is_narrow
 from xfreqbench.splatting.projection import Projection
-from xfreqbench.splatting.splat import SUPPORT, SplatField, renumbered, seen_of
+from xfreqbench.splatting.splat import SplatField, renumbered, seen_of
 from xfreqbench.splatting.view import Beams, Targets, View, as_kind
 
 # the paper's width and depth, every direction, footprints of about 200 directions
@@ -76,14 +76,12 @@ class Step:
         return self.view.of_grid(self.beams.grid)
 
     def lists(self, projection: Projection) -> PixelLists:
-        """Footprints binned as the field bins them."""
-        return bin_footprints(projection, self.grid, SUPPORT * self.config.max_spread)
+        """Footprints of the directions in view."""
+        return self.field.lists(projection, self.grid)
 
     def attributes(self, seen: Tensor) -> Attributes:
         """The network's answer for some of the Gaussians."""
-        tx_m = self.field.scaling.in_frame(self.tx_position_m)
-        position_m = self.field.gaussians.position_m.detach()[seen]
-        return self.field.network(tx_m, self.carrier_hz, position_m)
+        return self.field.attributes(self.tx_position_m, self.carrier_hz, seen)
 
     def maps(self, response: Complex[Tensor, "B K"]) -> Float[Tensor, "B E A"]:
         """Maps of the data's kind, peak 1."""
