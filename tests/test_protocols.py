@@ -8,7 +8,18 @@ from synthetic import paper_dataset, write_dataset
 
 from xfreqbench.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError
-from xfreqbench.protocols import LOFO_TARGETS_HZ, find_split, lofo, make_splits, sparse_frequency
+from xfreqbench.protocols import (
+    LOFO_TARGETS_HZ,
+    PROTOCOLS,
+    UNSEEN_SHARE,
+    Split,
+    find_split,
+    held_out_tx,
+    lofo,
+    lofo_unseen_tx,
+    make_splits,
+    sparse_frequency,
+)
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +111,75 @@ def test_the_hash_of_a_split_follows_its_rows(dataset: PasDataset) -> None:
     )
     fewer = dataset.subset(np.arange(20))
     assert lofo(fewer)[2].sha256 != lofo(dataset)[2].sha256
+
+
+def _transmitters(dataset: PasDataset, split: Split) -> tuple[set[int], set[int]]:
+    trained, tested = (set(dataset.tx_index[rows].tolist()) for rows in (split.train, split.test))
+    return trained, tested
+
+
+@pytest.mark.parametrize("protocol", ["held-out-tx", "lofo-unseen-tx"])
+def test_leak_free_protocols_share_no_transmitter_between_training_and_test(
+    dataset: PasDataset, protocol: str
+) -> None:
+    for split in make_splits(dataset, protocol):
+        trained, tested = _transmitters(dataset, split)
+        assert not trained & tested
+        assert len(tested) == round(UNSEEN_SHARE * len(trained | tested))
+        assert not split.shares_transmitters
+        assert split.nearest_trained_m > 0
+
+
+@pytest.mark.parametrize("protocol", ["lofo", "sparse"])
+def test_protocols_that_share_transmitters_say_so(dataset: PasDataset, protocol: str) -> None:
+    for split in make_splits(dataset, protocol):
+        trained, tested = _transmitters(dataset, split)
+        assert tested <= trained
+        assert split.shares_transmitters
+        assert split.nearest_trained_m == 0
+
+
+def test_no_protocol_trains_on_a_row_that_it_tests(dataset: PasDataset) -> None:
+    for protocol in PROTOCOLS:
+        for split in make_splits(dataset, protocol):
+            assert not set(split.train.tolist()) & set(split.test.tolist())
+
+
+def test_held_out_transmitters_are_tested_at_every_carrier(dataset: PasDataset) -> None:
+    (split,) = held_out_tx(dataset)
+    assert len(split.train) + len(split.test) == len(dataset)
+    for rows in (split.train, split.test):
+        assert set(dataset.carrier_hz[rows]) == set(dataset.carrier_hz)
+
+
+def test_unseen_transmitters_at_an_unseen_carrier_are_those_held_out(dataset: PasDataset) -> None:
+    (held_out,) = held_out_tx(dataset)
+    for split, target in zip(lofo_unseen_tx(dataset), LOFO_TARGETS_HZ, strict=True):
+        assert set(dataset.carrier_hz[split.test]) == {target}
+        assert target not in dataset.carrier_hz[split.train]
+        assert _transmitters(dataset, split)[1] == _transmitters(dataset, held_out)[1]
+
+
+def test_the_nearest_trained_transmitter_is_as_far_as_it_is(dataset: PasDataset) -> None:
+    (split,) = held_out_tx(dataset)
+    tested, trained = (dataset.tx_position_m[rows] for rows in (split.test, split.train))
+    distance_m = np.linalg.norm(tested[:, None] - trained[None], axis=2).min(axis=1)
+    assert split.nearest_trained_m == pytest.approx(np.median(distance_m), rel=1e-12)
+
+
+def test_every_split_is_found_by_its_name(dataset: PasDataset) -> None:
+    for protocol in PROTOCOLS:
+        for split in make_splits(dataset, protocol):
+            assert find_split(dataset, protocol, split.name).sha256 == split.sha256
+
+
+def test_one_transmitter_alone_cannot_be_held_out(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1)
+    with pytest.raises(ProtocolError, match="0 samples to train on"):
+        make_splits(dataset, "held-out-tx")
+
+
+def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
+    with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
+        make_splits(dataset, "held-out-tx", [10e9])
+    assert len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10

@@ -313,11 +313,18 @@ def run(
         str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
     ] = "all",
     protocol: Annotated[
-        str, Parameter(help="lofo: leave one frequency out; sparse: the paper's three training sets.")
+        str,
+        Parameter(
+            help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
+            "transmitters; lofo-unseen-tx: both unseen."
+        ),
     ] = "lofo",
     targets: Annotated[
         str | None,
-        Parameter(help="Held-out carriers of lofo in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
+        Parameter(
+            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default "
+            "2.4,24.25,77."
+        ),
     ] = None,
     seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
     budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
@@ -335,7 +342,7 @@ def run(
     A killed run goes on where it stopped, in mid-fit too.
     """
     from xfreqbench.dataset import open_dataset
-    from xfreqbench.method import method_names, parse_budget
+    from xfreqbench.method import device_option, method_names, parse_budget
     from xfreqbench.protocols import make_splits
     from xfreqbench.report import leaderboard_summary
     from xfreqbench.run import Job, run_all
@@ -343,7 +350,7 @@ def run(
     dataset = open_dataset(data)
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     splits = make_splits(dataset, protocol, _target_carriers_hz(targets))
-    overrides = {name: (*set_, *_device_override(name, device)) for name in names}
+    overrides = {name: (*set_, *device_option(name, device)) for name in names}
     jobs = [
         Job(str(data), name, protocol, split.name, overrides[name], number, parse_budget(budget))
         for name in names
@@ -363,18 +370,6 @@ def _seeds(text: str) -> list[int]:
             f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
         )
     return list(dict.fromkeys(map(int, parts)))
-
-
-def _device_override(method: str, device: str) -> list[str]:
-    """The option that sends a method to a device, where it has one and this is not its default."""
-    from dataclasses import fields
-
-    from xfreqbench.method import build_method
-
-    if device == "cpu":
-        return []
-    names = [field.name for field in fields(build_method(method).config)]
-    return [f"device={device}"] if "device" in names else []
 
 
 @contextmanager
@@ -407,6 +402,50 @@ def _run_bars(title: str, quiet: bool) -> Iterator[tuple[Callable[..., None], Ca
             )
 
         yield finished, fitting
+
+
+@app.command
+def benchmark(
+    *,
+    preset: Annotated[
+        str, Parameter(help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores.")
+    ] = "standard",
+    data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
+        "data"
+    ),
+    results: Annotated[
+        Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")
+    ] = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
+    ] = "cpu",
+    dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole benchmark: data sets, every run side by side, measurements, report.
+
+    It prints what it takes before it starts; interrupted or killed, the same command goes on.
+    """
+    from xfreqbench import benchmark as benchmarks
+    from xfreqbench.report import write_report
+
+    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
+    _say(benchmarks.cost(planned), quiet and not dry_run)
+    if dry_run:
+        return
+    with progress_bars("done", [*planned.scenes, "runs"], quiet) as (*tracing, runs):
+        by_scene = dict(zip(planned.scenes, tracing, strict=True))
+        benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total))
+        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total))
+    for name in planned.missing_benches():
+        benchmarks.measure(planned, name)
+    benchmarks.record_contents(planned)
+    for path in write_report(planned.results_dir, planned.results_dir / "BENCHMARK.md"):
+        _say(f"wrote {path}", quiet)
+    if failures:
+        raise XFreqBenchError(
+            "\n".join([f"{len(failures)} runs failed; the same command tries them again.", *failures])
+        )
 
 
 def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:

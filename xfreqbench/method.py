@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from math import isfinite, isinf
@@ -238,6 +238,14 @@ def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -
             f"Method {name!r} cannot be constructed {given}: {type(error).__name__}: {error}. Its constructor "
             "takes one config, with a default."
         ) from error
+
+
+def device_option(name: str, device: str) -> tuple[str, ...]:
+    """The override that sends a method to a device: none for the processor, or where it has no such field."""
+    if device == "cpu":
+        return ()
+    names = [each.name for each in fields(build_method(name).config)]
+    return (f"device={device}",) if "device" in names else ()
 
 
 def code_sha256(method: Method) -> str:

@@ -1,4 +1,4 @@
-"""Which samples are trained on and which are tested: leave one frequency out, and sparse frequencies.
+"""Which samples are trained on and which are tested: carriers held out, transmitters held out, or both.
 
 Samples without any path are in neither part: a channel of zeros has no map.
 """
@@ -14,6 +14,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.dataset import IntArray, PasDataset
@@ -23,6 +24,8 @@ from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
 PROTOCOL_VERSION = "1"
 LOFO_TARGETS_HZ = tuple(map(ghz_to_hz, (2.4, 24.25, 77.0)))  # the paper's
 SPARSE_TEST_HZ = ghz_to_hz(24.25)
+UNSEEN_SHARE = 0.2  # of the transmitters
+_UNSEEN_SEED = 0
 SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0, 94.0))  # the paper's
 
 
@@ -31,7 +34,8 @@ class Split:
     """Rows of a data set to train on and to test on.
 
     `num_without_path` counts the samples at test carriers that were left out because no path arrives.
-    `shares_transmitters` says whether a tested transmitter is also trained on, at other carriers.
+    `shares_transmitters` says whether a tested transmitter is also trained on, at other carriers;
+    `nearest_trained_m` is the median distance from a tested transmitter to the nearest trained one.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Split:
     test: Int[IntArray, "m"]
     num_without_path: int
     shares_transmitters: bool
+    nearest_trained_m: float
 
     @property
     def sha256(self) -> str:
@@ -55,10 +60,8 @@ def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> 
 
     Raises `ProtocolError` where the data lack a target, or have no other carrier.
     """
-    _require_carriers(dataset, "lofo", targets_hz)
-    if dataset.num_carriers < 2:
-        raise ProtocolError("'lofo' needs two carriers or more, but the data set has one. Generate more.")
-    return [_lofo_split(dataset, target) for target in targets_hz]
+    _require_lofo(dataset, "lofo", targets_hz)
+    return [_lofo_split(dataset, "lofo", target) for target in targets_hz]
 
 
 def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
@@ -71,7 +74,28 @@ def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> li
     return [_sparse_split(dataset, training, test_hz) for training in trainings]
 
 
-PROTOCOLS = ("lofo", "sparse")
+def held_out_tx(dataset: PasDataset) -> list[Split]:
+    """Hold out a fifth of the transmitters at every carrier, train on the others at every carrier: one split.
+
+    Which ones is drawn once, from their number alone. Raises `ProtocolError` for fewer than two.
+    """
+    unseen = _is_unseen(dataset)
+    return [_split(dataset, "held-out-tx", "held-out-tx", ~unseen, unseen)]
+
+
+def lofo_unseen_tx(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
+    """Leave one frequency out, tested on transmitters that are trained on at no carrier: without any leak.
+
+    The transmitters of `held_out_tx` are tested. Raises `ProtocolError` as `lofo` and `held_out_tx` do.
+    """
+    _require_lofo(dataset, "lofo-unseen-tx", targets_hz)
+    unseen = _is_unseen(dataset)
+    return [_lofo_split(dataset, "lofo-unseen-tx", target, unseen) for target in targets_hz]
+
+
+PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
+_BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
+_WHOLE = {"sparse": sparse_frequency, "held-out-tx": held_out_tx}
 Known = TypeVar("Known")
 Targets = Sequence[float] | Literal["all"] | None
 
@@ -79,24 +103,26 @@ Targets = Sequence[float] | Literal["all"] | None
 def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) -> list[Split]:
     """Splits of a protocol by name; raises `UnknownNameError` and `ProtocolError`.
 
-    `targets_hz` are the held-out carriers of `lofo`: the paper's where None, every carrier at which
-    a path arrives where "all". `sparse` takes none.
+    `targets_hz` are the held-out carriers of `lofo` and `lofo-unseen-tx`: the paper's where None, every
+    carrier at which a path arrives where "all". The other protocols take none.
     """
-    if protocol == "lofo":
+    if protocol in _BY_TARGET:
         heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
-        return lofo(dataset, heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
-    if protocol == "sparse":
-        if targets_hz is not None:
-            raise ProtocolError("Protocol 'sparse' always tests 24.25 GHz; leave the targets out.")
-        return sparse_frequency(dataset)
-    raise UnknownNameError("protocol", protocol, PROTOCOLS)
+        return _BY_TARGET[protocol](dataset, heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
+    if protocol not in _WHOLE:
+        raise UnknownNameError("protocol", protocol, PROTOCOLS)
+    if targets_hz is not None:
+        raise ProtocolError(f"Protocol {protocol!r} chooses what it tests; leave the targets out.")
+    return _WHOLE[protocol](dataset)
 
 
 def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
     """One split of a protocol by name; raises `UnknownNameError` and `ProtocolError`."""
-    if protocol == "lofo":  # only the one: another carrier may be without any path
-        targets = {_lofo_name(target): target for target in np.unique(dataset.carrier_hz).tolist()}
-        return lofo(dataset, [_named(targets, protocol, name)])[0]
+    if protocol in _BY_TARGET:  # only the one: another carrier may be without any path
+        targets = {
+            _target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()
+        }
+        return _BY_TARGET[protocol](dataset, [_named(targets, protocol, name)])[0]
     return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
 
 
@@ -106,13 +132,25 @@ def _named(known: Mapping[str, Known], protocol: str, name: str) -> Known:
     return known[name]
 
 
-def _lofo_name(target_hz: float) -> str:
-    return f"lofo-{_dense(format_ghz(target_hz))}"
+def _target_name(protocol: str, target_hz: float) -> str:
+    return f"{protocol}-{_dense(format_ghz(target_hz))}"
 
 
-def _lofo_split(dataset: PasDataset, target_hz: float) -> Split:
-    held_out = dataset.carrier_hz == target_hz
-    return _split(dataset, _lofo_name(target_hz), "lofo", ~held_out, held_out)
+def _lofo_split(
+    dataset: PasDataset, protocol: str, target_hz: float, unseen: Bool[NDArray[np.bool_], "N"] | None = None
+) -> Split:
+    held_out, name = dataset.carrier_hz == target_hz, _target_name(protocol, target_hz)
+    if unseen is None:
+        return _split(dataset, name, protocol, ~held_out, held_out)
+    return _split(dataset, name, protocol, ~held_out & ~unseen, held_out & unseen)
+
+
+def _is_unseen(dataset: PasDataset) -> Bool[NDArray[np.bool_], "N"]:
+    """Which samples are of the transmitters held out."""
+    transmitters = np.unique(dataset.tx_index)
+    number = max(1, round(UNSEEN_SHARE * len(transmitters)))
+    chosen = np.random.default_rng(_UNSEEN_SEED).permutation(len(transmitters))[:number]
+    return np.isin(dataset.tx_index, transmitters[chosen])
 
 
 def _sparse_split(dataset: PasDataset, training_hz: Sequence[float], test_hz: float) -> Split:
@@ -137,7 +175,22 @@ def _split(
         )
     shared = bool(np.isin(dataset.tx_index[test], dataset.tx_index[train]).any())
     num_without_path = int((tested & ~dataset.has_path).sum())
-    return Split(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared)
+    distance_m = _nearest_trained_m(dataset, train, test)
+    return Split(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared, distance_m)
+
+
+def _nearest_trained_m(dataset: PasDataset, train: Int[IntArray, "n"], test: Int[IntArray, "m"]) -> float:
+    """Median over the tested samples; 0 where their transmitters are trained on."""
+    trained, tested = dataset.tx_position_m[train], dataset.tx_position_m[test]
+    return float(np.median(KDTree(np.unique(trained, axis=0)).query(tested)[0]))
+
+
+def _require_lofo(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]) -> None:
+    _require_carriers(dataset, protocol, targets_hz)
+    if dataset.num_carriers < 2:
+        raise ProtocolError(
+            f"{protocol!r} needs two carriers or more, but the data set has one. Generate more."
+        )
 
 
 def _require_carriers(dataset: PasDataset, protocol: str, needed_hz: Sequence[float]) -> None:

@@ -1,4 +1,4 @@
-"""One run as one line of JSON: everything a table of results is made from, and nothing it must guess."""
+"""One run, or one table of a measurement, as one line of JSON: all that a report is made from."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from xfreqbench.errors import DataError
@@ -16,7 +19,9 @@ from xfreqbench.storage import storage_errors
 
 RECORDS_FILE = "records.jsonl"
 NUM_QUANTILES = 101
+_BENCH_START = b'{"bench":'  # how a line of a table begins, and none of a run
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
+CURVE_MAPS = 64  # scored at every point of a learning curve
 Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
 
 
@@ -63,7 +68,9 @@ class RunRecord(BaseModel):
     `pas_kind` and `settings` are the data set's: its kind of map and what was asked of the rays.
     `counts` are what the method counted last, such as its Gaussians. `curve` has a point at each of
     `CURVE_SHARES` of the budget that was reached, and one at the end of the fit; it is empty without a
-    limit, and where the method yielded once.
+    limit, and where the method yielded once. `ssim_by_tx` holds the SSIM of every test sample to four
+    decimals, a list for each tested transmitter in the order of their indices; `nearest_trained_m` is the
+    median distance from a tested transmitter to the nearest trained one.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
@@ -93,6 +100,48 @@ class RunRecord(BaseModel):
     time_utc: str
     counts: dict[str, float] = {}
     curve: tuple[CurvePoint, ...] = ()
+    ssim_by_tx: tuple[tuple[float, ...], ...] = ()
+    nearest_trained_m: float | None = None
+
+
+class BenchPoint(BaseModel):
+    """One measurement of a figure: `label` says which settings, `series` which of the figure's lines."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    series: str
+    label: str
+    x: float
+    y: float
+
+
+class BenchFigure(BaseModel):
+    """Measurements against a cost, to be drawn; axes are labelled with their units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x_label: str
+    y_label: str
+    log_x: bool
+    points: tuple[BenchPoint, ...]
+
+
+class BenchRecord(BaseModel):
+    """One table of a measurement, cells as printed; `command` prints it again, `note` says how to read it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bench: str
+    title: str
+    command: str
+    note: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    figure: BenchFigure | None = None
+    hardware: dict[str, str]
+    software: dict[str, str]
+    git_commit: str | None
+    time_utc: str
 
 
 @dataclass(frozen=True)
@@ -100,10 +149,17 @@ class StoredRecords:
     """Records of a file; `num_truncated` is 1 where a killed run left half a line at its end."""
 
     records: tuple[RunRecord, ...]
+    benches: tuple[BenchRecord, ...] = ()
     num_truncated: int = 0
 
 
-def append(path: Path, record: RunRecord) -> None:
+def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], "n"]:
+    """Positions among a split's test rows of the sample that learning curves are taken on, ascending."""
+    generator = np.random.default_rng(int(split_sha256, 16))
+    return np.sort(generator.choice(num_test, min(CURVE_MAPS, num_test), replace=False))
+
+
+def append(path: Path, record: RunRecord | BenchRecord) -> None:
     """Add one line, whole and on disk before this returns; raises `StorageError`.
 
     Writers take turns. Half a line that a killed run left at the end is removed.
@@ -131,8 +187,10 @@ def read(path: Path) -> StoredRecords:
         *lines, rest = path.read_bytes().split(b"\n")
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from error
-    records = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
-    return StoredRecords(tuple(records), num_truncated=int(bool(rest)))
+    parsed = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
+    runs = tuple(record for record in parsed if isinstance(record, RunRecord))
+    benches = tuple(record for record in parsed if isinstance(record, BenchRecord))
+    return StoredRecords(runs, benches, num_truncated=int(bool(rest)))
 
 
 def _append_line(descriptor: int, line: bytes) -> None:
@@ -150,9 +208,10 @@ def _append_line(descriptor: int, line: bytes) -> None:
         raise
 
 
-def _parse(path: Path, number: int, line: bytes) -> RunRecord:
+def _parse(path: Path, number: int, line: bytes) -> RunRecord | BenchRecord:
+    kind = BenchRecord if line.startswith(_BENCH_START) else RunRecord
     try:
-        return RunRecord.model_validate_json(line)
+        return kind.model_validate_json(line)
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(map(str, fault["loc"]))

@@ -9,7 +9,7 @@ import hashlib
 import json
 import tempfile
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -41,15 +41,24 @@ from xfreqbench.method import (
 from xfreqbench.metrics import METRICS_VERSION, bootstrap_interval, quantiles, score_all, ssim
 from xfreqbench.predictions import MapBatch, read_predictions, write_predictions
 from xfreqbench.protocols import Split, find_split
-from xfreqbench.records import CURVE_SHARES, NUM_QUANTILES, RECORDS_FILE, CurvePoint, Job, RunRecord, Summary
-from xfreqbench.storage import require_space, storage_errors
+from xfreqbench.records import (
+    CURVE_SHARES,
+    NUM_QUANTILES,
+    RECORDS_FILE,
+    CurvePoint,
+    Job,
+    RunRecord,
+    Summary,
+    curve_positions,
+)
+from xfreqbench.storage import exclusive, require_space, storage_errors
 
 __all__ = ["Job", "RunRecord", "run_all", "run_job"]
 
 PREDICTIONS_FOLDER = "predictions"
 BATCH_SIZE = 32
 _BOOTSTRAP_SEED = 0
-_CURVE_MAPS = 64  # scored at every point of a learning curve
+_SSIM_DECIMALS = 4
 
 ProgressCallback = Callable[[int, int, RunRecord], None]
 FittingCallback = Callable[[Job, Fit], None]
@@ -103,18 +112,38 @@ def run_all(
     stands. Raises any `XFreqBenchError`; jobs that were finished before it are kept.
     """
     jobs = list(jobs)
-    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
-    for job in jobs:
-        _prepare(job, datasets[job.dataset]).checkpoint_folder(results_dir).read()
-    _require_writable(results_dir)
-    for path in datasets:
-        verify(path)
+    datasets = check_jobs(jobs, results_dir)
     done = []
     for number, job in enumerate(jobs, start=1):
         done.append(_run(_prepare(job, datasets[job.dataset]), results_dir, fitting))
         if progress:
             progress(number, len(jobs), done[-1])
     return done
+
+
+def check_jobs(jobs: Sequence[Job], results_dir: Path) -> dict[str, PasDataset]:
+    """Find what would stop one of the jobs, before the first fit; returns their data sets by path.
+
+    Names are resolved, data sets and checkpoints verified, `results_dir` is tried. Raises any
+    `XFreqBenchError`.
+    """
+    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
+    for job in jobs:
+        _prepare(job, datasets[job.dataset]).checkpoint_folder(results_dir).read()
+    _require_writable(results_dir)
+    for path in datasets:
+        verify(path)
+    return datasets
+
+
+def unfinished(jobs: Sequence[Job], results_dir: Path) -> list[Job]:
+    """Jobs whose record or predictions are not in `results_dir` yet."""
+    known = {record.id for record in records.read(results_dir / RECORDS_FILE).records}
+    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
+    tasks = [_prepare(job, datasets[job.dataset]) for job in jobs]
+    return [
+        task.job for task in tasks if task.id not in known or not task.predictions_path(results_dir).exists()
+    ]
 
 
 def run_job(job: Job, results_dir: Path) -> RunRecord:
@@ -124,8 +153,10 @@ def run_job(job: Job, results_dir: Path) -> RunRecord:
 
 def _run(task: _Task, results_dir: Path, fitting: FittingCallback | None = None) -> RunRecord:
     saved = task.checkpoint_folder(results_dir)
-    record = _stored_record(task, results_dir) or _new_record(task, results_dir, saved, fitting)
-    saved.remove()
+    lock = task.predictions_path(results_dir).with_suffix(".lock")
+    with exclusive(lock):  # another process may be at the same job
+        record = _stored_record(task, results_dir) or _new_record(task, results_dir, saved, fitting)
+        saved.remove()
     return record
 
 
@@ -140,7 +171,7 @@ def _new_record(
     clock = Stopwatch()
     _store_predictions(task, results_dir, clock)
     memory_mib = machine.peak_memory_mib()
-    record = _record(task, fit, curve, clock, memory_mib, _summaries(task, results_dir))
+    record = _record(task, fit, curve, clock, memory_mib, _stored_scores(task, results_dir))
     records.append(results_dir / RECORDS_FILE, record)
     return record
 
@@ -207,11 +238,9 @@ def _is_curve_due(before: Fit | None, now: Fit) -> bool:
 
 def _sampled_ssim(task: _Task) -> Float[FloatArray, "n"]:
     """SSIM of what the method now predicts for a sample of the test rows, the same for every method."""
-    generator = np.random.default_rng(int(task.split.sha256, 16))
-    count = min(_CURVE_MAPS, len(task.split.test))
-    rows = np.sort(generator.choice(task.split.test, count, replace=False))
+    rows = task.split.test[curve_positions(task.split.sha256, len(task.split.test))]
     return np.concatenate(
-        [_batch_ssim(task, part) for part in np.split(rows, range(BATCH_SIZE, count, BATCH_SIZE))]
+        [_batch_ssim(task, part) for part in np.split(rows, range(BATCH_SIZE, len(rows), BATCH_SIZE))]
     )
 
 
@@ -305,8 +334,8 @@ def _predicted(task: _Task, clock: Stopwatch) -> Iterator[MapBatch]:
         yield rows, checked_maps(task.method, maps, (len(rows), *test.grid.shape))
 
 
-def _summaries(task: _Task, results_dir: Path) -> dict[str, Summary]:
-    """Every metric, from the predictions as they are stored."""
+def _stored_scores(task: _Task, results_dir: Path) -> dict[str, Float[FloatArray, "N"]]:
+    """Every metric of every test sample, from the predictions as they are stored."""
     predictions = read_predictions(task.predictions_path(results_dir))
     if predictions.split_sha256 != task.split.sha256 or not np.array_equal(predictions.rows, task.split.test):
         raise DataError(f"{predictions.path} holds predictions of another split. Delete it and run again.")
@@ -314,11 +343,20 @@ def _summaries(task: _Task, results_dir: Path) -> dict[str, Summary]:
         score_all(maps, task.dataset.pas(rows), task.dataset.grid, task.dataset.header.pas_kind)
         for rows, maps in predictions.batches(BATCH_SIZE)
     ]
+    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+
+
+def _summaries(task: _Task, scores: dict[str, Float[FloatArray, "N"]]) -> dict[str, Summary]:
     test = task.dataset.subset(task.split.test)
-    return {
-        name: _summary(np.concatenate([batch[name] for batch in batches]), test.tx_index, test.carrier_hz)
-        for name in batches[0]
-    }
+    return {name: _summary(values, test.tx_index, test.carrier_hz) for name, values in scores.items()}
+
+
+def _by_transmitter(
+    values: Float[FloatArray, "N"], tx_index: Int[IntArray, "N"]
+) -> tuple[tuple[float, ...], ...]:
+    """Values of each transmitter, in the order of their indices; `tx_index` ascends, as rows do."""
+    starts = np.flatnonzero(np.diff(tx_index)) + 1
+    return tuple(tuple(part.tolist()) for part in np.split(values.round(_SSIM_DECIMALS), starts))
 
 
 def _summary(
@@ -346,7 +384,7 @@ def _record(
     curve: tuple[CurvePoint, ...],
     clock: Stopwatch,
     memory_mib: float,
-    scores: dict[str, Summary],
+    scores: dict[str, Float[FloatArray, "N"]],
 ) -> RunRecord:
     return RunRecord(
         id=task.id,
@@ -367,11 +405,13 @@ def _record(
         num_test=len(task.split.test),
         num_without_path=task.split.num_without_path,
         shares_transmitters=task.split.shares_transmitters,
-        scores=scores,
+        scores=_summaries(task, scores),
         hardware=machine.hardware(),
         software=machine.software(),
         git_commit=machine.git_commit(),
         time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         counts=dict(fit.counts),
         curve=curve,
+        ssim_by_tx=_by_transmitter(scores["ssim"], task.dataset.tx_index[task.split.test]),
+        nearest_trained_m=task.split.nearest_trained_m,
     )

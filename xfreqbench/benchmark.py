@@ -1,0 +1,245 @@
+"""The whole benchmark as one command: data sets, runs side by side, measurements, and what was left out."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property, partial
+from pathlib import Path
+
+from xfreqbench import machine, records
+from xfreqbench.dataset import open_dataset
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.generate import Plan, estimate_seconds, generate, plan_generation
+from xfreqbench.method import build_method, device_option, parse_budget
+from xfreqbench.parallel import all_cores, own_cores, side_by_side
+from xfreqbench.presets import PRESETS, Block, Preset
+from xfreqbench.protocols import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
+from xfreqbench.records import RECORDS_FILE, BenchRecord, Job
+from xfreqbench.run import check_jobs, run_job, unfinished
+from xfreqbench.scene import load_scene
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+OVERHEAD_S = 13  # of a run besides its fit: start, learning curve, predictions and their scores
+BENCH_COMMANDS = {  # with the minutes that they take on two cores
+    "generate": (("bench", "generate"), 4),
+    "plain": (("bench", "generate", "--against-plain", "--plain-tx", "8"), 4),
+    "render": (("bench", "render", "--no-step"), 1),
+    "savings": (("bench", "savings"), 5),
+    "stress": (("stress",), 1),
+}
+_PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
+
+Say = Callable[[str], None]
+TracingProgress = Callable[[str, int, int], None]
+RunProgress = Callable[[int, int, Job], None]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A preset with the places of its data sets and results, and the device of methods that have the choice."""
+
+    name: str
+    preset: Preset
+    data_dir: Path
+    results_dir: Path
+    device: str = "cpu"
+
+    @property
+    def records_path(self) -> Path:
+        """Where every run and every measurement is recorded."""
+        return self.results_dir / RECORDS_FILE
+
+    @property
+    def scenes(self) -> list[str]:
+        """Scenes of the blocks, each once."""
+        return list(dict.fromkeys(block.scene for block in self.preset.blocks))
+
+    @cached_property
+    def plans(self) -> dict[str, Plan]:
+        """What would be generated, by scene."""
+        return {
+            name: plan_generation(load_scene(name), _PAPER_HZ, num_transmitters=self.preset.num_tx.get(name))
+            for name in self.scenes
+        }
+
+    def data_path(self, scene: str) -> Path:
+        """The data set of a scene; one of fewer transmitters has their number in its name."""
+        number = self.preset.num_tx.get(scene)
+        return self.data_dir / (f"{scene}-{number}.h5" if number else f"{scene}.h5")
+
+    def jobs(self) -> list[Job]:
+        """Every run, each once, in the order of the blocks; the data sets have to be there."""
+        found = (job for block in self.preset.blocks for job in self._jobs_of(block))
+        return list(dict.fromkeys(found))
+
+    def _jobs_of(self, block: Block) -> Iterator[Job]:
+        path = str(self.data_path(block.scene))
+        splits = make_splits(open_dataset(path), block.protocol, _targets_hz(block))
+        for setting in block.settings:
+            overrides = (*setting.overrides, *device_option(setting.method, self.device))
+            for seed in block.seeds:
+                for split in splits:
+                    budget = parse_budget(block.budget)
+                    yield Job(path, setting.method, block.protocol, split.name, overrides, seed, budget)
+
+    def missing_benches(self) -> list[str]:
+        """Measurements that have no record yet."""
+        known = {record.bench for record in records.read(self.records_path).benches}
+        return [name for name in self.preset.benches if name not in known]
+
+    @property
+    def num_places(self) -> int:
+        """Runs at a time: one a core, or one on a GPU."""
+        return len(own_cores()) if self.device == "cpu" else 1
+
+
+def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "cpu") -> Benchmark:
+    """A benchmark by the name of its preset; raises `UnknownNameError`, and what building its methods raises."""
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    preset = PRESETS[name]
+    for setting in dict.fromkeys(setting for block in preset.blocks for setting in block.settings):
+        build_method(setting.method, setting.overrides)
+    return Benchmark(name, preset, data_dir, results_dir, device)
+
+
+def cost(benchmark: Benchmark) -> str:
+    """What a benchmark takes before it starts, in words: data, runs, time, disk, and what it leaves out."""
+    preset = benchmark.preset
+    num_runs = sum(map(_num_runs, preset.blocks))
+    num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
+    return "\n".join(
+        [
+            f"preset {benchmark.name}: {preset.description}",
+            f"left out: {preset.left_out}",
+            *(_data_line(benchmark, scene) for scene in benchmark.scenes),
+            f"{num_runs} runs, {num_fits} of them fits with a budget, {benchmark.num_places} at a time, and "
+            f"{len(preset.benches)} measurements: about {_hours(seconds_needed(benchmark))}; "
+            f"{_disk_gb(benchmark):.0f} GB of predictions",
+        ]
+    )
+
+
+def seconds_needed(benchmark: Benchmark) -> float:
+    """Of runs, where none of them is done yet, and of measurements."""
+    blocks = benchmark.preset.blocks
+    runs_s = sum(_num_runs(block) * (_budget_s(block) + OVERHEAD_S) for block in blocks)
+    benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
+    return runs_s / benchmark.num_places + benches_s
+
+
+def generate_data(benchmark: Benchmark, progress: TracingProgress) -> None:
+    """Make the data sets that are not there yet; a killed generation goes on. Raises any `XFreqBenchError`."""
+    for scene, plan in benchmark.plans.items():
+        path = benchmark.data_path(scene)
+        if not path.exists():
+            generate(plan, path, partial(progress, scene))
+
+
+def run_benchmark(benchmark: Benchmark, progress: RunProgress) -> list[str]:
+    """Run what is not yet recorded, side by side; what went wrong, in words, a line a failed run.
+
+    Everything that can be checked is checked before the first run, and raises the `XFreqBenchError` that it is.
+    """
+    jobs = benchmark.jobs()
+    check_jobs(jobs, benchmark.results_dir)
+    missing = unfinished(jobs, benchmark.results_dir)
+    places = own_cores() if benchmark.device == "cpu" else all_cores()
+    failures, done = [], len(jobs) - len(missing)
+    for job, record in side_by_side(partial(run_job, results_dir=benchmark.results_dir), missing, places):
+        done += 1
+        error = record.exception()
+        if error:
+            failures.append(f"{job.method} on {job.split}, seed {job.seed}: {error}")
+        progress(done, len(jobs), job)
+    return failures
+
+
+def measure(benchmark: Benchmark, name: str) -> None:
+    """Run one of the bench commands, its output shown, and record its tables; raises `XFreqBenchError`."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / RECORDS_FILE
+        command = [*BENCH_COMMANDS[name][0], "--output", str(output)]
+        outcome = subprocess.run([sys.executable, "-m", "xfreqbench.cli", *command])
+        if outcome.returncode:
+            raise XFreqBenchError(f"`xfreqbench {' '.join(command[:-2])}` failed; see above.")
+        for record in records.read(output).benches:
+            records.append(benchmark.records_path, record)
+
+
+def record_contents(benchmark: Benchmark) -> None:
+    """Record what the benchmark consisted of, and what it left out."""
+    records.append(
+        benchmark.records_path,
+        BenchRecord(
+            bench="benchmark",
+            title="What was run",
+            command=f"xfreqbench benchmark --preset {benchmark.name}",
+            note=f"Preset {benchmark.name}: {benchmark.preset.description}. "
+            f"Left out: {benchmark.preset.left_out}.",
+            columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
+            rows=tuple(map(_contents, benchmark.preset.blocks)),
+            hardware=machine.hardware(),
+            software=machine.software(),
+            git_commit=machine.git_commit(),
+            time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        ),
+    )
+
+
+def _contents(block: Block) -> tuple[str, ...]:
+    methods = [
+        setting.method + (f" ({', '.join(setting.overrides)})" if setting.overrides else "")
+        for setting in block.settings
+    ]
+    seeds = ", ".join(map(str, block.seeds))
+    counts = str(_num_splits(block)), ", ".join(methods), seeds, block.budget or "none", str(_num_runs(block))
+    return (block.scene, block.protocol, *counts)
+
+
+def _targets_hz(block: Block) -> Targets:
+    if block.targets_ghz is None or block.targets_ghz == "all":
+        return block.targets_ghz
+    return [ghz_to_hz(target) for target in block.targets_ghz]
+
+
+def _num_splits(block: Block) -> int:
+    """How many splits a block has on the paper's carriers."""
+    if block.protocol not in ("lofo", "lofo-unseen-tx"):
+        return len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1
+    if block.targets_ghz == "all":
+        return len(_PAPER_HZ)
+    return len(block.targets_ghz or LOFO_TARGETS_HZ)
+
+
+def _num_runs(block: Block) -> int:
+    return _num_splits(block) * len(block.settings) * len(block.seeds)
+
+
+def _budget_s(block: Block) -> float:
+    return parse_budget(block.budget).max_seconds or 0.0
+
+
+def _data_line(benchmark: Benchmark, scene: str) -> str:
+    path, plan = benchmark.data_path(scene), benchmark.plans[scene]
+    if path.exists():
+        return f"{path} is there already and is used"
+    return f"{path}: {plan.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"
+
+
+def _disk_gb(benchmark: Benchmark) -> float:
+    """Of predictions, were every split to test every transmitter once."""
+    return sum(
+        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 / 1e9
+        for block in benchmark.preset.blocks
+    )
+
+
+def _hours(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
