@@ -45,6 +45,15 @@ def test_free_space_obeys_friis_and_its_phase_at_every_carrier() -> None:
         assert np.abs(error_rad).max() < 1e-6  # far below the 1e-3 that float32 delays would allow
 
 
+@pytest.mark.parametrize("polarization", ["V", "H"])
+def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: str) -> None:
+    receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)
+    tx = np.array([[0.0, 0.0, 0.5], [1e-7, 0.0, 0.5], [0.0, -1e-7, 0.5]])
+    along, *beside = ImageTracer(scene_of(receiver=receiver), [10e9], TraceSettings()).channel(tx).cfr
+    for cfr in beside:
+        np.testing.assert_allclose(along, cfr, rtol=1e-9)  # lengths differ by 1e-14, phases by 1e-12 rad
+
+
 def test_the_carriers_may_come_in_any_order() -> None:
     tx = np.array([[1.0, 2.0, 0.7]])
     forward = ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings()).channel(tx).cfr

@@ -29,6 +29,7 @@ from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.method import Budget, Progress
 from xfreqbench.run import Job, run_job
 from xfreqbench.splatting import learned, view
+from xfreqbench.splatting.encoding import Scaling
 from xfreqbench.splatting.learned import LearnedMethod
 from xfreqbench.splatting.projection import project
 from xfreqbench.splatting.splat import SplatField
@@ -258,6 +259,15 @@ def test_only_a_fixed_frequency_method_gives_all_carriers_one_map(
     across = np.ptp(model.predict(dataset.tx_position_m[:1].repeat(4, axis=0), carrier_hz), axis=0)
     # rows of one batch are rounded apart; what a carrier changes is far above that
     assert (across.max() < 1e-5) == (method is FixedFrequencyGS)
+
+
+def test_carriers_of_a_narrow_band_are_told_apart() -> None:
+    scaling = Scaling()
+    carrier_hz = torch.tensor([24.25e9, 24.25e9 + 1e4], dtype=torch.float64)
+    scaling.log_band.copy_(carrier_hz.log())
+    told = scaling.unit_carrier(carrier_hz)[:, 0]
+    # float64 keeps 4e-15 of a logarithm of 24, of a band of 4e-7
+    torch.testing.assert_close(told, torch.tensor([-1.0, 1.0]), rtol=0, atol=1e-6)
 
 
 def test_gaussians_out_of_view_never_reach_the_network(

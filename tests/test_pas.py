@@ -62,6 +62,15 @@ def test_a_channel_of_zeros_is_a_map_of_zeros() -> None:
         assert peak[0] == 0
 
 
+@pytest.mark.parametrize(("precision", "faintest"), [(np.complex64, 2.0**-140), (np.complex128, 2.0**-1040)])
+def test_a_channel_of_denormal_numbers_has_the_map_of_any_other(precision: type, faintest: float) -> None:
+    levels = np.array([[1, 2j, -3, 4, -5j, 6, 7, 8] * 2], dtype=precision)  # exact times a power of two
+    for kind in ("power", "amplitude"):
+        np.testing.assert_array_equal(
+            BEAM.maps((levels * faintest).astype(precision), kind)[0], BEAM.maps(levels, kind)[0]
+        )
+
+
 def test_an_unknown_kind_names_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'amplitude'"):
         pas_kind_named("amplitud")

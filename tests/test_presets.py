@@ -113,6 +113,7 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     (contents,) = stored.benches
     assert "nearly everything" in contents.note
     assert sum(int(row[-1]) for row in contents.rows) == NUM_RUNS
+    assert "What was run" in (folder / "results" / "BENCHMARK.md").read_text()
 
     lines = planned.records_path.read_text().splitlines(keepends=True)
     planned.records_path.write_text("".join(lines[:5]))

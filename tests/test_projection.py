@@ -184,3 +184,16 @@ def test_a_gaussian_below_the_horizon_has_a_negative_elevation() -> None:
     azimuth_rad, elevation_rad, range_m = angular_centre(below)
     assert [math.degrees(azimuth_rad), math.degrees(elevation_rad)] == pytest.approx([45, -45])
     assert float(range_m) == pytest.approx(2)
+
+
+def test_a_needle_has_an_ellipse_for_a_footprint() -> None:
+    generator = torch.Generator().manual_seed(0)
+    position_m, quaternion = (
+        torch.randn(500, 3, generator=generator),
+        torch.randn(500, 4, generator=generator),
+    )
+    for size_m in ((10.0, 1e-3, 1e-3), (1e4, 1e-8, 1e-8)):
+        log_scale = torch.tensor(size_m).log().expand(500, 3)
+        found = project(position_m, covariance(quaternion, log_scale)).covariance
+        a, b, c = found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]
+        assert bool((a * c - b * b > 0).all())  # in float32, as it is inverted

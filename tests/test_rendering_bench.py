@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,15 +9,20 @@ import torch
 from xfreqbench import rendering
 from xfreqbench.dataset import PasDataset
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.records import read
 from xfreqbench.splatting import benchmark
 from xfreqbench.splatting.benchmark import Leaves, dense_field
 from xfreqbench.splatting.loss import map_loss
+from xfreqbench.splatting.savings import Saving, finite_footprints, gaussians_in_view, savings
 from xfreqbench.splatting.training_step import Step
 from xfreqbench.splatting.view import View, as_kind
+from xfreqbench.tables import Bench
+from xfreqbench.testing import plane_wave_data
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 ROUNDING = 1e-5  # float32 sums over the Gaussians that a direction sees
+CUT_OFF = 4e-2  # a Gaussian's value at three deviations is 0.011, and a direction has a few of them
 NARROW = 1e-2  # mean over a map of peak 1: bfloat16 keeps 3 digits
 STORED = 1e-3  # maps on disk are float16
 TINY = ("width=16", "layers=2", "stride=1", "ssim_window=7", "num_gaussians=40", "batch_size=2")
@@ -24,12 +30,18 @@ TINY = ("width=16", "layers=2", "stride=1", "ssim_window=7", "num_gaussians=40",
 
 @pytest.fixture(scope="module")
 def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return rendering.plane_wave_data(tmp_path_factory.mktemp("data") / "waves.h5", num_tx=2)
+    path = tmp_path_factory.mktemp("data") / "waves.h5"
+    return plane_wave_data(path, rendering.CARRIERS_HZ, num_tx=2)
 
 
 @pytest.fixture
 def said() -> list[str]:
     return []
+
+
+@pytest.fixture
+def bench(said: list[str]) -> Bench:
+    return Bench("render", "xfreqbench bench render", said.append)
 
 
 def cells(said: list[str], columns: int) -> list[list[str]]:
@@ -40,19 +52,24 @@ def cells(said: list[str], columns: int) -> list[list[str]]:
 
 
 def test_the_splatting_table_has_a_row_for_each_size_and_small_errors_beside_its_times(
-    said: list[str], monkeypatch: pytest.MonkeyPatch
+    said: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(benchmark, "_MOST_DENSE_PAIRS", 0)
-    rendering.bench_render([20, 60], [1, 33], False, said.append)
+    output = tmp_path / "records.jsonl"
+    rendering.bench_render(Bench("render", "", said.append, output), [20, 60], [1, 33], False)
     rows = cells(said, columns=12)
+    (record,) = read(output).benches
+    assert [list(row) for row in record.rows] == rows
+    assert len(record.columns) == 12
     assert [row[:2] for row in rows] == [["20", "1"], ["20", "33"], ["60", "1"], ["60", "33"]]
     assert all(float(error) < ROUNDING for row in rows for error in row[-2:])
     assert all(row[7].endswith("(1/25)") for row in rows)
 
 
-def test_every_table_names_its_machine(said: list[str]) -> None:
-    rendering.bench_render([], [], False, said.append)
-    assert re.search(r"\d+ cores, .*torch \d.*numba \d.* on 1 threads", said[0])
+def test_every_bench_names_its_machine_and_threads(bench: Bench, said: list[str]) -> None:
+    rendering.bench_render(bench, [], [], False)
+    assert re.search(r"\d+ cores, ", said[0])
+    assert "numba and torch on 1 threads" in said[1]
 
 
 def test_footprints_hold_as_many_directions_as_the_table_says() -> None:
@@ -82,8 +99,8 @@ def test_the_parts_of_a_step_render_and_learn_what_the_method_does(train: PasDat
         assert not torch.equal(one, old)
 
 
-def test_the_step_table_adds_its_parts_up(train: PasDataset, said: list[str]) -> None:
-    rendering.say_step(train, TINY, said.append)
+def test_the_step_table_adds_its_parts_up(train: PasDataset, bench: Bench, said: list[str]) -> None:
+    rendering.tabulate_step(bench, train, TINY)
     *parts, total, whole = [row[:2] for row in cells(said, columns=3)]
     shown = 0.006 * len(parts)  # each is rounded to a hundredth
     assert sum(float(milliseconds) for _, milliseconds in parts) == pytest.approx(float(total[1]), abs=shown)
@@ -92,28 +109,41 @@ def test_the_step_table_adds_its_parts_up(train: PasDataset, said: list[str]) ->
     assert "samples/s allow 10.0 ms" in said[0]
 
 
-def test_savings_leave_the_answer_where_it_was(train: PasDataset, said: list[str]) -> None:
-    rendering.say_savings(train, TINY, said.append)
-    rows = cells(said, columns=6)
-    changes = {row[0]: [float(x) for x in re.findall(r"\de[-+]\d\d", row[-1])] for row in rows}
+def numbers(saving: Saving) -> list[float]:
+    return [float(text) for text in re.findall(r"\de[-+]\d\d", saving.change)]
+
+
+def test_savings_leave_the_answer_where_it_was(train: PasDataset) -> None:
+    found = list(savings(train, TINY))
     bars = {
+        "compiled kernels": ROUNDING,
+        "footprints end": CUT_OFF,
+        "one binning": ROUNDING,
+        "unseen": ROUNDING,
         "bfloat16": NARROW,
         "factorised": ROUNDING,
-        "unseen": ROUNDING,
-        "one binning": ROUNDING,
         "targets from channels, stride 1": STORED,
         "targets from channels, stride 3": STORED,
+        "beams by lags": ROUNDING,
         "every fifth": ROUNDING,
     }
-    for (name, moved), (expected, bar) in zip(changes.items(), bars.items(), strict=True):
-        assert name.startswith(expected)
-        assert moved[0] <= bar, name
+    for saving, (expected, bar) in zip(found, bars.items(), strict=True):
+        assert saving.name.startswith(expected)
+        assert numbers(saving)[0] <= bar, saving.name
+    assert {saving.part for saving in found} == {"renderer", "training"}
 
 
-def test_gaussians_below_the_horizon_are_not_seen(train: PasDataset, said: list[str]) -> None:
-    rendering.say_savings(train, (*TINY, "angular_size_deg=1"), said.append)
-    (name,) = [row[0] for row in cells(said, columns=6) if row[0].startswith("unseen")]
-    seen, every = map(int, re.findall(r"\d+", name))
+def test_footprints_that_end_do_change_the_field(train: PasDataset) -> None:
+    settings = (
+        *TINY,
+        "angular_size_deg=10",
+    )  # wide ones, which few directions lie outside of, but all beside
+    assert numbers(finite_footprints(Step(train, settings)))[0] > ROUNDING
+
+
+def test_gaussians_below_the_horizon_are_not_seen(train: PasDataset) -> None:
+    saving = gaussians_in_view(train, (*TINY, "angular_size_deg=1"))
+    seen, every = map(int, re.findall(r"\d+", saving.name))
     assert 0 < seen < every
 
 

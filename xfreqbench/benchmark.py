@@ -173,23 +173,23 @@ def measure(benchmark: Benchmark, name: str) -> None:
 
 
 def record_contents(benchmark: Benchmark) -> None:
-    """Record what the benchmark consisted of, and what it left out."""
-    records.append(
-        benchmark.records_path,
-        BenchRecord(
-            bench="benchmark",
-            title="What was run",
-            command=f"xfreqbench benchmark --preset {benchmark.name}",
-            note=f"Preset {benchmark.name}: {benchmark.preset.description}. "
-            f"Left out: {benchmark.preset.left_out}.",
-            columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
-            rows=tuple(map(_contents, benchmark.preset.blocks)),
-            hardware=machine.hardware(),
-            software=machine.software(),
-            git_commit=machine.git_commit(),
-            time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
-        ),
+    """Record what the benchmark consisted of and what it left out, where that is not recorded yet."""
+    contents = BenchRecord(
+        bench="benchmark",
+        title="What was run",
+        command=f"xfreqbench benchmark --preset {benchmark.name}",
+        note=f"Preset {benchmark.name}: {benchmark.preset.description}. "
+        f"Left out: {benchmark.preset.left_out}.",
+        columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
+        rows=tuple(map(_contents, benchmark.preset.blocks)),
+        hardware=machine.hardware(),
+        software=machine.software(),
+        git_commit=machine.git_commit(),
+        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
     )
+    known = [(each.note, each.rows) for each in records.read(benchmark.records_path).benches]
+    if (contents.note, contents.rows) not in known:
+        records.append(benchmark.records_path, contents)
 
 
 def _contents(block: Block) -> tuple[str, ...]:

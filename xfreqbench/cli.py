@@ -427,7 +427,6 @@ def benchmark(
     It prints what it takes before it starts; interrupted or killed, the same command goes on.
     """
     from xfreqbench import benchmark as benchmarks
-    from xfreqbench.report import write_report
 
     planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
     _say(benchmarks.cost(planned), quiet and not dry_run)
@@ -440,8 +439,8 @@ def benchmark(
     for name in planned.missing_benches():
         benchmarks.measure(planned, name)
     benchmarks.record_contents(planned)
-    for path in write_report(planned.results_dir, planned.results_dir / "BENCHMARK.md"):
-        _say(f"wrote {path}", quiet)
+    folder = planned.results_dir
+    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
     if failures:
         raise XFreqBenchError(
             "\n".join([f"{len(failures)} runs failed; the same command tries them again.", *failures])
@@ -457,13 +456,23 @@ def report(
     results: Path,
     *,
     output: Output = Path("BENCHMARK.md"),
+    html: Annotated[
+        Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Rebuild the leaderboard from the records of a results folder, offline."""
     from xfreqbench.report import write_report
 
-    for path in write_report(results, output):
+    written = write_report(results, output)
+    for path in written.paths:
         _say(f"wrote {path}", quiet)
+    if written.num_truncated:
+        _say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
+    if html is not None:
+        from xfreqbench.page import write_page
+
+        _say(f"wrote {write_page(results, html)}", quiet)
 
 
 @app.command
@@ -494,6 +503,42 @@ def plot(
     _say(f"wrote {output}")
 
 
+BenchOutput = Annotated[
+    Path | None,
+    Parameter(
+        name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."
+    ),
+]
+
+
+def _bench(name: str, output: Path | None, *arguments: str, **options: object) -> Any:
+    """What prints and keeps a command's tables; options that are False or absent are not part of the command."""
+    import shlex
+
+    from xfreqbench.tables import Bench
+
+    words = ["xfreqbench", "bench", name, *arguments]
+    for option, value in options.items():
+        flag = f"--{option.replace('_', '-')}"
+        words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
+    return Bench(name, shlex.join(words), _say, output)
+
+
+@app.command
+def stress(
+    *,
+    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="Records file that the table is appended to.")
+    ] = None,
+) -> None:
+    """Compare the numerics with independent references where they are at their edges; exit code 1 for a failed case."""
+    from xfreqbench.stress import stress as run_stress
+
+    if not run_stress(only, output, _say):
+        sys.exit(1)
+
+
 @bench.command(name="generate")
 def bench_generate(
     scene: str = "office",
@@ -505,18 +550,21 @@ def bench_generate(
     ] = False,
     tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; all if absent.")] = None,
     plain_tx: Annotated[int, Parameter(help="Transmitters of the plain way, 2 to 24.")] = 12,
+    output: BenchOutput = None,
 ) -> None:
     """Print the error of generated maps against run time, relative to the stored reference."""
     from xfreqbench import convergence
 
     if against_plain:
-        convergence.bench_against_plain(scene, tx, plain_tx, _say)
+        bench = _bench("generate", output, scene, against_plain=True, tx=tx, plain_tx=plain_tx)
+        convergence.bench_against_plain(bench, scene, tx, plain_tx)
     else:
         names = [name.strip() for name in solvers.split(",")]
         for name in names:
             if name not in ("image", "sionna"):
                 raise UnknownNameError("solver", name, ("image", "sionna"))
-        convergence.bench_generate(scene, names, _say)
+        bench = _bench("generate", output, scene, solvers=",".join(names))
+        convergence.bench_generate(bench, scene, names)
 
 
 @bench.command(name="render")
@@ -524,14 +572,23 @@ def bench_render(
     *,
     gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, comma-separated.")] = "1000,4000,16000",
     batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated.")] = "1,8,32",
-    step: Annotated[
-        bool, Parameter(help="Also take the training step of xfreq-gs and its savings apart.")
-    ] = True,
+    step: Annotated[bool, Parameter(help="Also take the training step of xfreq-gs apart.")] = True,
+    output: BenchOutput = None,
 ) -> None:
     """Print the speed of splatting and training, with errors, against dense rendering."""
     from xfreqbench import rendering
 
-    rendering.bench_render(_counts("--gaussians", gaussians), _counts("--batch", batch), step, _say)
+    numbers = _counts("--gaussians", gaussians), _counts("--batch", batch)
+    bench = _bench("render", output, gaussians=gaussians, batch=batch, no_step=not step)
+    rendering.bench_render(bench, *numbers, step)
+
+
+@bench.command(name="savings")
+def bench_savings(*, output: BenchOutput = None) -> None:
+    """Print every saving of generator, renderer and training off and on: its time, and what it changes."""
+    from xfreqbench import efficiency
+
+    efficiency.bench_savings(_bench("savings", output))
 
 
 def _counts(option: str, text: str) -> list[int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,16 +19,20 @@ from numpy.typing import NDArray
 
 from xfreqbench.angles import AngularGrid
 from xfreqbench.generate import generate, plan_generation
-from xfreqbench.machine import hardware, peak_memory_mib, reset_peak_memory
+from xfreqbench.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.mesh import surface_meshes
 from xfreqbench.metrics import psnr, ssim
 from xfreqbench.pas import BartlettBeam
+from xfreqbench.provenance import software_versions
+from xfreqbench.records import BenchFigure, BenchPoint
 from xfreqbench.reference import REFERENCE_SETTINGS, Reference, read_reference
 from xfreqbench.scene import Scene, load_scene
 from xfreqbench.solvers import make_tracer, resolve_solver
-from xfreqbench.tracing import TraceSettings
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+from xfreqbench.tables import Bench
+from xfreqbench.tracing import Interaction, SolverName, TraceSettings
+from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
 
+SOLVERS: tuple[SolverName, ...] = ("image", "sionna")
 MEDIAN_BAR_DB, FIFTH_PERCENTILE_BAR_DB = 40.0, 30.0
 PLAIN_LADDER = (  # rays, depth, whether Sionna's table of candidates is made larger than it comes
     (100_000, 4, False),
@@ -41,6 +45,18 @@ PLAIN_LADDER = (  # rays, depth, whether Sionna's table of candidates is made la
     (200_000, 6, True),
 )
 PLAIN_WAY = (100_000, 5, False)
+PIPELINE_COLUMNS = (
+    "pipeline",
+    "transmitters",
+    "carriers",
+    "seconds",
+    "ms a sample",
+    "samples/s",
+    "peak memory, MiB",
+    "rate / the plain way",
+    "rate / the cheapest plain that meets the bar",
+)
+_FEW_TX = 64
 
 
 @dataclass(frozen=True)
@@ -98,24 +114,48 @@ class Row:
         """Whether it reaches the accuracy bar at every carrier."""
         return all(error.meets_bar for error in self.errors)
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As a table shows it."""
+        costs = self.label, f"{self.shoot_s:.2f}", f"{self.sample_ms:.2f}"
+        return *costs, *map(str, self.errors), "met" if self.meets_bar else "missed"
 
-def convergence_settings(base: TraceSettings, solvers: Sequence[str]) -> Iterator[tuple[str, TraceSettings]]:
-    """The settings that `bench generate` compares."""
+    def point(self, series: str, label: str) -> BenchPoint:
+        """Of a figure: time a sample, and the median PSNR at the carrier where it is worst."""
+        worst_db = min(error.median_psnr_db for error in self.errors)
+        return BenchPoint(series=series, label=label, x=self.sample_ms, y=worst_db)
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One setting of a solver; `varied` is what sets it apart from the defaults, which stand on every line."""
+
+    solver: SolverName
+    label: str
+    varied: tuple[str, ...]
+    settings: TraceSettings
+
+
+def ladder(solvers: Sequence[str]) -> Iterator[Rung]:
+    """The settings that `bench generate` compares: the defaults, and one thing varied at a time."""
     if "image" in solvers:
-        image = replace(base, solver="image")
-        for depth in (3, 4, 5, 6, 7, 8):
-            yield f"image, depth {depth}", replace(image, max_depth=depth)
-        for rays in (50_000, 100_000, 250_000, 1_000_000):
-            yield f"image, {rays:,} rays", replace(image, rays=rays)
-        yield "image, refraction off", replace(image, interactions=("specular",))
+        yield from _rungs("image", depths=(3, 4, 5, 7, 8), rays=(50_000, 100_000, 250_000, 1_000_000))
     if "sionna" in solvers:
-        sionna = replace(base, solver="sionna")
-        for rays, depth in ((100_000, 4), (100_000, 5), (100_000, 6), (500_000, 6)):
-            yield f"sionna, {rays:,} rays, depth {depth}", replace(sionna, rays=rays, max_depth=depth)
-        yield (
-            "sionna, 100,000 rays, diffraction on",
-            replace(sionna, rays=100_000, interactions=("specular", "refraction", "diffraction")),
-        )
+        yield from _rungs("sionna", depths=(3, 4, 5, 7), rays=(50_000, 100_000, 250_000, 1_000_000))
+        with_diffraction: tuple[Interaction, ...] = ("specular", "refraction", "diffraction")
+        forward = TraceSettings("sionna", with_diffraction, rays=100_000)
+        yield Rung("sionna", "diffraction on, 100,000 rays", ("interactions",), forward)
+
+
+def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> Iterator[Rung]:
+    base = TraceSettings(solver)
+    yield Rung(solver, "defaults", ("depth", "rays", "interactions"), base)
+    for depth in depths:
+        yield Rung(solver, f"depth {depth}", ("depth",), replace(base, max_depth=depth))
+    for number in rays:
+        yield Rung(solver, f"{number:,} rays", ("rays",), replace(base, rays=number))
+    yield Rung(solver, "refraction off", ("interactions",), replace(base, interactions=("specular",)))
+    yield Rung(solver, "reflection off", ("interactions",), replace(base, interactions=("refraction",)))
 
 
 def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> Row:
@@ -178,11 +218,16 @@ class PipelineCost:
         """Wall time per (transmitter, carrier)."""
         return self.seconds / (self.num_tx * self.num_carriers) * 1e3
 
-    def __str__(self) -> str:
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As a table shows it."""
         return (
-            f"{self.num_tx} transmitters × {self.num_carriers} carriers, maps included: {self.seconds:.1f} s, "
-            f"{self.sample_ms:.2f} ms a sample, {1e3 / self.sample_ms:.0f} samples/s, "
-            f"peak memory {self.peak_memory_mib:.0f} MiB"
+            str(self.num_tx),
+            str(self.num_carriers),
+            f"{self.seconds:.1f}",
+            f"{self.sample_ms:.2f}",
+            f"{1e3 / self.sample_ms:.0f}",
+            f"{self.peak_memory_mib:.0f}",
         )
 
 
@@ -204,69 +249,115 @@ def measure_pipeline(
     return PipelineCost(len(plan.tx_position_m), len(carriers), seconds, peak_memory_mib())
 
 
-def convergence_table(rows: Sequence[Row], carrier_hz: Sequence[float]) -> str:
-    """Markdown: cost and error of each setting."""
-    carriers = "".join(f" | {carrier / 1e9:g} GHz" for carrier in carrier_hz)
-    lines = [
-        f"| setting | rays once, s | ms a sample{carriers} | bar |",
-        "|---" * (len(carrier_hz) + 4) + "|",
-    ]
-    for row in rows:
-        cells = " | ".join(str(error) for error in row.errors)
-        bar = "met" if row.meets_bar else "missed"
-        lines.append(f"| {row.label} | {row.shoot_s:.2f} | {row.sample_ms:.2f} | {cells} | {bar} |")
-    return "\n".join(lines)
-
-
-def bench_generate(scene_name: str, solvers: Sequence[str], say: Callable[[str], None]) -> None:
+def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> None:
     """Print error against run time for the solvers over rays, depth and interactions."""
     scene = load_scene(scene_name)
     reference = read_reference(scene)
-    carriers = reference.carrier_hz.tolist()
-    say(_preamble(reference))
-    for number, (label, settings) in enumerate(convergence_settings(TraceSettings(), solvers)):
-        row = measure(scene, settings, reference, label)
-        table = convergence_table([row], carriers).splitlines()
-        say("\n".join(table if number == 0 else table[-1:]))
+    bench.introduce()
+    base, points = TraceSettings(), []
+    note = (
+        f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
+        f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once and serve every "
+        "transmitter, but with diffraction, which is not reciprocal in Sionna RT."
+    )
+    title = f"Error of the generated maps against run time, {scene_name}"
+    with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
+        for rung in ladder(solvers):
+            row = measure(scene, rung.settings, reference, f"{rung.solver}, {rung.label}")
+            table.add(*row.cells)
+            points += [row.point(f"{rung.solver}, {varied}", rung.label) for varied in rung.varied]
+        table.figure = _figure(points)
 
 
-def _preamble(reference: Reference) -> str:
-    about, machine = reference.about, hardware()
-    return (
-        f"{machine['processor']}, {machine['cores']} cores, {machine['system']}.\n"
-        f"Reference: {about['way']}, {about['rays']:,} rays, depth {about['max_depth']}, seed "
-        f"{about['seed']}, {len(reference.tx_position_m)} transmitters, half shadowed; "
-        f"{' and '.join(about['interactions'])}. Cells: PSNR median / 5th percentile (dB) / SSIM median.\n"
-        f"Bar: median {MEDIAN_BAR_DB:g} dB and 5th percentile {FIFTH_PERCENTILE_BAR_DB:g} dB at each carrier.\n"
+def _versions(solvers: Sequence[str]) -> dict[str, str]:
+    """Versions of what traces."""
+    return {key: text for name in SOLVERS if name in solvers for key, text in software_versions(name).items()}
+
+
+def _columns(reference: Reference) -> tuple[str, ...]:
+    carriers = [format_ghz(carrier) for carrier in reference.carrier_hz.tolist()]
+    return "setting", "rays once, s", "ms a sample", *carriers, "bar"
+
+
+def _figure(points: Sequence[BenchPoint]) -> BenchFigure:
+    return BenchFigure(
+        x_label="ms a sample, rays shot beforehand",
+        y_label="median PSNR at the worst carrier, dB",
+        log_x=True,
+        points=tuple(points),
     )
 
 
-def bench_against_plain(
-    scene_name: str, num_tx: int | None, num_plain_tx: int, say: Callable[[str], None]
-) -> None:
+def _reference_note(reference: Reference) -> str:
+    about = reference.about
+    return (
+        "Errors are those of power maps against a stored reference (`xfreqbench bench reference`): "
+        f"{about['way']}, one call per transmitter and carrier, {about['rays']:,} rays, depth "
+        f"{about['max_depth']}, seed {about['seed']}, {' and '.join(about['interactions'])}; "
+        f"{len(reference.tx_position_m)} transmitters, half of them shadowed. Cells: PSNR median / 5th "
+        f"percentile in dB / SSIM median. Bar: median {MEDIAN_BAR_DB:g} dB and 5th percentile "
+        f"{FIFTH_PERCENTILE_BAR_DB:g} dB at each carrier."
+    )
+
+
+def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_plain_tx: int) -> None:
     """Print the full pipeline's rate as a ratio to the plain way, in one run, errors beside the times."""
     scene = load_scene(scene_name)
     reference = read_reference(scene)
-    say(_preamble(reference))
-    costs = {
-        "image": measure_pipeline(scene, TraceSettings(solver="image"), num_tx),
-        "sionna": measure_pipeline(scene, TraceSettings(solver="sionna"), min(num_tx or 64, 64)),
-    }
-    plain = [measure_plain(scene, reference, *settings, num_plain_tx) for settings in PLAIN_LADDER]
-    ours = [
-        measure(scene, TraceSettings(solver="image"), reference, "image, defaults, tracing alone"),
-        measure(scene, TraceSettings(solver="sionna"), reference, "sionna, defaults, tracing alone"),
-    ]
-    say(convergence_table([*plain, *ours], reference.carrier_hz.tolist()) + "\n")
-    meeting = [row for row in plain if row.meets_bar]
-    compared = {"the plain way": plain[PLAIN_LADDER.index(PLAIN_WAY)]}
-    if meeting:
-        compared["the cheapest plain settings that meet the bar"] = min(
-            meeting, key=lambda row: row.sample_ms
-        )
-    for name, cost in costs.items():
-        say(f"{name}, {cost}")
-        for what, row in compared.items():
-            say(f"  {row.sample_ms / cost.sample_ms:.0f} times the rate of {what} ({row.label})")
+    bench.introduce()
+    pipelines = dict(_pipelines(scene, num_tx))  # first: what the plain way leaves in memory is not theirs
+    plain = _tabulate_plain(bench, scene, reference, num_plain_tx)
+    _tabulate_pipelines(bench, scene_name, pipelines, plain)
+
+
+def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
+    yield "image", measure_pipeline(scene, TraceSettings("image"), num_tx)
     for count in (1, 5, 10):
-        say(f"price per carrier: {measure_pipeline(scene, TraceSettings(), 64, PAPER_CARRIERS_GHZ[:count])}")
+        carriers_ghz = PAPER_CARRIERS_GHZ[:count]
+        few = min(num_tx or _FEW_TX, _FEW_TX)
+        yield f"price per carrier: {count}", measure_pipeline(scene, TraceSettings(), few, carriers_ghz)
+    yield "sionna", measure_pipeline(scene, TraceSettings("sionna"), min(num_tx or _FEW_TX, _FEW_TX))
+
+
+def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[Row]:
+    """Print the plain way's settings, the solvers' own defaults beneath; returns the plain rows."""
+    note = (
+        f"{_reference_note(reference)} The plain way is one public `PathSolver` call a sample, of {num_tx} of "
+        "those transmitters; a larger table holds the candidates that Sionna's own table loses."
+    )
+    title, columns = f"The plain way, {scene.name}", _columns(reference)
+    with bench.table(title, note, columns, _versions(SOLVERS)) as table:
+        plain, points = [], []
+        for rays, depth, is_roomy in PLAIN_LADDER:
+            row = measure_plain(scene, reference, rays, depth, is_roomy, num_tx)
+            table.add(*row.cells)
+            plain.append(row)
+            series = "plain, larger table" if is_roomy else "plain"
+            points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
+        for solver in SOLVERS:
+            row = measure(scene, TraceSettings(solver), reference, f"{solver}, defaults, tracing alone")
+            table.add(*row.cells)
+            points.append(row.point(solver, "defaults"))
+        table.figure = _figure(points)
+    return plain
+
+
+def _tabulate_pipelines(
+    bench: Bench, scene_name: str, pipelines: Mapping[str, PipelineCost], plain: Sequence[Row]
+) -> None:
+    usual = plain[PLAIN_LADDER.index(PLAIN_WAY)]
+    meeting = [row for row in plain if row.meets_bar]
+    best = min(meeting, key=lambda row: row.sample_ms) if meeting else None
+    note = (
+        "From scene to finished file, maps included, compilation apart. Rates are ratios to the plain way "
+        f"({usual.label}: {usual.sample_ms:.0f} ms a sample) and to "
+        + (
+            f"the cheapest plain settings that meet the bar ({best.label}: {best.sample_ms:.0f} ms a sample)."
+            if best
+            else "the cheapest plain settings that meet the bar, of which there are none here."
+        )
+    )
+    with bench.table(f"The full pipeline, {scene_name}", note, PIPELINE_COLUMNS, _versions(SOLVERS)) as table:
+        for name, cost in pipelines.items():
+            ratios = [f"{row.sample_ms / cost.sample_ms:.0f}" if row else "–" for row in (usual, best)]
+            table.add(name, *cost.cells, *ratios)

@@ -611,7 +611,10 @@ def _interact(
 def _antenna_field(antenna: Antenna, x: float, y: float, z: float) -> tuple[float, float, float]:
     """World components of the antenna's real field towards a direction."""
     horizontal = math.sqrt(x * x + y * y)
-    cos_phi, sin_phi = (x / horizontal, y / horizontal) if horizontal > 1e-12 else (1.0, 0.0)
+    if horizontal > 1e-12:
+        cos_phi, sin_phi = x / horizontal, y / horizontal
+    else:  # opposite directions, as the ends of a vertical ray see them, have opposite azimuths here too
+        cos_phi, sin_phi = math.copysign(1.0, z), 0.0
     scale = math.sqrt(1.5) * horizontal if antenna.is_dipole else 1.0
     if antenna.is_horizontal:
         return -scale * sin_phi, scale * cos_phi, 0.0

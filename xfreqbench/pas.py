@@ -89,7 +89,10 @@ def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[
 
 
 def _divide_or_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:
-    return numerator / np.where(denominator == 0, denominator.dtype.type(1), denominator)
+    divisor = np.where(denominator == 0, denominator.dtype.type(1), denominator)
+    if np.iscomplexobj(numerator):  # NumPy multiplies by the inverse, which a denormal number has not
+        return numerator.real / divisor + 1j * (numerator.imag / divisor)
+    return numerator / divisor
 
 
 def _unit_or_zero(cfr: NDArray[Any]) -> NDArray[Any]:

@@ -361,27 +361,49 @@ _STAGES = (
 
 
 def _write_dataset(path: Path, has_other_test_rows: bool = False) -> PasDataset:
-    """Six transmitters × three carriers in an empty room with one wall."""
+    """Six transmitters × three carriers, or the same with other channels in every row but the training rows."""
+    tx_position_m, cfr = _plane_waves(_CARRIER_HZ, _NUM_TX)
+    if has_other_test_rows:
+        other = np.roll(cfr, 2, axis=0)
+        cfr[_UNSEEN_TX], cfr[:, _UNSEEN_CARRIER] = other[_UNSEEN_TX], other[:, _UNSEEN_CARRIER]
+    return _written(path, _CARRIER_HZ, tx_position_m, cfr)
+
+
+def plane_wave_data(path: Path, carrier_hz: Float[FloatArray, "F"], num_tx: int) -> PasDataset:
+    """A data set of random transmitters in an empty room with one wall: two plane waves each, nothing traced."""
+    return _written(path, carrier_hz, *_plane_waves(carrier_hz, num_tx))
+
+
+def _plane_waves(
+    carrier_hz: Float[FloatArray, "F"], num_tx: int
+) -> tuple[Float[FloatArray, "T 3"], Complex[NDArray[np.complex128], "T F M"]]:
+    """Places of transmitters, and their channels."""
+    tx_position_m = np.random.default_rng(0).uniform((0.5, 0.5, 0.9), (7.5, 5.5, 1.7), size=(num_tx, 3))
+    cfr = np.array([[_channel(place, float(carrier)) for carrier in carrier_hz] for place in tx_position_m])
+    return tx_position_m, cfr
+
+
+def _written(
+    path: Path,
+    carrier_hz: Float[FloatArray, "F"],
+    tx_position_m: Float[FloatArray, "T 3"],
+    cfr: Complex[NDArray[np.complex128], "T F M"],
+) -> PasDataset:
     header = DatasetHeader(
         scene_name="plane waves",
         scene_json="{}",
         scene_sha256="0" * 64,
         receiver=_RECEIVER,
-        carrier_hz=_CARRIER_HZ,
-        num_tx=_NUM_TX,
+        carrier_hz=carrier_hz,
+        num_tx=len(tx_position_m),
         pas_kind="power",
         maps=True,
         settings={},
         software={},
         rejected={},
     )
-    tx_position_m = np.random.default_rng(0).uniform((0.5, 0.5, 0.9), (7.5, 5.5, 1.7), size=(_NUM_TX, 3))
-    cfr = np.array([[_channel(place, carrier) for carrier in _CARRIER_HZ] for place in tx_position_m])
-    if has_other_test_rows:
-        other = np.roll(cfr, 2, axis=0)
-        cfr[_UNSEEN_TX], cfr[:, _UNSEEN_CARRIER] = other[_UNSEEN_TX], other[:, _UNSEEN_CARRIER]
     with PasWriter(path, header) as writer:
-        writer.append(tx_position_m, np.ones(_NUM_TX, bool), cfr, np.full(cfr.shape[:2], 2))
+        writer.append(tx_position_m, np.ones(len(cfr), bool), cfr, np.full(cfr.shape[:2], 2))
     return open_dataset(path)
 
 

@@ -43,7 +43,8 @@ class Scaling(nn.Module):
         super().__init__()
         for name, shape in (("receiver_m", 3), ("rotation", (3, 3)), ("center_m", 3), ("half_size_m", 3)):
             self.register_buffer(name, torch.zeros(shape))
-        self.register_buffer("log_band", torch.zeros(2))
+        # float64, as carriers are: float32 keeps 2e-6 of a logarithm, and a band may be as narrow
+        self.register_buffer("log_band", torch.zeros(2, dtype=torch.float64))
 
     def adapt(self, train: PasDataset) -> None:
         """Take box, band and frame from training rows."""

@@ -86,7 +86,7 @@ class ChannelField(nn.Module):
 
 
 @dataclass
-class _Training:
+class Training:
     """Everything that goes on from a checkpoint."""
 
     field: ChannelField
@@ -106,7 +106,7 @@ class LearnedMethod:
     def __init__(self, config: Any = None) -> None:
         self.config = self.Config() if config is None else config
         self._device = _device(self.config.device)
-        self._training: _Training | None = None
+        self._training: Training | None = None
 
     def field(self) -> ChannelField:
         """The field that the config asks for, before training."""
@@ -124,7 +124,7 @@ class LearnedMethod:
         Raises `DivergenceError` where the loss, a gradient or a parameter is no longer finite.
         """
         if self._training is None:
-            self._training = self._started(train, seed)
+            self._training = self.started(train, seed)
         training = self._training
         targets = Targets(train, training.beams, self.config.derive_targets)
         if not len(targets):
@@ -186,12 +186,13 @@ class LearnedMethod:
         method._training = training
         return method
 
-    def _trained(self) -> _Training:
+    def _trained(self) -> Training:
         if self._training is None:
             raise MethodError(f"{type(self).__name__} knows nothing yet; fit or load it first.")
         return self._training
 
-    def _started(self, train: PasDataset, seed: int) -> _Training:
+    def started(self, train: PasDataset, seed: int) -> Training:
+        """Field, optimiser and beams as `fit` has them before its first step."""
         generator = torch.Generator().manual_seed(seed)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
@@ -201,14 +202,14 @@ class LearnedMethod:
 
     def _assembled(
         self, field: ChannelField, generator: torch.Generator, beam: BartlettBeam, kind: PasKind
-    ) -> _Training:
+    ) -> Training:
         field.to(self._device)
         optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
         for group in optimizer.param_groups:
             group["initial_lr"] = group["lr"]
-        return _Training(field, optimizer, generator, Beams(beam, self._device), kind)
+        return Training(field, optimizer, generator, Beams(beam, self._device), kind)
 
-    def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> _Training:
+    def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
         of_field = {name[6:]: tensor for name, tensor in tensors.items() if name.startswith("field.")}
         field = self.field()
         field.match(of_field)
@@ -220,7 +221,7 @@ class LearnedMethod:
                 training.optimizer.state[parameter] = stored
         return training
 
-    def _step(self, training: _Training, targets: Targets) -> float:
+    def _step(self, training: Training, targets: Targets) -> float:
         config, share = self.config, training.share
         nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
         view = View.draw(config.stride, training.generator)
@@ -243,7 +244,7 @@ class LearnedMethod:
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
 
 
-def _moments(training: _Training) -> dict[str, Tensor]:
+def _moments(training: Training) -> dict[str, Tensor]:
     state = training.optimizer.state
     return {
         f"adam.{key}.{name}": state[parameter][key]
@@ -253,7 +254,7 @@ def _moments(training: _Training) -> dict[str, Tensor]:
     }
 
 
-def _require_finite(training: _Training, loss: Tensor) -> None:
+def _require_finite(training: Training, loss: Tensor) -> None:
     """Raise before a step that would spoil the parameters."""
     parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
     norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])

@@ -17,6 +17,7 @@ from torch import Tensor
 POLE_DISTANCE = math.sin(math.radians(1.0))
 MIN_VARIANCE = math.radians(0.5) ** 2  # rad²: nothing is sharper than half a degree, the grid's half step
 MIN_RANGE_M = 1e-2  # a Gaussian at the receiver has no direction
+_LEAST_DECORRELATION = 1e-6  # sixteen roundings of float32: a thousand times as long as wide
 _OFF_AXIS_M = 1e-6  # where the azimuth of a point on the pole's axis is taken, to have one
 
 
@@ -37,7 +38,15 @@ def project(position_m: Float[Tensor, "N 3"], covariance_m2: Float[Tensor, "N 3 
     jacobian = projection_jacobian(position_m)
     projected = jacobian @ covariance_m2 @ jacobian.mT
     blurred = projected + MIN_VARIANCE * torch.eye(2, dtype=projected.dtype, device=projected.device)
-    return Projection(azimuth_rad, elevation_rad, blurred, range_m)
+    return Projection(azimuth_rad, elevation_rad, _invertible(blurred), range_m)
+
+
+def _invertible(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 2 2"]:
+    """Correlations clipped to below 1, for float32 rounds those of long needles to 1 and above."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    most = (a * c).sqrt() * (1 - _LEAST_DECORRELATION)
+    b = b.clamp(-most, most)
+    return torch.stack([a, b, b, c], dim=-1).reshape(-1, 2, 2)
 
 
 def angular_centre(

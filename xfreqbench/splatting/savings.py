@@ -1,47 +1,153 @@
-"""What each saving of the training step saves, and what it changes in the answer."""
+"""What each saving of rendering and training saves, and what it changes in the answer."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Complex, Float
 from torch import Tensor, autograd
 from torch.nn.functional import cosine_similarity, linear, relu
 
+from xfreqbench.angles import AngularGrid
 from xfreqbench.dataset import PasDataset
 from xfreqbench.splatting.benchmark import least_s
-from xfreqbench.splatting.composite import composite
+from xfreqbench.splatting.composite import Backend, PixelLists, composite
 from xfreqbench.splatting.footprints import squared_distance
 from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.network import PairwiseMLP, is_narrow
+from xfreqbench.splatting.projection import Projection
 from xfreqbench.splatting.splat import renumbered, seen_of
 from xfreqbench.splatting.training_step import Step, loop_s, outputs_of
 from xfreqbench.splatting.view import Targets, View
 
+NETWORK = "network, forward and backward"
+
 
 @dataclass(frozen=True)
 class Saving:
-    """Seconds of a minibatch without and with a saving, and how far the answer moves."""
+    """Milliseconds a sample without and with a saving, and how far the answer moves.
 
+    A saving may also buy accuracy with time; then `off_ms` is the less.
+    """
+
+    part: Literal["generator", "renderer", "training"]
     name: str
     timed: str
-    off_s: float
-    on_s: float
+    off_ms: float
+    on_ms: float
     change: str
 
 
 def savings(train: PasDataset, settings: Sequence[str]) -> Iterator[Saving]:
-    """Every saving on and off, at settings of `xfreq-gs`."""
+    """Every saving of rendering and training on and off, at settings of `xfreq-gs`."""
     step = Step(train, settings)
+    yield compiled_kernels(step)
+    yield finite_footprints(step)
+    yield one_binning(step)
+    yield gaussians_in_view(train, settings)
     yield narrow_layers(step)
     yield factorised_layer(step)
-    yield gaussians_in_view(train, settings)
-    yield one_binning(step)
     yield from (derived_targets(train, step, View(stride)) for stride in (1, 3))
+    yield beams_by_lags(train, step)
     yield every_fifth_direction(train, settings)
+
+
+def compiled_kernels(step: Step) -> Saving:
+    """Accumulation by compiled kernels with the minibatch as lanes, against layers peeled in plain torch."""
+    values, lists, distance = _attribute_leaves(step), *_footprints(step)
+
+    def accumulated(backend: Backend) -> Complex[Tensor, "B K"]:
+        return composite(lists, distance, *values, backend)
+
+    with torch.no_grad():
+        change = f"field: {_relative(accumulated('numba'), accumulated('torch')):.0e}"
+    off_s = least_s(lambda: accumulated("torch").abs().sum().backward())
+    on_s = least_s(lambda: accumulated("numba").abs().sum().backward())
+    timed = "accumulation, forward and backward"
+    return Saving(
+        "renderer", "compiled kernels (off: plain torch)", timed, *_a_sample(step, off_s, on_s), change
+    )
+
+
+def finite_footprints(step: Step) -> Saving:
+    """Gaussians only where they are above their footprint's edge, against every one on every direction.
+
+    Both on every fifth row and column: all Gaussians on all directions fill gigabytes.
+    """
+    grid = View(5).of_grid(step.beams.grid)
+    values, projection = _attribute_leaves(step), step.field.projection()
+    few, every = step.field.lists(projection, grid), _every_gaussian(projection, grid)
+
+    def field(lists: PixelLists) -> Complex[Tensor, "B K"]:
+        return composite(lists, squared_distance(projection, lists, grid), *values)
+
+    with torch.no_grad():
+        change = f"field: {_relative(field(few), field(every)):.0e}"
+    off_s, on_s = (_splatting_s(field, lists) for lists in (every, few))
+    name = "footprints end at three deviations (both on 1/25 of the directions)"
+    timed = "splatting, forward and backward"
+    return Saving("renderer", name, timed, *_a_sample(step, off_s, on_s), change)
+
+
+def _splatting_s(field: Callable[[PixelLists], Tensor], lists: PixelLists) -> float:
+    return least_s(lambda: field(lists).abs().sum().backward(retain_graph=True))
+
+
+def _every_gaussian(projection: Projection, grid: AngularGrid) -> PixelLists:
+    """Lists in which every direction sees all Gaussians above the horizon or below, nearest first."""
+    order, num_directions = projection.range_m.argsort(stable=True), math.prod(grid.shape)
+    start = torch.arange(num_directions + 1) * len(order)
+    return PixelLists(start, order.repeat(num_directions), len(order))
+
+
+def beams_by_lags(train: PasDataset, step: Step) -> Saving:
+    """Power of beams from the covariance summed over the array's lags, against one product with every element.
+
+    Of 16 channels a sample that do not interfere, as array-domain fields add them up.
+    """
+    element = torch.as_tensor(train.beam.conjugate_steering)
+    generator = torch.Generator().manual_seed(0)
+    shape = 16, step.config.batch_size, len(element)
+    cfr = torch.randn(shape, generator=generator, dtype=torch.complex64).requires_grad_()
+
+    def by_elements() -> Float[Tensor, "B E A"]:
+        beam = torch.view_as_real(cfr @ element).square().sum(-1).sum(0)
+        return beam.reshape(-1, *step.beams.grid.shape)
+
+    def by_lags() -> Float[Tensor, "B E A"]:
+        return step.beams.power(cfr, View())
+
+    with torch.no_grad():
+        change = f"power: {_relative(by_lags(), by_elements()):.0e}"
+    off_s = least_s(lambda: by_elements().sum().backward())
+    on_s = least_s(lambda: by_lags().sum().backward())
+    timed = "beams of 16 channels, forward and backward"
+    return Saving("training", "beams by lags of the array", timed, *_a_sample(step, off_s, on_s), change)
+
+
+def _a_sample(step: Step, *seconds: float) -> tuple[float, float]:
+    """Milliseconds a sample from seconds of a minibatch."""
+    off_ms, on_ms = (second / step.config.batch_size * 1e3 for second in seconds)
+    return off_ms, on_ms
+
+
+def _attribute_leaves(step: Step) -> tuple[Tensor, Tensor, Tensor]:
+    """The network's outputs for all Gaussians, as leaves to be differentiated by."""
+    with torch.no_grad():
+        attributes = step.attributes(torch.ones(len(step.field.gaussians), dtype=torch.bool))
+    spread, signal, attenuation = (value.requires_grad_() for value in outputs_of(attributes))
+    return spread, signal, attenuation
+
+
+def _footprints(step: Step) -> tuple[PixelLists, Float[Tensor, "P"]]:
+    """Lists of the directions in view, and distances as leaves."""
+    projection = step.field.projection()
+    lists = step.lists(projection)
+    return lists, squared_distance(projection, lists, step.grid).detach().requires_grad_()
 
 
 def narrow_layers(step: Step) -> Saving:
@@ -53,7 +159,8 @@ def narrow_layers(step: Step) -> Saving:
     on_s = least_s(lambda: _network_step(step))
     native = is_narrow("auto", torch.device("cpu"))
     name = "bfloat16 hidden layers" if native else "bfloat16 hidden layers (not native here: off)"
-    return Saving(name, "network, forward and backward", off_s, on_s, _map_change(_rendered(step), exact))
+    change = _map_change(_rendered(step), exact)
+    return Saving("renderer", name, NETWORK, *_a_sample(step, off_s, on_s), change)
 
 
 def factorised_layer(step: Step) -> Saving:
@@ -67,13 +174,8 @@ def factorised_layer(step: Step) -> Saving:
         naive, ours = concatenated(mlp, query, gaussian, pair), mlp(query, gaussian, pair)
     mlp.precision = "auto"
     change = f"outputs in float32: {_relative(ours, naive):.0e}"
-    return Saving(
-        "factorised first layer (off: concatenated, a sample at a time)",
-        "network, forward and backward",
-        off_s,
-        on_s,
-        change,
-    )
+    name = "factorised first layer (off: concatenated, a sample at a time)"
+    return Saving("renderer", name, NETWORK, *_a_sample(step, off_s, on_s), change)
 
 
 def concatenated(
@@ -107,28 +209,26 @@ def gaussians_in_view(train: PasDataset, settings: Sequence[str]) -> Saving:
     off_s = least_s(lambda: _network_step(step, all_of_them))
     on_s = least_s(lambda: _network_step(step, seen))
     name = f"unseen Gaussians skipped ({int(seen.sum())} of {len(seen)} seen)"
-    return Saving(name, "network, forward and backward", off_s, on_s, change)
+    return Saving("renderer", name, NETWORK, *_a_sample(step, off_s, on_s), change)
 
 
 def one_binning(step: Step) -> Saving:
     """Projection, lists and distances once for the minibatch, against once for each sample."""
-    with torch.no_grad():
-        attributes = step.attributes(torch.ones(len(step.field.gaussians), dtype=torch.bool))
-    batch_size = attributes.attenuation.shape[1]
-    values = [value.requires_grad_() for value in outputs_of(attributes)]
+    values = _attribute_leaves(step)
 
     def together() -> Complex[Tensor, "B K"]:
         return _splatted(step, *values)
 
     def one_by_one() -> Complex[Tensor, "B K"]:
-        samples = ([value[:, b : b + 1] for value in values] for b in range(batch_size))
+        samples = ([value[:, b : b + 1] for value in values] for b in range(step.config.batch_size))
         return torch.cat([_splatted(step, *sample) for sample in samples])
 
     with torch.no_grad():
         change = f"field: {_relative(together(), one_by_one()):.0e}"
     off_s = least_s(lambda: one_by_one().abs().sum().backward())
     on_s = least_s(lambda: together().abs().sum().backward())
-    return Saving("one binning a minibatch", "splatting, forward and backward", off_s, on_s, change)
+    timed = "splatting, forward and backward"
+    return Saving("renderer", "one binning a minibatch", timed, *_a_sample(step, off_s, on_s), change)
 
 
 def derived_targets(train: PasDataset, step: Step, view: View) -> Saving:
@@ -137,7 +237,8 @@ def derived_targets(train: PasDataset, step: Step, view: View) -> Saving:
     off_s = least_s(lambda: stored.maps(step.nth, view))
     on_s = least_s(lambda: derived.maps(step.nth, view))
     change = _map_change(derived.maps(step.nth, view), stored.maps(step.nth, view))
-    return Saving(f"targets from channels, stride {view.stride}", "targets", off_s, on_s, change)
+    name = f"targets from channels, stride {view.stride}"
+    return Saving("training", name, "targets", *_a_sample(step, off_s, on_s), change)
 
 
 def every_fifth_direction(train: PasDataset, settings: Sequence[str]) -> Saving:
@@ -148,8 +249,9 @@ def every_fifth_direction(train: PasDataset, settings: Sequence[str]) -> Saving:
         moved = _map_change(_rendered(few), _renormalised(few.view.of_maps(_rendered(every))))
     cosine = cosine_similarity(_l1_gradient(few), _l1_gradient(every), dim=0)
     change = f"{moved} where both look; L1's gradient: cosine {float(cosine):.3f}"
+    off_s, on_s = loop_s(train, settings), loop_s(train, fewer)
     return Saving(
-        "every fifth row and column", "whole step", loop_s(train, settings), loop_s(train, fewer), change
+        "training", "every fifth row and column", "whole step", *_a_sample(every, off_s, on_s), change
     )
 
 

@@ -16,12 +16,12 @@ from xfreqbench.method import Budget, build_method
 from xfreqbench.splatting.benchmark import REPEATS, Leaves, accumulated, least_s
 from xfreqbench.splatting.composite import PixelLists
 from xfreqbench.splatting.footprints import squared_distance
-from xfreqbench.splatting.learned import MAX_GRADIENT_NORM
+from xfreqbench.splatting.learned import MAX_GRADIENT_NORM, LearnedMethod
 from xfreqbench.splatting.loss import map_loss
 from xfreqbench.splatting.network import Attributes, PairwiseMLP, is_narrow
 from xfreqbench.splatting.projection import Projection
 from xfreqbench.splatting.splat import SplatField, renumbered, seen_of
-from xfreqbench.splatting.view import Beams, Targets, View, as_kind
+from xfreqbench.splatting.view import Targets, View, as_kind
 
 # the paper's width and depth, every direction, footprints of about 200 directions
 PAPER_NETWORK = (
@@ -54,16 +54,12 @@ class Step:
     def __init__(self, train: PasDataset, settings: Sequence[str]) -> None:
         method = build_method("xfreq-gs", settings)
         self.config = method.config
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            field = method.field()  # type: ignore[attr-defined]
-        assert isinstance(field, SplatField)
-        self.field = field
-        self.field.adapt(train, torch.Generator().manual_seed(0))
-        self.optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
-        self.beams = Beams(train.beam, torch.device("cpu"))
+        assert isinstance(method, LearnedMethod)
+        training = method.started(train, seed=0)
+        assert isinstance(training.field, SplatField)
+        self.field, self.optimizer, self.beams = training.field, training.optimizer, training.beams
+        self.kind = training.kind
         self.targets = Targets(train, self.beams)
-        self.kind = train.header.pas_kind
         self.nth = torch.arange(self.config.batch_size) % len(self.targets)
         rows = self.targets.rows[self.nth.numpy()]
         self.tx_position_m = torch.as_tensor(train.tx_position_m[rows], dtype=torch.float32)
@@ -153,6 +149,10 @@ class StepCost:
     def samples_per_s(self) -> float:
         """Rate of the whole step."""
         return self.batch_size / self.step_s
+
+    def sample_ms(self, seconds: float) -> float:
+        """Milliseconds a sample from seconds of a step."""
+        return seconds / self.batch_size * 1e3
 
 
 def step_cost(train: PasDataset, settings: Sequence[str]) -> StepCost:

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from test_records import make_record
+
+from xfreqbench.boards import boards, median_ssim, short_commit, short_name
+from xfreqbench.method import Budget
+from xfreqbench.records import Job
+
+SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
+
+
+def seeded(ssim: float, seed: int, split: str = SPLITS[0], **changes):
+    job = Job("data.h5", "ours", "lofo", split, seed=seed, budget=Budget(max_seconds=300))
+    return make_record("ours", ssim, split, job=job, **changes)
+
+
+def only_row(*records):
+    (board,) = boards(records)
+    (row,) = board.rows
+    return row
+
+
+def test_seeds_of_a_method_are_one_row_and_count_by_their_mean() -> None:
+    row = only_row(*(seeded(ssim, seed) for seed, ssim in enumerate((0.90, 0.92, 0.97))))
+    assert row.label == "ours (≤ 300 s)"
+    assert [record.job.seed for record in row.by_split[SPLITS[0]]] == [0, 1, 2]
+    assert row.value(SPLITS[0], median_ssim) == pytest.approx(0.93)
+    assert row.num_seeds(SPLITS[:1]) == (3, 3)
+
+
+def test_the_spread_over_seeds_is_that_of_their_averages() -> None:
+    of_first = {SPLITS[0]: 0.90, SPLITS[1]: 0.80}
+    of_second = {SPLITS[0]: 0.94, SPLITS[1]: 0.76}  # better here, worse there: the same on average
+    records = [
+        seeded(ssim, seed, split)
+        for seed, each in enumerate((of_first, of_second))
+        for split, ssim in each.items()
+    ]
+    row = only_row(*records)
+    assert row.seed_spread(SPLITS[:2], median_ssim) == pytest.approx(0)
+    assert row.seed_spread(SPLITS[:1], median_ssim) == pytest.approx(0.04 / math.sqrt(2))
+
+
+def test_a_seed_that_was_not_run_on_every_split_has_no_part_in_the_spread() -> None:
+    row = only_row(*(seeded(0.9, seed) for seed in (1, 2)), seeded(0.8, 1, SPLITS[1]))
+    assert math.isnan(row.seed_spread(SPLITS[:2], median_ssim))
+    assert row.num_seeds(SPLITS[:2]) == (1, 2)
+
+
+def test_an_average_over_a_split_that_was_not_run_is_unknown() -> None:
+    assert math.isnan(only_row(seeded(0.9, 0)).average(SPLITS[:2], median_ssim))
+
+
+def test_sets_of_splits_come_with_that_of_most_rows_first() -> None:
+    trivial = [make_record("nearest", 0.8, split) for split in SPLITS]
+    some = [make_record(name, 0.9, split) for name in ("ours", "theirs") for split in SPLITS[:2]]
+    lone = make_record("lone", 0.9, SPLITS[2])
+    (board,) = boards([*trivial, *some, lone])
+    assert board.split_sets() == [SPLITS[:2], SPLITS]
+    assert [row.label for row in board.rows_on(SPLITS[:2])] == ["ours", "theirs", "nearest"]
+
+
+def test_one_split_alone_is_a_set_where_there_is_nothing_else() -> None:
+    (board,) = boards([make_record("ours", 0.9, SPLITS[1])])
+    assert board.split_sets() == [SPLITS[1:2]]
+
+
+def test_a_split_is_named_without_its_protocol() -> None:
+    names = ["lofo-2.4GHz", "lofo-unseen-tx-2.4GHz", "held-out-tx", "sparse-24.25GHz-from-10-37GHz"]
+    assert list(map(short_name, names)) == ["2.4GHz", "2.4GHz", "held-out-tx", "24.25GHz-from-10-37GHz"]
+
+
+def test_protocols_of_a_data_set_stand_in_their_order() -> None:
+    protocols = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
+    found = boards([make_record(split=f"{name}-x", protocol=name) for name in protocols[::-1]])
+    assert [board.protocol for board in found] == list(protocols)
+
+
+def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
+    commits = ["0123456789", "0123456789+changes", None]
+    assert list(map(short_commit, commits)) == ["0123456", "0123456+changes", "?"]

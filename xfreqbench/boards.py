@@ -1,0 +1,220 @@
+"""Run records grouped into boards: what may be ranked together, a row for every method as it was configured."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from math import inf, isnan, nan
+from statistics import mean, stdev
+from typing import Any
+
+from xfreqbench.errors import DataError
+from xfreqbench.method import TRIVIAL, Budget
+from xfreqbench.metrics import skill
+from xfreqbench.protocols import PROTOCOLS
+from xfreqbench.records import Job, RunRecord
+
+GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
+Quantity = Callable[[RunRecord], float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method as it was configured, with its records of each split: one a seed, in the seeds' order."""
+
+    label: str
+    by_split: Mapping[str, tuple[RunRecord, ...]]
+
+    @property
+    def job(self) -> Job:
+        """What was run; jobs of a row differ in their split and seed alone."""
+        return self.records[0].job
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """Records of every split and seed."""
+        return [record for records in self.by_split.values() for record in records]
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether this is a trivial predictor as it comes; budget and seed change nothing in it."""
+        return _is_trivial(self.job)
+
+    def value(self, split: str, quantity: Quantity) -> float:
+        """Mean over the seeds; nan where the split was not run."""
+        return mean(map(quantity, self.by_split[split])) if split in self.by_split else nan
+
+    def average(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Mean over the splits; nan where one was not run, for a mean of others is not comparable."""
+        return mean(self.value(split, quantity) for split in splits)
+
+    def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
+        """Fewest and most seeds of a split."""
+        numbers = [len(self.by_split.get(split, ())) for split in splits]
+        return min(numbers), max(numbers)
+
+    def seed_spread(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Standard deviation, over the seeds that all the splits were run with, of the average; nan below two."""
+        values: dict[int, list[float]] = {}
+        for split in splits:
+            for record in self.by_split.get(split, ()):
+                values.setdefault(record.job.seed, []).append(quantity(record))
+        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
+        return stdev(averages) if len(averages) > 1 else nan
+
+
+@dataclass(frozen=True)
+class Board:
+    """Rows that may be ranked together: one data set, one protocol, one version of each."""
+
+    scene: str
+    dataset_sha256: str
+    protocol: str
+    pas_kind: str
+    settings: Mapping[str, Any]
+    splits: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def title(self) -> str:
+        """Scene, protocol and kind of map."""
+        return f"{self.scene} · {self.protocol} · {self.pas_kind} maps"
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """Records of all rows."""
+        return [record for row in self.rows for record in row.records]
+
+    @property
+    def slug(self) -> str:
+        """Name of its figures."""
+        return re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}-{self.dataset_sha256[:8]}")
+
+    def best_trivial(self, split: str) -> float:
+        """Largest median SSIM of the trivial predictors in a split; nan where none was run."""
+        trivial = (row.value(split, median_ssim) for row in self.rows if row.is_trivial)
+        return max((value for value in trivial if not isnan(value)), default=nan)
+
+    def skill(self, record: RunRecord) -> float:
+        """Skill in SSIM over the best trivial predictor of the record's split."""
+        return skill(median_ssim(record), self.best_trivial(record.job.split))
+
+    def split_sets(self) -> list[tuple[str, ...]]:
+        """Sets of splits that some row was run on, those of most rows first: averages over others don't compare.
+
+        What was run on one split alone is not among them, unless there is nothing else.
+        """
+        sets = {frozenset(row.by_split) for row in self.rows}
+        num_rows = {each: sum(each <= set(row.by_split) for row in self.rows) for each in sets}
+        ordered = sorted(sets, key=lambda each: (-num_rows[each], -len(each), sorted(each)))
+        shown = [each for each in ordered if len(each) > 1] or ordered
+        return [tuple(split for split in self.splits if split in each) for each in shown]
+
+    def rows_on(self, splits: Sequence[str]) -> list[Row]:
+        """Rows that were run on all of these splits, the best average of median SSIM first."""
+        rows = [row for row in self.rows if set(splits) <= set(row.by_split)]
+        return sorted(rows, key=lambda row: (-row.average(splits, median_ssim), row.label))
+
+
+def boards(records: Iterable[RunRecord]) -> list[Board]:
+    """Group records by data set and protocol, in the protocols' order; of one job run twice, the later counts.
+
+    Raises `DataError` where a group mixes versions of the protocol or of the metrics.
+    """
+    ordered = sorted(records, key=lambda record: (*_group_key(record), record.time_utc, record.id))
+    grouped = [_board(key, list(group)) for key, group in groupby(ordered, _group_key)]
+    return sorted(grouped, key=lambda board: (board.scene, board.dataset_sha256, _place(board.protocol)))
+
+
+def median_ssim(record: RunRecord) -> float:
+    """Median SSIM over the test samples."""
+    return record.scores["ssim"].median
+
+
+def short_name(split: str) -> str:
+    """The split's name without its protocol: `lofo-2.4GHz` → `2.4GHz`."""
+    starts = [f"{protocol}-" for protocol in PROTOCOLS if split.startswith(f"{protocol}-")]
+    return split.removeprefix(max(starts, key=len, default=""))
+
+
+def short_commit(commit: str | None) -> str:
+    """The first seven digits, and whether the source was edited; `?` where the commit is unknown."""
+    digits, plus, changes = (commit or "?").partition("+")
+    return digits[:7] + plus + changes
+
+
+def _group_key(record: RunRecord) -> GroupKey:
+    return record.scene, record.dataset_sha256, record.job.protocol
+
+
+def _place(protocol: str) -> int:
+    return PROTOCOLS.index(protocol) if protocol in PROTOCOLS else len(PROTOCOLS)
+
+
+def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
+    versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
+    if len(versions) > 1:
+        described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
+        raise DataError(
+            f"Records of {key[0]!r} and {key[2]!r} are of different versions ({described}) and cannot be "
+            "ranked together. Delete the older lines and run those jobs again."
+        )
+    splits = sorted({record.job.split for record in records}, key=_natural)
+    rows = _rows(records)
+    rows.sort(key=lambda row: (-_or_lowest(row.average(splits, median_ssim)), row.label))
+    data = records[0]  # of one data set, which they all describe alike
+    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows))
+
+
+def _rows(records: Sequence[RunRecord]) -> list[Row]:
+    """A row for every method as it was configured; where defaults changed since, the commit tells rows apart."""
+    by_config: dict[tuple[str, str], dict[tuple[str, int], RunRecord]] = {}
+    for record in records:
+        key = _label(record.job), json.dumps(record.config, sort_keys=True)
+        by_config.setdefault(key, {})[record.job.split, record.job.seed] = record
+    times = Counter(label for label, _ in by_config)
+    return [
+        Row(
+            label
+            if times[label] == 1
+            else f"{label} @ {short_commit(next(iter(found.values())).git_commit)}",
+            _by_split(found),
+        )
+        for (label, _), found in by_config.items()
+    ]
+
+
+def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
+    by_split: dict[str, tuple[RunRecord, ...]] = {}
+    for split, seed in sorted(found):
+        by_split[split] = (*by_split.get(split, ()), found[split, seed])
+    return by_split
+
+
+def _label(job: Job) -> str:
+    """The method's name, with whatever differs from a plain run."""
+    if _is_trivial(job):
+        return job.method
+    differences = [*job.overrides]
+    if job.budget != Budget():
+        limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
+        differences += [f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None]
+    return f"{job.method} ({', '.join(differences)})" if differences else job.method
+
+
+def _is_trivial(job: Job) -> bool:
+    return job.method in TRIVIAL and not job.overrides
+
+
+def _or_lowest(value: float) -> float:
+    return -inf if isnan(value) else value
+
+
+def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:
+    """Sort key under which 2.4GHz comes before 24.25GHz, and few training carriers before many."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    return len(parts), [(float(part), "") if index % 2 else (0.0, part) for index, part in enumerate(parts)]

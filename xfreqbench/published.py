@@ -1,0 +1,67 @@
+"""Numbers that others published, on other data: beside ours to be read, never ranked with them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from xfreqbench.boards import Row
+from xfreqbench.markdown import table
+
+COLUMN = "published, other data"
+
+
+def published_cell(row: Row, splits: Sequence[str]) -> str:
+    """What was published of the method a row stands for, on the same splits: `XFreq-GS 0.9098`, or nothing.
+
+    Where the splits have no number together, each of them has its own: `XFreq-GS 0.7381 / 0.7642`.
+    """
+    for counterpart in _content()["counterpart"]:
+        if _stands_for(counterpart, row):
+            return _cell(counterpart, splits)
+    return ""
+
+
+def published_section(protocol: str) -> list[str]:
+    """Every published table of a protocol, under its own heading; nothing where there is none."""
+    content = _content()
+    tables = [each for each in content["table"].values() if each["protocol"] == protocol]
+    if not tables:
+        return []
+    note = f"{content['citation']}: {content['conditions']}."
+    return ["### Published, other data, not comparable", note, *map(_published_table, tables)]
+
+
+@cache
+def _content() -> dict[str, Any]:
+    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
+
+
+def _stands_for(counterpart: Mapping[str, Any], row: Row) -> bool:
+    config = row.records[0].config
+    return (row.job.protocol, row.job.method) == (counterpart["protocol"], counterpart["method"]) and all(
+        config.get(name) == value for name, value in counterpart.get("config", {}).items()
+    )
+
+
+def _cell(counterpart: Mapping[str, Any], splits: Sequence[str]) -> str:
+    cells = counterpart["cells"]
+    whole = cells.get(" ".join(splits)) or cells.get("any")
+    each = [whole] if whole else [cells.get(split) for split in splits]
+    return f"{counterpart['name']} {' / '.join(map(_looked_up, each))}" if all(each) else ""
+
+
+def _looked_up(place: Sequence[str]) -> str:
+    """The number in a table, row and column."""
+    name, row, column = place
+    found = _content()["table"][name]
+    values: list[str] = found["rows"][row]
+    return values[found["columns"].index(column)]
+
+
+def _published_table(content: Mapping[str, Any]) -> str:
+    rows = [[name, *values] for name, values in content["rows"].items()]
+    return f"{content['title']}:\n\n{table([content['first_column'], *content['columns']], rows)}"
