@@ -117,10 +117,10 @@ def bench_savings(bench: Bench) -> None:
     """Print every saving off and on."""
     bench.introduce()
     note = (
-        "ms a sample; the others stay on while one is off. Generator: the office at the defaults; its changes are "
-        "the largest error of a sample's channel relative to its norm, and PSNR of power maps. Renderer and "
-        f"training: {named(TRAINING)}, on {num_threads()} threads; changes are relative to the largest value of "
-        "a field, or absolute in maps of peak 1. A saving may buy accuracy with time."
+        "ms a sample; the others stay on while one is off. Generator: the office at the defaults; changes are the "
+        "largest error of a sample's channel relative to its norm, and PSNR of power maps (none: equal to the last "
+        f"bit). Renderer and training: {named(TRAINING)}, on {num_threads()} threads; changes are relative to the "
+        "largest value of a field, or absolute in maps of peak 1. A saving may buy accuracy with time."
     )
     versions = software_versions("image") | software_versions("sionna")
     with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
@@ -281,7 +281,9 @@ def _beam(scene: Scene) -> BartlettBeam:
 
 
 def channel_change(scene: Scene, cfr: ChannelArray, other: ChannelArray) -> str:
-    """Largest relative error of a sample's channel, and PSNR of the power maps."""
+    """Largest relative error of a sample's channel, and PSNR of the power maps; `none` where all are equal."""
+    if np.array_equal(cfr, other):
+        return "none"
     norm = np.linalg.norm(other, axis=2)
     relative = np.linalg.norm(cfr - other, axis=2) / np.where(norm == 0, 1, norm)
     beam = _beam(scene)

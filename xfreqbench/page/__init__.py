@@ -67,7 +67,7 @@ def _comparisons(board: Board) -> list[Comparison]:
 def _embedded(content: Any) -> str:
     """JSON that no text in it can end, wherever in a page it stands; what is not finite is null."""
     text = json.dumps(_finite(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def _finite(content: Any) -> Any:
