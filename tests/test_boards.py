@@ -5,7 +5,7 @@ import math
 import pytest
 from test_records import make_record
 
-from xfreqbench.boards import boards, median_ssim, short_commit, short_name
+from xfreqbench.boards import boards, median_ssim, pooled_quantiles, short_commit, short_name
 from xfreqbench.method import Budget
 from xfreqbench.records import Job
 
@@ -82,3 +82,45 @@ def test_protocols_of_a_data_set_stand_in_their_order() -> None:
 def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
     commits = ["0123456789", "0123456789+changes", None]
     assert list(map(short_commit, commits)) == ["0123456", "0123456+changes", "?"]
+
+
+def test_a_row_run_on_one_split_beside_larger_sets_stands_on_a_lone_split() -> None:
+    trivial = [make_record("nearest", 0.8, split) for split in SPLITS]
+    ablation = make_record("lone", 0.9, SPLITS[2])
+    (board,) = boards([*trivial, ablation])
+    assert board.split_sets() == [SPLITS]
+    assert board.lone_splits() == [SPLITS[2]]
+    assert boards(trivial)[0].lone_splits() == []
+
+
+def test_runs_of_other_code_are_another_row() -> None:
+    records = [seeded(0.9, 0, code_sha256="a" * 64), seeded(0.8, 1, code_sha256="b" * 64)]
+    (board,) = boards(records)
+    assert sorted(row.value(SPLITS[0], median_ssim) for row in board.rows) == [0.8, 0.9]
+
+
+def test_no_two_rows_have_one_label_even_of_one_commit() -> None:
+    records = [seeded(0.9, seed, config={"width": seed}) for seed in range(3)]
+    (board,) = boards(records)
+    assert sorted(row.label for row in board.rows) == [
+        "ours (≤ 300 s) @ ?",
+        "ours (≤ 300 s) @ ? #2",
+        "ours (≤ 300 s) @ ? #3",
+    ]
+
+
+def test_options_in_another_order_are_the_same_row() -> None:
+    jobs = [
+        Job("data.h5", "ours", "lofo", SPLITS[0], options, seed)
+        for seed, options in enumerate([("a=1", "b=2"), ("b=2", "a=1")])
+    ]
+    row = only_row(*(make_record("ours", 0.9, SPLITS[0], job=job) for job in jobs))
+    assert row.label == "ours (a=1, b=2)"
+
+
+def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:
+    low, high = seeded(0.5, 0), seeded(0.9, 1)
+    pooled = pooled_quantiles([low, high], "ssim")
+    both = sorted([*low.scores["ssim"].quantiles, *high.scores["ssim"].quantiles])
+    assert (pooled[0], pooled[-1]) == (both[0], both[-1])
+    assert pooled[50] == pytest.approx(both[100], abs=0.01)  # a step between two of the 202 values

@@ -166,9 +166,7 @@ def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatte
         ]
         comparison, row = compared(*records)
         num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
-    assert (
-        num_told_apart / num_trials < 0.22
-    )  # 0.11 over 300 trials, and three standard deviations of 100 more
+    assert num_told_apart / num_trials < 0.12  # nominally 0.05, and three standard deviations of 100 trials
 
 
 def test_comparisons_that_share_their_resampling_agree_with_those_that_do_not() -> None:

@@ -9,8 +9,10 @@ import pytest
 from xfreqbench import convergence
 from xfreqbench.convergence import MapError, PipelineCost, Row, Rung, ladder
 from xfreqbench.records import read
+from xfreqbench.reference import read_reference
+from xfreqbench.scene import load_scene
 from xfreqbench.tables import Bench
-from xfreqbench.tracing import TraceSettings
+from xfreqbench.tracing import Interaction, TraceSettings
 
 
 def row(label: str, sample_ms: float, *median_db: float) -> Row:
@@ -78,6 +80,24 @@ def test_the_table_of_settings_is_recorded_with_its_figure(
         assert min(medians) == pytest.approx(point.y, abs=0.51)  # shown without decimals
     assert record.figure.points[0].y < record.figure.points[1].y  # the office needs depth
     assert "llvmlite" in record.software
+
+
+@pytest.mark.parametrize(
+    ("interactions", "channel_s", "num_left"), [(("specular",), 4.0, 0), (("diffraction",), 5.0, 1)]
+)
+def test_a_rungs_times_are_the_least_of_warm_runs_but_where_they_are_dear(
+    interactions: tuple[Interaction, ...], channel_s: float, num_left: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    office = load_scene("office")
+    reference = read_reference(office)
+    times = iter([(9.0, 9.0), (2.0, 5.0), (3.0, 4.0)])  # the first run compiles
+    monkeypatch.setattr(convergence, "resolve_solver", lambda meshes, settings: settings)
+    monkeypatch.setattr(convergence, "map_errors", lambda scene, cfr, truth: [])
+    monkeypatch.setattr(convergence, "_traced", lambda *asked: (*next(times), reference.cfr))
+    found = convergence.measure(office, TraceSettings(interactions=interactions), reference, "a rung")
+    num_samples = reference.cfr.shape[0] * reference.cfr.shape[1]
+    assert (found.shoot_s, found.sample_ms) == (2.0, channel_s / num_samples * 1e3)
+    assert len(list(times)) == num_left
 
 
 def test_pipelines_are_compared_with_the_plain_way_and_the_cheapest_that_meets_the_bar() -> None:

@@ -116,6 +116,41 @@ def test_every_saving_leaves_the_answer_as_it_is() -> None:
         assert np.sqrt((error**2).mean(axis=(1, 2))).max() < 10 ** (-70 / 20)  # 70 dB; measured 79 dB or more
 
 
+def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
+    """Largest difference of channels decided by corners from those of every element, relative to each sample's norm."""
+    settings = TraceSettings(max_depth=max_depth, rays=2000)
+    by_corners, by_elements = (
+        ImageTracer(
+            scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
+        )
+        .channel(tx)
+        .cfr
+        for share in (True, False)
+    )
+    return float(
+        (np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max()
+    )
+
+
+def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
+    tx = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 20)])
+    for edge_m in (1.38, 1.62):  # where some elements see the floor within 1 cm of the sheet's foot
+        sheet = Surface("sheet", "glass", 0.005, (edge_m, -2.0, 0.0), (edge_m, 2.0, 1.0))
+        assert (
+            visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12
+        )  # roundings of a sum of paths
+
+
+def test_the_first_of_two_facets_that_overlap_in_a_plane_reflects_where_it_is() -> None:
+    small = Surface("small", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6))
+    large = Surface("large", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6))
+    tx = np.array(
+        [(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)]
+    )  # half of the elements' reflections lie on the small one
+    assert visibility_apart(scene_of(small, large), tx, max_depth=1) < 1e-12  # roundings of a sum of paths
+
+
 def test_a_plane_crossed_twice_over_counts_once() -> None:
     sheets = (
         Surface("left", "glass", 0.01, (-5.0, -5.0, 1.5), (2.0, 5.0, 1.5)),

@@ -28,6 +28,11 @@ def note_and_sleep(path):
 """
 
 
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity"), reason="processes are kept to no core here"
+)
+
+
 def _cores_of_call(argument: int) -> tuple[int, tuple[int, ...]]:
     return argument, tuple(sorted(os.sched_getaffinity(0)))
 

@@ -7,7 +7,7 @@ import pytest
 from xfreqbench import benchmark as benchmarks
 from xfreqbench import cli
 from xfreqbench.benchmark import Benchmark, cost, plan_benchmark
-from xfreqbench.errors import UnknownNameError
+from xfreqbench.errors import OutputExistsError, UnknownNameError
 from xfreqbench.method import TRIVIAL, build_method
 from xfreqbench.presets import LEARNED, PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
 from xfreqbench.records import RECORDS_FILE, read
@@ -121,6 +121,26 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     again = read(planned.records_path)
     assert again.records[:5] == stored.records[:5]
     assert {record.id for record in again.records} == {record.id for record in stored.records}
+
+
+def test_a_measurement_that_fails_is_named_and_its_tables_are_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
+    planned = plan_benchmark("small", folder / "data", folder / "measured")
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "no such case"), 1))
+    (failure,) = benchmarks.measure(planned, "stress")
+    assert "`xfreqbench stress --only no such case` ended with 2" in failure
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "skill"), 1))
+    assert benchmarks.measure(planned, "stress") == []
+    assert [record.bench for record in read(planned.records_path).benches] == ["stress"]
+
+
+def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
+    planned = plan_benchmark("small", folder / "other", folder / "results")
+    cli.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
+    with pytest.raises(OutputExistsError):
+        benchmarks.generate_data(planned, lambda scene, done, total: None)
 
 
 def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_records import make_record, make_summary
 
+from xfreqbench.angles import AngularGrid
 from xfreqbench.boards import boards
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.method import TRIVIAL, Budget
@@ -278,10 +279,11 @@ def test_a_report_of_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_pictures_of_maps_are_equal_bytes_for_equal_maps(tmp_path: Path) -> None:
+    grid = AngularGrid.hemisphere()
     maps = np.random.default_rng(0).random((2, 90, 360), dtype=np.float32)
     for name in ("a.png", "b.png"):
-        plot_pas_maps(maps, ["truth", "predicted"], tmp_path / name)
-    plot_pas_maps(maps[::-1], ["truth", "predicted"], tmp_path / "c.png")
+        plot_pas_maps(maps, grid, ["truth", "predicted"], tmp_path / name)
+    plot_pas_maps(maps[::-1], grid, ["truth", "predicted"], tmp_path / "c.png")
     a, b, c = ((tmp_path / name).read_bytes() for name in ("a.png", "b.png", "c.png"))
     assert a == b != c
 
@@ -337,7 +339,7 @@ def test_sets_of_different_kinds_of_map_have_different_headings() -> None:
     markdown = leaderboard_markdown(records)
     assert "## office · lofo · power maps\n" in markdown
     assert "## office · lofo · amplitude maps\n" in markdown
-    assert "office · lofo · amplitude maps. Median" in leaderboard_summary(records)
+    assert "office · lofo · amplitude maps. Tested" in leaderboard_summary(records)
 
 
 def test_the_summary_for_a_terminal_is_one_table_a_board() -> None:

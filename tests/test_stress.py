@@ -14,7 +14,9 @@ import torch
 from xfreqbench import stress
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.records import read
-from xfreqbench.stress.case import Case
+from xfreqbench.splatting import composite_kernels
+from xfreqbench.stress.case import Case, NothingToCompareError
+from xfreqbench.stress.threads import needing_two_threads
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -27,6 +29,10 @@ def raising() -> float:
     raise ValueError("no\nnumber")
 
 
+def on_a_lesser_machine() -> float:
+    raise NothingToCompareError("one thread")
+
+
 def warning() -> float:
     warnings.warn("overflow", RuntimeWarning, stacklevel=1)
     return 0.0
@@ -35,6 +41,8 @@ def warning() -> float:
 @pytest.mark.parametrize("case", stress.cases(), ids=lambda case: f"{case.area}: {case.name}")
 def test_the_code_keeps_to_its_reference(case: Case) -> None:
     verdict = case.judge()
+    if verdict.is_skipped:
+        pytest.skip(verdict.fault)
     assert verdict.is_within, f"{verdict.error} {case.unit}, limit {case.limit}; {verdict.fault}"
 
 
@@ -78,6 +86,29 @@ def test_a_failed_case_stops_nothing_and_is_told_at_the_end(
     (record,) = read(records).benches
     assert record.bench == "stress"
     assert [row[-1] for row in record.rows] == ["FAILED", "FAILED ValueError: no number", "ok"]
+
+
+def test_a_skipped_case_neither_fails_nor_passes_and_says_why(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    made_up = (Case("two threads", "tests", 1, "rad", on_a_lesser_machine), case_of(0.0, "good"))
+    monkeypatch.setattr(stress, "cases", lambda: made_up)
+    said: list[str] = []
+    records = tmp_path / "records.jsonl"
+    assert stress.stress(None, records, said.append)
+    assert said[-1] == "2 cases, 1 skipped, all others within limits"
+    (record,) = read(records).benches
+    assert [row[-1] for row in record.rows] == ["skipped: one thread", "ok"]
+    assert not made_up[0].judge().is_within
+
+
+def test_one_thread_is_not_compared_with_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = composite_kernels.use_threads(1)
+    monkeypatch.setattr(composite_kernels, "NUMBA_NUM_THREADS", 1)
+    verdict = Case("made up", "tests", 0, "rad", needing_two_threads(lambda: 0.0)).judge()
+    monkeypatch.undo()
+    composite_kernels.use_threads(before)
+    assert verdict.is_skipped
 
 
 def test_a_selection_takes_areas_and_parts_of_names() -> None:

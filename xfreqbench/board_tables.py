@@ -105,11 +105,7 @@ def split_tables(board: Board, resampling: Resampling) -> list[str]:
 
 def _of_split(board: Board, split: str, resampling: Resampling) -> list[str]:
     comparison = Comparison(board, (split,), resampling)
-    summed_up = {row.label for splits in board.split_sets() for row in board.rows_on(splits)}
-    is_new = any(
-        row.label not in summed_up for row in comparison.ranked_rows
-    )  # as ablations of one carrier are
-    pairs = _pair_matrix(comparison) if is_new else []
+    pairs = _pair_matrix(comparison) if split in board.lone_splits() else []
     return [_split_table(comparison), *pairs, *_carrier_table(board, split)]
 
 

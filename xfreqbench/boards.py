@@ -7,17 +7,21 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, count, groupby
 from math import inf, isnan, nan
 from statistics import mean, stdev
 from typing import Any
 
+import numpy as np
+
 from xfreqbench.errors import DataError
 from xfreqbench.method import TRIVIAL, Budget
-from xfreqbench.metrics import skill
+from xfreqbench.metrics import quantiles, skill
 from xfreqbench.protocols import PROTOCOLS
-from xfreqbench.records import Job, RunRecord
+from xfreqbench.records import NUM_QUANTILES, Job, RunRecord
 
+Configured = tuple[str, str, str | None]  # label, config as JSON, hash of the code
+Runs = dict[tuple[str, int], RunRecord]  # by split and seed
 GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
 Quantity = Callable[[RunRecord], float]
 
@@ -114,6 +118,12 @@ class Board:
         shown = [each for each in ordered if len(each) > 1] or ordered
         return [tuple(split for split in self.splits if split in each) for each in shown]
 
+    def lone_splits(self) -> list[str]:
+        """Splits on which a row was run that is in none of the sets of splits, as ablations of one carrier are."""
+        summed_up = {row.label for splits in self.split_sets() for row in self.rows_on(splits)}
+        lone = {split for row in self.rows if row.label not in summed_up for split in row.by_split}
+        return [split for split in self.splits if split in lone]
+
     def rows_on(self, splits: Sequence[str]) -> list[Row]:
         """Rows that were run on all of these splits, the best average of median SSIM first."""
         rows = [row for row in self.rows if set(splits) <= set(row.by_split)]
@@ -133,6 +143,20 @@ def boards(records: Iterable[RunRecord]) -> list[Board]:
 def median_ssim(record: RunRecord) -> float:
     """Median SSIM over the test samples."""
     return record.scores["ssim"].median
+
+
+def family(row: Row) -> str:
+    """`trivial` as it comes, `ablation` with other options, `learned` otherwise; a device is no option."""
+    if row.is_trivial:
+        return "trivial"
+    changed = [option for option in row.job.overrides if not option.startswith("device=")]
+    return "ablation" if changed else "learned"
+
+
+def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
+    """Quantiles from 0 to 1 of the samples of all seeds together: every seed tests as many."""
+    pooled = np.concatenate([record.scores[metric].quantiles for record in records])
+    return quantiles(pooled, np.linspace(0, 1, NUM_QUANTILES).tolist()).tolist()
 
 
 def short_name(split: str) -> str:
@@ -172,20 +196,23 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
 
 def _rows(records: Sequence[RunRecord]) -> list[Row]:
     """A row for every method as it was configured; where defaults changed since, the commit tells rows apart."""
-    by_config: dict[tuple[str, str], dict[tuple[str, int], RunRecord]] = {}
+    by_config: dict[Configured, Runs] = {}
     for record in records:
-        key = _label(record.job), json.dumps(record.config, sort_keys=True)
+        key = _label(record.job), json.dumps(record.config, sort_keys=True), record.code_sha256
         by_config.setdefault(key, {})[record.job.split, record.job.seed] = record
-    times = Counter(label for label, _ in by_config)
-    return [
-        Row(
-            label
-            if times[label] == 1
-            else f"{label} @ {short_commit(next(iter(found.values())).git_commit)}",
-            _by_split(found),
-        )
-        for (label, _), found in by_config.items()
-    ]
+    return [Row(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
+
+
+def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
+    """Runs by labels of which no two are equal: with their commit where the label alone is, or a number."""
+    times = Counter(label for label, *_ in by_config)
+    named: dict[str, Runs] = {}
+    for (label, *_), found in by_config.items():
+        commit = short_commit(next(iter(found.values())).git_commit)
+        name = label if times[label] == 1 else f"{label} @ {commit}"
+        others = (f"{name} #{number}" for number in count(2))
+        named[next(each for each in chain([name], others) if each not in named)] = found
+    return named
 
 
 def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
@@ -199,7 +226,7 @@ def _label(job: Job) -> str:
     """The method's name, with whatever differs from a plain run."""
     if _is_trivial(job):
         return job.method
-    differences = [*job.overrides]
+    differences = sorted(job.overrides)
     if job.budget != Budget():
         limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
         differences += [f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None]

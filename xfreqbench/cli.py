@@ -437,13 +437,14 @@ def benchmark(
         benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total))
         failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total))
     for name in planned.missing_benches():
-        benchmarks.measure(planned, name)
-    benchmarks.record_contents(planned)
+        failures += benchmarks.measure(planned, name)
+    if not failures:
+        benchmarks.record_contents(planned)
     folder = planned.results_dir
     report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
     if failures:
         raise XFreqBenchError(
-            "\n".join([f"{len(failures)} runs failed; the same command tries them again.", *failures])
+            "\n".join([f"{len(failures)} of its parts failed; the same command tries them again.", *failures])
         )
 
 
@@ -499,7 +500,7 @@ def plot(
         )
     rows = np.flatnonzero(dataset.tx_index == tx)
     titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
-    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), titles, output)
+    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
     _say(f"wrote {output}")
 
 
@@ -511,8 +512,13 @@ BenchOutput = Annotated[
 ]
 
 
-def _bench(name: str, output: Path | None, *arguments: str, **options: object) -> Any:
-    """What prints and keeps a command's tables; options that are False or absent are not part of the command."""
+def _bench(
+    name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object
+) -> Any:
+    """What prints and keeps a command's tables, of a `kind` where it has several.
+
+    Options that are False or absent are not part of the command.
+    """
     import shlex
 
     from xfreqbench.tables import Bench
@@ -521,7 +527,7 @@ def _bench(name: str, output: Path | None, *arguments: str, **options: object) -
     for option, value in options.items():
         flag = f"--{option.replace('_', '-')}"
         words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
-    return Bench(name, shlex.join(words), _say, output)
+    return Bench(kind or name, shlex.join(words), _say, output)
 
 
 @app.command
@@ -556,7 +562,7 @@ def bench_generate(
     from xfreqbench import convergence
 
     if against_plain:
-        bench = _bench("generate", output, scene, against_plain=True, tx=tx, plain_tx=plain_tx)
+        bench = _bench("generate", output, scene, kind="plain", against_plain=True, tx=tx, plain_tx=plain_tx)
         convergence.bench_against_plain(bench, scene, tx, plain_tx)
     else:
         names = [name.strip() for name in solvers.split(",")]

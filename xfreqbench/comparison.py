@@ -11,6 +11,7 @@ from math import nan
 import numpy as np
 from jaxtyping import Float, Integer
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.boards import Board, Row
@@ -99,11 +100,9 @@ class Comparison:
         return all(record.ssim_by_tx for split in self.splits for record in row.by_split.get(split, ()))
 
     def _trivial(self, split: str) -> list[Row]:
-        return [
-            row
-            for row in self.board.rows
-            if row.is_trivial and split in row.by_split and all(r.ssim_by_tx for r in row.by_split[split])
-        ]
+        """The trivial predictors of a split; none where one of them lacks its samples."""
+        rows = [row for row in self.board.rows if row.is_trivial and split in row.by_split]
+        return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 
     def _left_open(self, split: str) -> Float[FloatArray, "R"]:
         """What the best trivial predictor of each resample leaves open; nan where that is nothing."""
@@ -154,9 +153,16 @@ def _resampled(row: Row, split: str) -> Float[FloatArray, "R"]:
 
 
 def _widened(medians: Float[FloatArray, "S R"]) -> Float[FloatArray, "S R"]:
-    """Deviations of S seeds from their mean times √(S/(S−1)): what is drawn from few scatters too little."""
+    """Deviations of S seeds from their mean, widened: what is drawn from few scatters too little.
+
+    By √(S/(S−1)), as of a standard deviation, and as much as Student's t with the 2(S−1) degrees of freedom of
+    a difference of two methods is wider than the normal distribution at 95 %.
+    """
     number, mean = len(medians), medians.mean(axis=0)
-    return mean + np.sqrt(number / max(1, number - 1)) * (medians - mean)
+    if number < 2:
+        return medians
+    student = stdtrit(2 * (number - 1), 0.975) / ndtri(0.975)
+    return mean + np.sqrt(number / (number - 1)) * student * (medians - mean)
 
 
 def _interval(values: Float[FloatArray, "R"]) -> Interval:

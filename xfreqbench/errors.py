@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class XFreqBenchError(Exception):
@@ -32,6 +33,10 @@ class UnknownNameError(XFreqBenchError):
         nearest = difflib.get_close_matches(given, known, n=1, cutoff=0.4)
         hint = f" Did you mean {nearest[0]!r}?" if nearest else ""
         super().__init__(f"There is no {kind} {given!r}.{hint} Choose one of: {', '.join(known)}.")
+        self._arguments = kind, given, known
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._arguments  # or another process could not tell of it
 
 
 class SceneError(XFreqBenchError):
@@ -69,6 +74,10 @@ class DivergenceError(MethodError):
         super().__init__(f"{tensor} is not finite at step {step}. {context}")
         self.step = step
         self.tensor = tensor
+        self._context = context
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.step, self.tensor, self._context)
 
 
 class StorageError(XFreqBenchError):

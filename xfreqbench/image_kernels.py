@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
@@ -71,6 +71,11 @@ class Antenna(NamedTuple):
 
     is_horizontal: bool
     is_dipole: bool
+
+
+def num_threads() -> int:
+    """Threads that `launch` and `channels` run on."""
+    return int(get_num_threads())
 
 
 @njit(cache=True, inline="always")
@@ -317,16 +322,22 @@ def _insert_crossing(scratch: Scratch, segment: int, q: int, t: float) -> None:
 
 
 @njit(cache=True, fastmath=FAST)
-def _shortest_piece(scratch: Scratch, corner: int, length: int) -> float:
-    """Shortest stretch between successive interactions, crossings at the fractions of corner 0."""
+def _shortest_piece(facets: Facets, scratch: Scratch, corner: int, length: int) -> float:
+    """Shortest stretch of a corner's path between successive interactions, in corner 0's order.
+
+    Negative where this corner meets two slabs the other way round.
+    """
     shortest = 1e30
     for s in range(length + 1):
         a, b = scratch.vertex[corner, s], scratch.vertex[corner, s + 1]
         span = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
         last = 0.0
         for i in range(scratch.num_crossed[s]):
-            shortest = min(shortest, (scratch.crossed_at[s, i] - last) * span)
-            last = scratch.crossed_at[s, i]
+            p = _plane_of(facets, scratch.crossed[s, i])
+            here, there = scratch.side[corner, s, p], scratch.side[corner, s + 1, p]
+            at = here / (here - there)
+            shortest = min(shortest, (at - last) * span)
+            last = at
         shortest = min(shortest, (1.0 - last) * span)
     return shortest
 
@@ -398,7 +409,7 @@ def trace(
                         return False
                     _insert_crossing(scratch, s, q, t)
                     break
-    return _shortest_piece(scratch, 0, n) >= MIN_SEGMENT_M
+    return _shortest_piece(facets, scratch, 0, n) >= MIN_SEGMENT_M
 
 
 # --- the whole aperture at once: four corners decide for every element between them ---
@@ -444,7 +455,7 @@ def _fold_corners(
                 beyond = _outside(facets, q, u, v)
                 beyond_all &= beyond
                 num_inside += beyond == 0
-            if num_inside == 4:
+            if num_inside == 4 and verdict != MIXED:  # `_fold` takes the first facet that an element meets
                 scratch.hit[j] = q
                 verdict = EVERYWHERE
                 break
@@ -492,7 +503,8 @@ def trace_aperture(
 
     The point where a path meets a plane is a projective map of the element's position, so convex facets
     have convex preimages: what holds at the four corners holds between them, and for every narrower
-    aperture about the same centre. Facets crossed are left in `scratch`.
+    aperture about the same centre. Stretches are not quite linear in the position: each corner's have to be
+    twice the shortest that a path may have, or its elements are traced. Facets crossed are left in `scratch`.
     """
     verdict = _fold_corners(facets, candidates, c, tx, corner_m, scratch)
     if verdict != EVERYWHERE:
@@ -536,7 +548,7 @@ def trace_aperture(
     if is_mixed:
         return MIXED
     for k in range(4):
-        if _shortest_piece(scratch, k, n) < 2 * MIN_SEGMENT_M:
+        if _shortest_piece(facets, scratch, k, n) < 2 * MIN_SEGMENT_M:
             return MIXED
     return EVERYWHERE
 
@@ -742,7 +754,7 @@ def channels(
     A path counts where its field reaches at least one element and has not vanished on the way.
 
     `prune` tests each candidate roughly first; `share_visibility` lets four corners decide for the
-    elements between them. Both leave the answer as it is and are there to be priced.
+    elements between them. Both leave the answer as it is, to rounding, and are there to be priced.
     """
     num_tx = tx_position_m.shape[0]
     num_carriers, num_elements = aperture.element_m.shape[0], aperture.element_m.shape[1]

@@ -2,9 +2,9 @@
 
 Branching rays from the receiver find the sequences of reflecting planes that can matter, once. Each
 transmitter keeps the sequences it can reach; four corners of the aperture decide visibility for every
-element between them, and where they disagree each element is traced by itself. Specular reflection and
-refraction only. Depth counts both, and a path with a stretch shorter than 1 cm is dropped, as in
-Sionna RT, whose ITU-R P.2040 slabs and antenna conventions it shares.
+element between them, and where they disagree, or a stretch is under 2 cm, each element is traced by
+itself. Specular reflection and refraction only. Depth counts both, and a path with a stretch shorter
+than 1 cm is dropped, as in Sionna RT, whose ITU-R P.2040 slabs and antenna conventions it shares.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ MAX_INTERPOLATED_WAVELENGTHS = 1.5  # a 4×4 array: 68 dB or better at the 5th p
 class ImageSavings:
     """What the solver skips; each can be turned off to price it. Only the last one moves the answer.
 
-    The field (not its phase) is computed at `field_nodes_per_axis`² points of the aperture and
-    interpolated between them; 4 on a 4×4 array computes it at every element.
+    The others move roundings: elements are traced one by one where the four corners of the aperture meet
+    other facets, or any of them meets two within 2 cm. The field (not its phase) is computed at
+    `field_nodes_per_axis`² points of the aperture and interpolated between them; 4 on a 4×4 array
+    computes it at every element.
     """
 
     prune: bool = True

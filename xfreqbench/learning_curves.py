@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isnan, nan
 from statistics import mean, median
@@ -10,6 +10,7 @@ from statistics import mean, median
 import numpy as np
 
 from xfreqbench.boards import Board, Row
+from xfreqbench.pareto import pareto_front
 from xfreqbench.records import CURVE_SHARES, CurvePoint, RunRecord, curve_positions
 
 
@@ -69,19 +70,11 @@ def num_sampled(board: Board) -> int:
     return max((len(curve_positions(record.split_sha256, record.num_test)) for record in records), default=0)
 
 
-def pareto_front(points: Iterable[Reached]) -> list[Reached]:
-    """Points that no other reaches sooner or as soon with a larger SSIM, in the order of time."""
-    front: list[Reached] = []
-    for point in sorted(points, key=lambda each: (each.seconds, -each.ssim, each.label)):
-        if not front or point.ssim > front[-1].ssim:
-            front.append(point)
-    return front
-
-
 def split_front(curves: Sequence[LearningCurve], trivial: Reached | None) -> list[Reached]:
     """Front of a split's curves, from the best trivial predictor on where there is one."""
     points = [point for curve in curves for point in curve.known_points]
-    return pareto_front([*([trivial] if trivial else []), *points])
+    known = sorted([*([trivial] if trivial else []), *points], key=lambda point: point.label)
+    return pareto_front(known, cost=lambda point: point.seconds, score=lambda point: point.ssim)
 
 
 def _sampled_median(record: RunRecord) -> float:

@@ -28,6 +28,13 @@ ENTRY_POINT_GROUP = "xfreqbench.methods"
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
 _CONTRACT = ("fit", "predict", "save", "load")
 _SHARED_CODE = "xfreqbench.splatting"  # a package that methods build on without inheriting from it
+_MEASUREMENTS = (
+    "benchmark",
+    "savings",
+    "stress",
+    "stress_training",
+    "training_step",
+)  # no fit depends on them
 _ENDED = object()
 _RANGE_TOLERANCE = 1e-4  # float32 rounding of a map that was divided by its own maximum
 
@@ -251,7 +258,7 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
 def code_sha256(method: Method) -> str:
     """Hash of the files that define a method's class and its bases; a class typed into a shell has none.
 
-    All of `xfreqbench.splatting` is hashed too where one of those files names it.
+    All of `xfreqbench.splatting` that a fit depends on is hashed too where one of those files names it.
     """
     modules = dict.fromkeys(base.__module__ for base in type(method).__mro__)
     paths = [Path(getattr(sys.modules.get(module), "__file__", None) or "") for module in modules]
@@ -263,7 +270,8 @@ def code_sha256(method: Method) -> str:
 
 def _shared_sources() -> list[bytes]:
     folder = Path(__file__).with_name(_SHARED_CODE.rpartition(".")[2])
-    return [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
+    paths = sorted(path for path in folder.rglob("*.py") if path.stem not in _MEASUREMENTS)
+    return [path.read_bytes() for path in paths]
 
 
 def fit_within(

@@ -8,12 +8,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from queue import SimpleQueue
 from typing import TypeVar
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 Cores = frozenset[int]
+_THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def own_cores() -> list[Cores]:
@@ -40,7 +42,8 @@ def side_by_side(
     for place in places:
         free.put(place)
     with ThreadPoolExecutor(len(places)) as threads, _ending_with_us():
-        futures = {threads.submit(_call_in_place, call, argument, free): argument for argument in arguments}
+        settle = partial(_settle, is_alone=len(places) == 1)
+        futures = {threads.submit(_call_in_place, call, each, free, settle): each for each in arguments}
         try:
             for future in as_completed(futures):
                 yield futures[future], future
@@ -61,23 +64,28 @@ def _ending_with_us() -> Iterator[None]:
 
 
 def _call_in_place(
-    call: Callable[[Argument], Result], argument: Argument, free: SimpleQueue[Cores]
+    call: Callable[[Argument], Result],
+    argument: Argument,
+    free: SimpleQueue[Cores],
+    settle: Callable[[Cores], None],
 ) -> Result:
     place = free.get()
     try:
         context = multiprocessing.get_context(
             "spawn"
         )  # a library that was imported here counts its own cores
-        with ProcessPoolExecutor(1, context, _settle, (place,)) as process:
+        with ProcessPoolExecutor(1, context, settle, (place,)) as process:
             return process.submit(call, argument).result()
     finally:
         free.put(place)
 
 
-def _settle(place: Cores) -> None:
+def _settle(place: Cores, is_alone: bool) -> None:
     """Keep this process to its cores, and end it with its parent, even one that is killed."""
     if place:
         os.sched_setaffinity(0, place)
+    elif not is_alone:  # macOS keeps no process to a core; one thread is what comes nearest
+        os.environ.update(dict.fromkeys(_THREADS, "1"))
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -16,6 +16,8 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 from PIL import Image
 
+from xfreqbench.angles import AngularGrid
+from xfreqbench.pareto import pareto_front
 from xfreqbench.records import BenchFigure, BenchPoint
 from xfreqbench.storage import atomic_path, storage_errors
 
@@ -78,7 +80,9 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
     _save(figure, path, "svg")
 
 
-def plot_pas_maps(maps: Float[NDArray[np.float32], "N E A"], titles: Sequence[str], path: Path) -> None:
+def plot_pas_maps(
+    maps: Float[NDArray[np.float32], "N E A"], grid: AngularGrid, titles: Sequence[str], path: Path
+) -> None:
     """Maps of a whole hemisphere as discs seen from the pole, in dB below the peak: a PNG.
 
     The rim is the equator, azimuth runs counter-clockwise from the right. Raises `StorageError`.
@@ -90,7 +94,7 @@ def plot_pas_maps(maps: Float[NDArray[np.float32], "N E A"], titles: Sequence[st
     for axis in axes[len(maps) :]:
         axis.set_visible(False)
     for axis, pas_map, title in zip(axes, maps, titles, strict=False):
-        image = _draw_disc(axis, pas_map)
+        image = _draw_disc(axis, pas_map, grid)
         axis.set_title(title, fontsize="medium")
     figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
     _save(figure, path, "png")
@@ -138,17 +142,8 @@ def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint
     )
 
 
-def pareto_front(points: Sequence[BenchPoint]) -> list[BenchPoint]:
-    """Points than which none is both cheaper and as good, from the cheapest on; equal ones once."""
-    front: list[BenchPoint] = []
-    for point in sorted(points, key=lambda point: (point.x, -point.y)):
-        if not front or point.y > front[-1].y:
-            front.append(point)
-    return front
-
-
 def _draw_front(axis: Any, points: Sequence[BenchPoint]) -> None:
-    front = pareto_front(points)
+    front = pareto_front(points, cost=lambda point: point.x, score=lambda point: point.y)
     x, y = [point.x for point in front], [point.y for point in front]
     axis.step(x, y, where="post", color="0.7", linewidth=4, alpha=0.5, zorder=0)
     ring = {"facecolors": "none", "edgecolors": "0.2", "linewidths": 1.0, "zorder": 3}
@@ -274,22 +269,22 @@ def _style(index: int) -> dict[str, Any]:
     }
 
 
-def _draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"]) -> Any:
-    num_elevations, num_azimuths = pas_map.shape
-    azimuth_edge_rad = (np.arange(num_azimuths + 1) - 0.5) * (2 * np.pi / num_azimuths)
-    polar_edge_deg = 90 - np.arange(num_elevations + 1) * (90 / num_elevations)
+def _draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: AngularGrid) -> Any:
     level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-_DISPLAY_RANGE_DB / 10)))
     axis.set(xticks=[], yticks=[])
     axis.grid(False)
-    return axis.pcolormesh(
-        azimuth_edge_rad,
-        polar_edge_deg,
+    image = axis.pcolormesh(
+        grid.azimuth_rad,
+        90 - np.degrees(grid.elevation_rad),
         level_db,
+        shading="nearest",
         vmin=-_DISPLAY_RANGE_DB,
         vmax=0,
         cmap="magma",
         rasterized=True,
     )
+    axis.set_rlim(0, 90)
+    return image
 
 
 def _save(figure: Figure, path: Path, kind: str) -> None:

@@ -70,7 +70,8 @@ class RunRecord(BaseModel):
     `CURVE_SHARES` of the budget that was reached, and one at the end of the fit; it is empty without a
     limit, and where the method yielded once. `ssim_by_tx` holds the SSIM of every test sample to four
     decimals, a list for each tested transmitter in the order of their indices; `nearest_trained_m` is the
-    median distance from a tested transmitter to the nearest trained one.
+    median distance from a tested transmitter to the nearest trained one, `code_sha256` hashes the files that
+    define the method.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
@@ -102,6 +103,7 @@ class RunRecord(BaseModel):
     curve: tuple[CurvePoint, ...] = ()
     ssim_by_tx: tuple[tuple[float, ...], ...] = ()
     nearest_trained_m: float | None = None
+    code_sha256: str | None = None
 
 
 class BenchPoint(BaseModel):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from xfreqbench.board_tables import curve_table, split_tables, summary_table, summary_tables
 from xfreqbench.boards import Board, boards, short_commit
+from xfreqbench.captions import leak_statement, machine_name, tracing
 from xfreqbench.comparison import MIN_SEEDS, Comparison, Resampling
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.markdown import table
@@ -50,9 +51,9 @@ def leaderboard_markdown(records: Iterable[RunRecord], benches: Iterable[BenchRe
 def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     """The first table of every data set and protocol, to be read in a terminal."""
     return "\n\n".join(
-        f"{board.title}. {summary_table(Comparison(board, splits))}"
+        f"{board.title}. {leak_statement(board)}\n\n{summary_table(Comparison(board, splits))}"
         for board in boards(records)
-        for splits in board.split_sets()
+        for splits in [*board.split_sets(), *((split,) for split in board.lone_splits())]
     )
 
 
@@ -121,48 +122,13 @@ def _picture(links: Mapping[str, str], name: str, title: str) -> list[str]:
 
 def _conditions(board: Board) -> str:
     """Where the data come from, what is shared between training and test, and whose times these are."""
-    machines = sorted({_machine(record.hardware) for record in board.records})
+    machines = sorted({machine_name(record.hardware) for record in board.records})
     commits = sorted({short_commit(record.git_commit) for record in board.records})
     seeds = sorted({record.job.seed for record in board.records})
     return (
-        f"Data set `{board.dataset_sha256[:16]}`: {_tracing(board)}. **{_leak(board)}** "
+        f"Data set `{board.dataset_sha256[:16]}`: {tracing(board)}. **{leak_statement(board)}** "
         f"Times were taken on {'; '.join(machines)}. {_counted('Commit', commits)}; {_counted('seed', seeds)}."
     )
-
-
-def _leak(board: Board) -> str:
-    if any(record.shares_transmitters for record in board.records):
-        return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
-    distances_m = [
-        record.nearest_trained_m for record in board.records if record.nearest_trained_m is not None
-    ]
-    nearest = f"; the nearest trained one is {_distance(distances_m)} away (median)" if distances_m else ""
-    return f"No tested transmitter is trained on at any carrier{nearest}."
-
-
-def _distance(distances_m: Sequence[float]) -> str:
-    low, high = f"{min(distances_m):.2f} m", f"{max(distances_m):.2f} m"
-    return low if low == high else f"{low} to {high}"
-
-
-def _tracing(board: Board) -> str:
-    settings = board.settings
-    parts = [f"{board.pas_kind} maps"]
-    if "solver" in settings:
-        parts.append(f"{settings['solver']} solver")
-    if "interactions" in settings:
-        parts.append(" and ".join(settings["interactions"]) or "no interactions")
-    if "max_depth" in settings:
-        parts.append(f"depth {settings['max_depth']}")
-    return ", ".join(parts)
-
-
-def _machine(hardware: Mapping[str, str]) -> str:
-    return ", ".join(_cores(value) if name == "cores" else value for name, value in hardware.items())
-
-
-def _cores(number: str) -> str:
-    return "1 core" if number == "1" else f"{number} cores"
 
 
 def _counted(name: str, values: Sequence[object]) -> str:
@@ -189,7 +155,9 @@ def _bench_section(title: str, benches: Sequence[BenchRecord], with_figures: boo
 
 def _bench(record: BenchRecord, with_figures: bool) -> str:
     figure = [f"![{record.title}]({bench_figure(record)})"] if with_figures and record.figure else []
-    taken = f"{_machine(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
+    taken = (
+        f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
+    )
     command = "\n".join(f"    {line}" for line in record.command.splitlines())
     heading = f"### {record.title}" if record.title != _WHAT_WAS_RUN_TITLE else ""
     parts = [heading, command, record.note, table(record.columns, record.rows), taken, *figure]
@@ -204,11 +172,12 @@ def _legend() -> str:
         f"* **skill**: {skill}; negative below it. In every resample the best of them is found anew",
         f"* **[low, high]**: 95 % percentile interval of {NUM_RESAMPLES:,} bootstrap resamples, which draw "
         "transmitters with all their samples, the same ones for every method (paired), and seeds, whose deviations "
-        "are widened by √(S/(S−1)), S being their number. Where nothing but three seeds differs, two methods that "
-        "are level are still told apart in 13 of 100 cases, not in 5",
+        "are widened as Student's t asks for their number. Of methods that are level, five pairs in a hundred may "
+        "still be told apart",
         "* **rank**: best and worst place that the intervals of the differences leave open; not corrected for the "
         f"number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so not ranked (a trivial predictor has no seed)",
         "* **seeds**: fits of each split, over which every number is a mean. **± seeds**: their standard deviation",
+        "* **best trivial reached after**: at the first point of the learning curve that stands as high, so at most",
         "* **fit s, ms/map, peak MiB**: means over splits and seeds",
         "* **published, other data**: median SSIM from the paper named below the table, of other data and another "
         "machine; not comparable",

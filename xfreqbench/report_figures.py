@@ -6,9 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from xfreqbench.boards import Board, Row, short_name
+from xfreqbench.boards import Board, Row, pooled_quantiles, short_name
 from xfreqbench.learning_curves import Reached, best_trivial, learning_curves, split_front
 from xfreqbench.records import BenchRecord
 
@@ -55,15 +53,10 @@ def _draw_cdf(board: Board, path: Path) -> None:
     splits = board.split_sets()[0]
     rows = _legible(board.rows_on(splits))
     panels = {
-        short_name(split): {row.label: _mean_quantiles(row, split) for row in rows}
+        short_name(split): {row.label: pooled_quantiles(row.by_split[split], "ssim") for row in rows}
         for split in _panels(splits)
     }
     plot_score_cdf(panels, "SSIM", path)
-
-
-def _mean_quantiles(row: Row, split: str) -> list[float]:
-    quantiles = [record.scores["ssim"].quantiles for record in row.by_split[split]]
-    return [float(value) for value in np.mean(quantiles, axis=0)]
 
 
 def _draw_curves(board: Board, path: Path) -> None:

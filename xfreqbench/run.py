@@ -414,4 +414,5 @@ def _record(
         curve=curve,
         ssim_by_tx=_by_transmitter(scores["ssim"], task.dataset.tx_index[task.split.test]),
         nearest_trained_m=task.split.nearest_trained_m,
+        code_sha256=code_sha256(task.method),
     )

@@ -114,6 +114,13 @@ def _locked(lock: Path) -> int:
     while True:
         descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-        if lock.exists() and os.path.samestat(os.fstat(descriptor), lock.stat()):
+        if _is_open_at(lock, descriptor):
             return descriptor
         os.close(descriptor)  # whoever held it has removed it
+
+
+def _is_open_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False

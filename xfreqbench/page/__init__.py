@@ -59,9 +59,10 @@ def _page(ranked: Sequence[Board], galleries: Sequence[Gallery], benches: Sequen
 
 
 def _comparisons(board: Board) -> list[Comparison]:
-    """One for each set of splits, with resamples that are taken once."""
+    """One for each set of splits, lone ones included, with resamples that are taken once."""
     resampling = Resampling()
-    return [Comparison(board, splits, resampling) for splits in board.split_sets()]
+    lone = [(split,) for split in board.lone_splits()]
+    return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
 
 
 def _embedded(content: Any) -> str:

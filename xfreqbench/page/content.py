@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from math import isfinite, nan
 from typing import Any
 
 import numpy as np
 
-from xfreqbench.boards import Board, Row, median_ssim, short_name
+from xfreqbench.boards import Board, Row, family, median_ssim, pooled_quantiles, short_name
 from xfreqbench.comparison import Comparison
-from xfreqbench.metrics import METRICS, quantiles
+from xfreqbench.learning_curves import best_trivial
+from xfreqbench.metrics import METRICS
 from xfreqbench.page.gallery import Gallery
-from xfreqbench.records import NUM_QUANTILES, BenchRecord, RunRecord
+from xfreqbench.records import BenchRecord, RunRecord
 
 Content = dict[str, Any]
 _DIGITS = 4
-_LEVELS = np.linspace(0, 1, NUM_QUANTILES).tolist()
-
-
-def family(row: Row) -> str:
-    """`trivial` as it comes, `ablation` with other options, `learned` otherwise; a device is no option."""
-    if row.is_trivial:
-        return "trivial"
-    changed = [option for option in row.job.overrides if not option.startswith("device=")]
-    return "ablation" if changed else "learned"
 
 
 def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Content:
@@ -46,7 +38,8 @@ def figure_content(bench: BenchRecord) -> Content | None:
 
 
 def _split_content(board: Board, split: str) -> Content:
-    return {"name": short_name(split), "trivial": _rounded(board.best_trivial(split))}
+    trivial = best_trivial(board, split)  # on the maps that learning curves are taken on
+    return {"name": short_name(split), "trivial": _rounded(trivial.ssim if trivial else nan)}
 
 
 def _row_content(row: Row) -> Content:
@@ -58,16 +51,12 @@ def _row_content(row: Row) -> Content:
 
 def _curves(records: Sequence[RunRecord]) -> Content:
     return {
-        "cdf": {name: _pooled_quantiles(records, name) for name in records[0].scores},
+        "cdf": {
+            name: [_rounded(each) for each in pooled_quantiles(records, name)] for name in records[0].scores
+        },
         "carriers": _by_carrier(records),
         "curve": [[_rounded(point.seconds), _rounded(point.ssim)] for point in records[0].curve],
     }
-
-
-def _pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
-    """Quantiles of the samples of all seeds together: every seed tests as many."""
-    pooled = np.concatenate([record.scores[metric].quantiles for record in records])
-    return [_rounded(value) for value in quantiles(pooled, _LEVELS).tolist()]
 
 
 def _by_carrier(records: Sequence[RunRecord]) -> list[list[float]]:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
-from xfreqbench.boards import Board, Row, short_name
+from xfreqbench.boards import Board, Row, family, short_name
 from xfreqbench.dataset import IntArray, PasDataset, open_dataset
 from xfreqbench.errors import DataError
 from xfreqbench.metrics import Maps, score_all
@@ -93,7 +93,7 @@ def scales() -> dict[str, str]:
 
 
 def _shown(board: Board, split: str) -> Iterable[tuple[Row, RunRecord]]:
-    rows = [row for row in board.rows if split in row.by_split and not row.job.overrides]
+    rows = [row for row in board.rows if split in row.by_split and family(row) != "ablation"]
     return [(row, row.by_split[split][0]) for row in rows]
 
 
@@ -148,11 +148,11 @@ def _chosen(ssim: Float[FloatArray, "N"]) -> dict[str, int]:
 
 
 def _maps_of(predictions: Predictions, rows: Int[IntArray, "n"]) -> Float[Maps, "n E A"]:
-    wanted = {row: index for index, row in enumerate(rows.tolist())}
+    wanted = set(rows.tolist())
     found: dict[int, Maps] = {}
     for batch_rows, maps in predictions.batches(BATCH_SIZE):
         found |= {row: maps[i] for i, row in enumerate(batch_rows.tolist()) if row in wanted}
-    return np.stack([found[row] for row in wanted])
+    return np.stack([found[row] for row in rows.tolist()])
 
 
 def _draw(

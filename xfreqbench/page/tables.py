@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from math import isfinite, isinf, isnan, nan
 
-from xfreqbench.boards import Board, Quantity, Row, median_ssim, short_commit, short_name
+from xfreqbench.boards import Board, Quantity, Row, family, median_ssim, short_commit, short_name
+from xfreqbench.captions import leak_statement, machine_name, tracing
 from xfreqbench.comparison import Comparison, Interval
-from xfreqbench.page.content import family
 from xfreqbench.records import BenchRecord
 
 _ABSENT = "–"
@@ -42,7 +42,7 @@ def header(ranked: Sequence[Board]) -> str:
     days = sorted({record.time_utc[:10] for record in records})
     facts = {
         "Data": sorted(data),
-        "Machines": sorted({_machine(record.hardware) for record in records}),
+        "Machines": sorted({machine_name(record.hardware) for record in records}),
         "Commits": [", ".join(sorted(commits))],
         "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
     }
@@ -57,7 +57,7 @@ def board_section(number: int, comparisons: Sequence[Comparison]) -> str:
     sets = _lines(_set_section(index, each) for index, each in enumerate(comparisons))
     return (
         f'<section class="board" data-board="{number}" data-title="{_e(board.title)}">\n'
-        f"<h2>{_e(board.title)}</h2>\n<p>{_e(_tracing(board))} {_e(leak_caption(board))}</p>\n{sets}\n</section>"
+        f"<h2>{_e(board.title)}</h2>\n<p>{_e(_conditions(board))}</p>\n{sets}\n</section>"
     )
 
 
@@ -70,35 +70,10 @@ def bench_sections(benches: Sequence[BenchRecord]) -> str:
     return f'<details id="benches"><summary>{title}</summary>\n{tables}\n</details>'
 
 
-def leak_caption(board: Board) -> str:
-    """Whether tested transmitters are trained on, and how far the nearest trained one is."""
-    by_split = {record.job.split: record for record in board.records}
-    shared = [split for split, record in by_split.items() if record.shares_transmitters]
-    distances = [record.nearest_trained_m for record in by_split.values() if record.nearest_trained_m]
-    if not shared:
-        return f"No tested transmitter is trained on{_distance(distances)}."
-    where = "" if len(shared) == len(by_split) else f", in {len(shared)} of {len(by_split)} splits"
-    warning = "" if where else ": these scores say nothing about unseen places"
-    return f"Tested transmitters are trained on too, at other carriers{where}{_distance(distances)}{warning}."
-
-
-def _distance(distances_m: Sequence[float]) -> str:
-    if not distances_m:
-        return ""
-    low, high = f"{min(distances_m):.2f}", f"{max(distances_m):.2f}"
-    return f"; the nearest trained one is {low if low == high else f'{low} to {high}'} m away in the median"
-
-
-def _tracing(board: Board) -> str:
-    settings, counts = board.settings, sorted({record.num_test for record in board.records})
-    parts = [f"Data set {board.dataset_sha256[:16]}"]
-    if "solver" in settings:
-        parts.append(f"{settings['solver']} solver")
-    if "interactions" in settings:
-        parts.append(" and ".join(settings["interactions"]) or "no interactions")
-    if "max_depth" in settings:
-        parts.append(f"depth {settings['max_depth']}")
-    return f"{', '.join(parts)}; {' or '.join(f'{count:,}' for count in counts)} test maps a split."
+def _conditions(board: Board) -> str:
+    counts = " or ".join(f"{count:,}" for count in sorted({record.num_test for record in board.records}))
+    data = f"Data set {board.dataset_sha256[:16]}: {tracing(board)}; {counts} test maps a split"
+    return f"{data}. {leak_statement(board)}"
 
 
 def _set_section(index: int, comparison: Comparison) -> str:
@@ -175,8 +150,8 @@ _METRIC_COLUMNS = (
 
 _COST_COLUMNS: tuple[tuple[str, str, bool, Quantity, str], ...] = (
     ("p10 SSIM", "a tenth of the maps lies below", True, lambda record: record.scores["ssim"].p10, ".4f"),
-    ("fit s", "seconds of fitting", False, lambda record: record.fit_seconds, "#.3g"),
-    ("ms/map", "milliseconds a predicted map", False, lambda record: record.predict_ms_per_map, "#.3g"),
+    ("fit s", "seconds of fitting", False, lambda record: record.fit_seconds, ",.2f"),
+    ("ms/map", "milliseconds a predicted map", False, lambda record: record.predict_ms_per_map, ",.2f"),
     ("MiB", "largest memory of the process", False, lambda record: record.peak_memory_mib, ",.0f"),
     ("parameters", "numbers that training sets", False, lambda record: record.parameters, ",.0f"),
 )
@@ -241,13 +216,15 @@ def _number(value: float, form: str, interval: Interval = (nan, nan)) -> Cell:
         return Cell(_ABSENT)
     decimals = form if form.startswith(".") else ".3g"
     note = f"[{interval[0]:{decimals}}, {interval[1]:{decimals}}]" if isfinite(sum(interval)) else ""
-    text = ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}".rstrip(".")
+    text = ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}"
     return Cell(text.replace("-", "−"), value, note.replace("-", "−"))
 
 
 def _bench_section(number: int, bench: BenchRecord) -> str:
     heads = [f'<th scope="col">{_e(column)}</th>' for column in bench.columns]
-    source = f"<code>{_e(bench.command)}</code> on {_e(_machine(bench.hardware))}, {_e(bench.time_utc[:10])}"
+    source = (
+        f"<code>{_e(bench.command)}</code> on {_e(machine_name(bench.hardware))}, {_e(bench.time_utc[:10])}"
+    )
     return (
         f'<section class="bench" data-bench="{number}"><h3>{_e(bench.title)}</h3>\n<p>{_e(bench.note)}</p>\n'
         f"{_table('measurement', heads, map(_bench_row, bench.rows))}<p>{source}</p></section>"
@@ -257,14 +234,6 @@ def _bench_section(number: int, bench: BenchRecord) -> str:
 def _bench_row(cells: Iterable[str]) -> str:
     first, *rest = cells
     return f'<tr><th scope="row">{_e(first)}</th>{"".join(f"<td>{_e(cell)}</td>" for cell in rest)}</tr>'
-
-
-def _machine(hardware: Mapping[str, str]) -> str:
-    return ", ".join(_counted(value) if name == "cores" else value for name, value in hardware.items())
-
-
-def _counted(cores: str) -> str:
-    return "1 core" if cores == "1" else f"{cores} cores"
 
 
 def _e(text: str) -> str:

@@ -80,21 +80,26 @@ def finite_footprints(step: Step) -> Saving:
     """
     grid = View(5).of_grid(step.beams.grid)
     values, projection = _attribute_leaves(step), step.field.projection()
-    few, every = step.field.lists(projection, grid), _every_gaussian(projection, grid)
 
     def field(lists: PixelLists) -> Complex[Tensor, "B K"]:
         return composite(lists, squared_distance(projection, lists, grid), *values)
 
+    def few() -> Complex[Tensor, "B K"]:
+        return field(step.field.lists(projection, grid))
+
+    def every() -> Complex[Tensor, "B K"]:
+        return field(_every_gaussian(projection, grid))
+
     with torch.no_grad():
-        change = f"field: {_relative(field(few), field(every)):.0e}"
-    off_s, on_s = (_splatting_s(field, lists) for lists in (every, few))
+        change = f"field: {_relative(few(), every()):.0e}"
+    off_s, on_s = (_splatting_s(work) for work in (every, few))
     name = "footprints end at three deviations (both on 1/25 of the directions)"
-    timed = "splatting, forward and backward"
+    timed = "binning and splatting, forward and backward"
     return Saving("renderer", name, timed, *_a_sample(step, off_s, on_s), change)
 
 
-def _splatting_s(field: Callable[[PixelLists], Tensor], lists: PixelLists) -> float:
-    return least_s(lambda: field(lists).abs().sum().backward(retain_graph=True))
+def _splatting_s(field: Callable[[], Tensor]) -> float:
+    return least_s(lambda: field().abs().sum().backward(retain_graph=True))
 
 
 def _every_gaussian(projection: Projection, grid: AngularGrid) -> PixelLists:
@@ -208,7 +213,7 @@ def gaussians_in_view(train: PasDataset, settings: Sequence[str]) -> Saving:
         change = _map_change(_rendered(step, seen), _rendered(step, all_of_them))
     off_s = least_s(lambda: _network_step(step, all_of_them))
     on_s = least_s(lambda: _network_step(step, seen))
-    name = f"unseen Gaussians skipped ({int(seen.sum())} of {len(seen)} seen)"
+    name = f"unseen Gaussians skipped (half put below the horizon: {int(seen.sum())} of {len(seen)} seen)"
     return Saving("renderer", name, NETWORK, *_a_sample(step, off_s, on_s), change)
 
 
@@ -248,7 +253,7 @@ def every_fifth_direction(train: PasDataset, settings: Sequence[str]) -> Saving:
     with torch.no_grad():
         moved = _map_change(_rendered(few), _renormalised(few.view.of_maps(_rendered(every))))
     cosine = cosine_similarity(_l1_gradient(few), _l1_gradient(every), dim=0)
-    change = f"{moved} where both look; L1's gradient: cosine {float(cosine):.3f}"
+    change = f"before training: {moved} where both look; L1's gradient: cosine {float(cosine):.3f}"
     off_s, on_s = loop_s(train, settings), loop_s(train, fewer)
     return Saving(
         "training", "every fifth row and column", "whole step", *_a_sample(every, off_s, on_s), change

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -79,7 +80,7 @@ def views() -> float:
 
 
 def zero_map(kind: PasKind, ssim_weight: float) -> float:
-    """Loss and gradient of a field without power: how many are not finite, or beyond 1e30, which Adam squares."""
+    """Loss and gradient by a map's power of a map without any: how many are not finite."""
     truth = torch.rand(2, 20, 30, generator=torch.Generator().manual_seed(0))
     power = torch.zeros(2, 20, 30, requires_grad=True)
     loss = map_loss(as_kind(power, kind), truth, ssim_weight, 7)
@@ -99,18 +100,45 @@ def faint_map(kind: PasKind) -> float:
     return float((gradients[0] - gradients[1]).abs().max() / gradients[0].abs().max())
 
 
+def faint_field(train: PasDataset, kind: PasKind) -> float:
+    """Gradients by the parameters of fields of faint response whose squares, which Adam takes, are not finite."""
+    truth = torch.rand(2, 18, 72, generator=torch.Generator().manual_seed(0))
+    faults = 0
+    for response in (1e-12, 1e-17, 1e-22, 0.0):
+        field = SplatField(SplatConfig(num_gaussians=50), replace(_TINY, latent=0))
+        field.adapt(train, torch.Generator().manual_seed(0))
+        head = field.network.mlp.head
+        with torch.no_grad():  # outputs 2 and 3 are the signal's real and imaginary part
+            head.weight[2:4] *= response
+            head.bias[2:4] *= response
+        map_loss(as_kind(_field_power(field), kind), truth, 0.5, 7).backward()
+        gradients = [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
+        faults += sum(int((~torch.isfinite(gradient.square())).sum()) for gradient in gradients)
+    return float(faults)
+
+
 def ssim_loss() -> float:
-    """The loss's SSIM against the score's: of random, flat, zero and nearly equal maps."""
+    """The loss's SSIM against the score's, map by map: of random, correlated, flat, zero and nearly equal maps.
+
+    Faint structure has variances about as large as SSIM's constant, beside which a covariance of the sample and
+    one of the population lie furthest apart.
+    """
     random = np.random.default_rng(0).random((4, *_GRID.shape), dtype=np.float32)
     flat = np.stack([np.full(_GRID.shape, value, np.float32) for value in (0, 1, 0.5, 1e-3)])
-    pairs: list[tuple[Maps, Maps]] = [(random, flat), (flat, flat[::-1]), (random, random + np.float32(1e-4))]
-    return max(
-        abs(
-            float(mean_ssim(torch.as_tensor(x.copy()), torch.as_tensor(y.copy())))
-            - float(ssim(x, y, _GRID).mean())
-        )
-        for x, y in pairs
-    )
+    mixed = np.float32(0.7) * random + np.float32(0.3) * random[::-1]
+    pairs: list[tuple[Maps, Maps]] = [
+        (random, flat),
+        (flat, flat[::-1]),
+        (random, random + np.float32(1e-4)),
+        (random, mixed),
+        (np.float32(0.1) * random, np.float32(0.1) * mixed),
+    ]
+    return max(float(np.abs(_losses_ssim(x, y) - ssim(x, y, _GRID)).max()) for x, y in pairs)
+
+
+def _losses_ssim(x: Maps, y: Maps) -> NDArray[np.float64]:
+    each = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
+    return np.array([float(mean_ssim(one[None], other[None])) for one, other in each])
 
 
 def flat_ssim_gradient() -> float:

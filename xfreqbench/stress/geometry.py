@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xfreqbench.image_kernels import slab_coefficients
-from xfreqbench.image_method import ImageTracer
+from xfreqbench.image_method import ImageSavings, ImageTracer
 from xfreqbench.materials import complex_permittivity
 from xfreqbench.paths import SPECULAR
 from xfreqbench.scene import ReceiverArray, Surface
 from xfreqbench.splatting.composite_kernels import use_threads
 from xfreqbench.stress.case import Case
 from xfreqbench.stress.channels import CARRIERS_GHZ, RECEIVER, free_space, friis, wave
+from xfreqbench.stress.threads import needing_two_threads
 from xfreqbench.tracing import TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
@@ -25,6 +27,17 @@ _HEIGHT_M = RECEIVER.position_m[2]
 _SETTINGS = TraceSettings(solver="image", rays=2000, max_depth=1)
 # the phase's 5e-10 rad, in the sum of two or three paths
 _LIMIT = 2e-9
+_ROUNDINGS = 1e-12  # of double precision, in sums of four paths
+_POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
+_NEAR_THE_FLOOR = {  # the floor reflects between x = 1.2 and 1.8
+    "sheets that end on a floor": tuple(
+        Surface(f"sheet {x}", "glass", 0.005, (x, -2.0, 0.0), (x, 2.0, 1.0)) for x in (1.38, 1.62)
+    ),
+    "tiles that overlap": (
+        Surface("small tile", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6)),
+        Surface("large tile", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6)),
+    ),
+}
 
 
 def _channel(
@@ -41,19 +54,16 @@ def _channel(
 
 def _slab(
     material: str, thickness_m: float, carrier_hz: float, cosine: float
-) -> tuple[complex, complex, complex]:
-    """R_TE, R_TM and T_TE of a slab: Recommendation ITU-R P.2040-3, Eqs. (37), (38), (43)–(45)."""
+) -> tuple[complex, complex, complex, complex]:
+    """R_TE, R_TM, T_TE and T_TM of a slab: Recommendation ITU-R P.2040-3, Eqs. (37), (38), (43)–(45)."""
     eta = complex_permittivity(material, carrier_hz)
     root = np.sqrt(eta - (1 - cosine**2))
     through = np.exp(-2j * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m * root)
     te = (cosine - root) / (cosine + root)
     tm = (eta * cosine - root) / (eta * cosine + root)
-    reflected = [face * (1 - through**2) / (1 - (face * through) ** 2) for face in (te, tm)]
-    return (
-        complex(reflected[0]),
-        complex(reflected[1]),
-        complex((1 - te**2) * through / (1 - (te * through) ** 2)),
-    )
+    r_te, r_tm = (face * (1 - through**2) / (1 - (face * through) ** 2) for face in (te, tm))
+    t_te, t_tm = ((1 - face**2) * through / (1 - (face * through) ** 2) for face in (te, tm))
+    return complex(r_te), complex(r_tm), complex(t_te), complex(t_tm)
 
 
 def _ray(length_m: float | np.longdouble, carrier_hz: float) -> complex:
@@ -92,11 +102,15 @@ def _normal_incidence(material: str) -> float:
     return _off(found, expected, 3.0)
 
 
-def _boresight(offset_m: float) -> float:
-    """Below the array, on its normal or beside it: vertical antennas stay parallel however near they come to it."""
-    found = _channel((), _ONE, (offset_m, 0.0, 0.5))
+def _boresight(offset_m: float, polarization: Literal["V", "H"]) -> float:
+    """Below the array, on its normal or beside it, however near.
+
+    θ̂ is the same for a ray and its opposite, φ̂ the opposite.
+    """
+    found = _channel((), replace(_ONE, polarization=polarization), (offset_m, 0.0, 0.5))
     length_m = np.hypot(np.longdouble(offset_m), np.longdouble(_HEIGHT_M - 0.5))
-    return _off(found, [_ray(length_m, f) for f in _CARRIERS_HZ], 1.5)
+    sign = 1 if polarization == "V" else -1
+    return _off(found, [sign * _ray(length_m, f) for f in _CARRIERS_HZ], 1.5)
 
 
 def _edge(material: str, receiver: ReceiverArray) -> float:
@@ -165,9 +179,9 @@ def _slabs() -> float:
             phase_thickness = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
             for cosine in (1e-4, 1e-2, 0.5, 1.0):
                 eta = complex_permittivity(material, carrier_hz)
-                r_te, r_tm, t_te, _ = slab_coefficients(cosine, eta, phase_thickness)
+                found = slab_coefficients(cosine, eta, phase_thickness)
                 expected = _slab(material, thickness_m, carrier_hz, cosine)
-                errors.append(np.abs(np.subtract((r_te, r_tm, t_te), expected)).max())
+                errors.append(np.abs(np.subtract(found, expected)).max())
     return float(max(errors))
 
 
@@ -187,11 +201,34 @@ def _threads() -> float:
     tracer = ImageTracer(scene, _CARRIERS_HZ, _SETTINGS)
     tx_m = np.random.default_rng(0).uniform(0.5, 3.0, size=(9, 3)) * (1, 1, 0.5)
     before = use_threads(1)
-    one = tracer.channel(tx_m).cfr
-    use_threads(2)
-    two = tracer.channel(tx_m).cfr
-    use_threads(before)
+    try:
+        one = tracer.channel(tx_m).cfr
+        use_threads(2)
+        two = tracer.channel(tx_m).cfr
+    finally:
+        use_threads(before)
     return float(np.abs(one - two).max())
+
+
+def _by_corners(surfaces: tuple[Surface, ...]) -> float:
+    """Channels where four corners decide for the elements between them, against every element traced by itself.
+
+    A transmitter at 40 heights, so that what stands near its floor is met within 1 cm of the reflection by some
+    elements and by others beyond.
+    """
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
+    scene = replace(free_space(), surface=(floor, *surfaces))
+    settings = replace(_SETTINGS, max_depth=4)
+    tx_m = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 40)])
+    shared, single = (
+        ImageTracer(
+            scene, _CARRIERS_HZ, settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
+        )
+        .channel(tx_m)
+        .cfr
+        for share in (True, False)
+    )
+    return float((np.abs(shared - single).max(axis=(1, 2)) / np.abs(single).max(axis=(1, 2))).max())
 
 
 CASES = (
@@ -210,12 +247,16 @@ CASES = (
         "relative",
         partial(_normal_incidence, "metal"),
     ),
-    Case("transmitter on the array's normal", "geometry", _LIMIT, "relative", partial(_boresight, 0.0)),
-    Case(
-        "transmitter 1 µm off the array's normal", "geometry", _LIMIT, "relative", partial(_boresight, 1e-6)
-    ),
-    Case(
-        "transmitter 1 mm off the array's normal", "geometry", _LIMIT, "relative", partial(_boresight, 1e-3)
+    *(
+        Case(
+            f"transmitter {where} the array's normal, {polarization}",
+            "geometry",
+            _LIMIT,
+            "relative",
+            partial(_boresight, offset_m, polarization),
+        )
+        for where, offset_m in (("on", 0.0), ("1 µm off", 1e-6), ("1 mm off", 1e-3))
+        for polarization in _POLARIZATIONS
     ),
     Case(
         "ray along the edge of a wooden screen", "geometry", _LIMIT, "relative", partial(_edge, "wood", _ONE)
@@ -231,5 +272,15 @@ CASES = (
     Case("slab coefficients, grazing to normal", "geometry", 1e-12, "absolute", _slabs),
     # 1 − R² of grazing rays keeps 1e-16 of 1e-6, and is divided by a number as small
     Case("slabs without loss keep the energy", "geometry", 1e-9, "relative", _energy),
-    Case("channels of one thread and of two", "geometry", 0, "absolute", _threads),
+    *(
+        Case(
+            f"visibility by corners against every element, {name}",
+            "geometry",
+            _ROUNDINGS,
+            "relative",
+            partial(_by_corners, surfaces),
+        )
+        for name, surfaces in _NEAR_THE_FLOOR.items()
+    ),
+    Case("channels of one thread and of two", "geometry", 0, "absolute", needing_two_threads(_threads)),
 )

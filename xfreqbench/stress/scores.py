@@ -53,11 +53,12 @@ def _error(score: Score, predicted: Maps, truth: Maps, expected: float) -> float
 
 
 def _ssim_of_constants() -> float:
-    """No structure is left: (2ab + C₁)/(a² + b² + C₁)."""
+    """No structure is left: (2ab + C₁)/(a² + b² + C₁), wrapped or not."""
     pairs = [(0.2, 0.7), (0.0, 1.0), (1.0, 0.0), (1.0, 1e-3), (0.5, 0.5)]
     return max(
-        _error(ssim, _flat(a), _flat(b), (2 * a * b + _SSIM_C1) / (a * a + b * b + _SSIM_C1))
+        _error(score, _flat(a), _flat(b), (2 * a * b + _SSIM_C1) / (a * a + b * b + _SSIM_C1))
         for a, b in pairs
+        for score in (ssim, ssim_wrapped)
     )
 
 

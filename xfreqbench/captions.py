@@ -1,0 +1,43 @@
+"""What stands around a board's tables in words: its data, its machines, and what training and test share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from xfreqbench.boards import Board
+
+
+def leak_statement(board: Board) -> str:
+    """Whether tested transmitters are trained on, and how far the nearest trained one is."""
+    if any(record.shares_transmitters for record in board.records):
+        return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
+    known_m = [record.nearest_trained_m for record in board.records if record.nearest_trained_m is not None]
+    nearest = f"; the nearest trained one is {_distance(known_m)} away (median)" if known_m else ""
+    return f"No tested transmitter is trained on at any carrier{nearest}."
+
+
+def tracing(board: Board) -> str:
+    """The kind of map and what was asked of the rays, as far as the data set says it."""
+    settings = board.settings
+    parts = [f"{board.pas_kind} maps"]
+    if "solver" in settings:
+        parts.append(f"{settings['solver']} solver")
+    if "interactions" in settings:
+        parts.append(" and ".join(settings["interactions"]) or "no interactions")
+    if "max_depth" in settings:
+        parts.append(f"depth {settings['max_depth']}")
+    return ", ".join(parts)
+
+
+def machine_name(hardware: Mapping[str, str]) -> str:
+    """Processor, cores, system and GPUs in one line."""
+    return ", ".join(_cores(value) if name == "cores" else value for name, value in hardware.items())
+
+
+def _distance(distances_m: Sequence[float]) -> str:
+    low, high = f"{min(distances_m):.2f} m", f"{max(distances_m):.2f} m"
+    return low if low == high else f"{low} to {high}"
+
+
+def _cores(number: str) -> str:
+    return "1 core" if number == "1" else f"{number} cores"
