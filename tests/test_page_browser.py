@@ -50,7 +50,7 @@ def browser() -> Iterator[object]:
 def page(browser, file: Path) -> Iterator[object]:
     """The page in a fresh tab; whatever it complains of, or asks for besides itself, fails the test."""
     tab = browser.new_page(viewport=dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
-    tab.set_default_timeout(5000)  # milliseconds; a broken page would else take minutes to fail
+    tab.set_default_timeout(20_000)  # milliseconds; a broken page would else take minutes to fail
     complaints: list[str] = []
     tab.on("console", lambda message: complaints.append(message.text))
     tab.on("pageerror", lambda error: complaints.append(str(error)))

@@ -12,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 from PIL import Image
@@ -75,6 +76,7 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
     for axis, (title, panel) in zip(axes, panels.items(), strict=True):
         _draw_against_time(axis, panel, labels)
         axis.set(xlabel="seconds of fitting", xscale="log", ylabel="median SSIM, sample of maps")
+        _label_decades(axis)
         axis.set_title(title, fontsize="medium")
     _share_legend(figure, axes)
     _save(figure, path, "svg")
@@ -114,6 +116,8 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
         _draw_series(axis, index, series, points)
     _draw_front(axis, figure.points)
     axis.set(xlabel=figure.x_label, ylabel=figure.y_label, xscale="log" if figure.log_x else "linear")
+    if figure.log_x:
+        _label_decades(axis)
     axis.margins(0.1)
     axis.grid(alpha=0.3)
     canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
@@ -202,6 +206,15 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     buffer = BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
+
+
+def _label_decades(axis: Any) -> None:
+    """Numbers written out at each decade, and at 2 and 5 of it where there are few decades."""
+    low, high = axis.get_xlim()
+    is_wide = np.log10(high / low) > 3
+    axis.xaxis.set_major_locator(LogLocator(subs=(1,) if is_wide else (1, 2, 5)))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_against_time(axis: Any, panel: TimePanel, labels: Sequence[str]) -> None:

@@ -423,7 +423,7 @@ function caseOf(each, pictures) {
 function mapOf(title, picture, kind, [low, high]) {
   return element("figure", {},
     element("figcaption", {}, title),
-    element("img", { class: "map", loading: "lazy", alt: `${title}, azimuth to the right, elevation upwards`, src: png(picture) }),
+    element("img", { class: "map", alt: `${title}, azimuth to the right, elevation upwards`, src: png(picture) }),
     element("div", { class: "axis" }, element("span", {}, "azimuth 0°"), element("span", {}, "elevation 0° to 90° ↑"), element("span", {}, "360°")),
     element("div", { class: "bar" }, low, element("img", { alt: "", src: png(content.scales[kind]) }), high));
 }
