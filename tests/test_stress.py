@@ -136,7 +136,7 @@ cli.app(["stress"])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
-    assert done.stdout.endswith("1 cases, 1 FAILED: bad\n")
+    assert done.stdout.endswith("1 case, 1 FAILED: bad\n")
 
 
 def test_cases_leave_the_number_of_threads_as_it_was() -> None:

@@ -63,7 +63,8 @@ def stress(only: str | None, output: Path | None, say: Callable[[str], None]) ->
     failed = [verdict.case.name for verdict in verdicts if not (verdict.is_within or verdict.is_skipped)]
     skipped, others = (f"{num_skipped} skipped, ", "all others") if num_skipped else ("", "all")
     outcome = f"{len(failed)} FAILED: {'; '.join(failed)}" if failed else f"{others} within limits"
-    say(f"{len(verdicts)} cases, {skipped}{outcome}")
+    noun = "case" if len(verdicts) == 1 else "cases"
+    say(f"{len(verdicts)} {noun}, {skipped}{outcome}")
     return not failed
 
 
