@@ -7,11 +7,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
 
-from xfreqbench import machine, records
+from xfreqbench import records
 from xfreqbench.dataset import open_dataset
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.generate import Plan, estimate_seconds, generate, plan_generation
@@ -19,9 +18,10 @@ from xfreqbench.method import build_method, device_option, parse_budget
 from xfreqbench.parallel import all_cores, own_cores, side_by_side
 from xfreqbench.presets import PRESETS, Block, Preset
 from xfreqbench.protocols import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
-from xfreqbench.records import RECORDS_FILE, BenchRecord, Job
-from xfreqbench.run import check_jobs, run_job, unfinished
+from xfreqbench.records import RECORDS_FILE, Job
+from xfreqbench.run import run_job, unfinished
 from xfreqbench.scene import load_scene
+from xfreqbench.tables import recorded
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 OVERHEAD_S = 13  # of a run besides its fit: start, learning curve, predictions and their scores
@@ -34,7 +34,6 @@ BENCH_COMMANDS = {  # with the minutes that they take on two cores
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-Say = Callable[[str], None]
 TracingProgress = Callable[[str, int, int], None]
 RunProgress = Callable[[int, int, Job], None]
 
@@ -139,8 +138,7 @@ def generate_data(benchmark: Benchmark, progress: TracingProgress) -> None:
     Raises `OutputExistsError` for a file that holds something else, and any other `XFreqBenchError`.
     """
     for scene, plan in benchmark.plans.items():
-        path = benchmark.data_path(scene)
-        generate(plan, path, partial(progress, scene))
+        generate(plan, benchmark.data_path(scene), partial(progress, scene))
 
 
 def run_benchmark(benchmark: Benchmark, progress: RunProgress) -> list[str]:
@@ -149,7 +147,6 @@ def run_benchmark(benchmark: Benchmark, progress: RunProgress) -> list[str]:
     Everything that can be checked is checked before the first run, and raises the `XFreqBenchError` that it is.
     """
     jobs = benchmark.jobs()
-    check_jobs(jobs, benchmark.results_dir)
     missing = unfinished(jobs, benchmark.results_dir)
     places = own_cores() if benchmark.device == "cpu" else all_cores()
     failures, done = [], len(jobs) - len(missing)
@@ -176,7 +173,7 @@ def measure(benchmark: Benchmark, name: str) -> list[str]:
 
 def record_contents(benchmark: Benchmark) -> None:
     """Record what the benchmark consisted of and what it left out, where that is not recorded yet."""
-    contents = BenchRecord(
+    contents = recorded(
         bench="benchmark",
         title="What was run",
         command=f"xfreqbench benchmark --preset {benchmark.name}",
@@ -184,10 +181,6 @@ def record_contents(benchmark: Benchmark) -> None:
         f"Left out: {benchmark.preset.left_out}.",
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
         rows=tuple(map(_contents, benchmark.preset.blocks)),
-        hardware=machine.hardware(),
-        software=machine.software(),
-        git_commit=machine.git_commit(),
-        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     known = [(each.note, each.rows) for each in records.read(benchmark.records_path).benches]
     if (contents.note, contents.rows) not in known:

@@ -7,6 +7,7 @@ from itertools import groupby
 from math import inf, isnan, nan
 
 from xfreqbench.boards import Board, Quantity, Row, median_ssim, short_name
+from xfreqbench.captions import span
 from xfreqbench.comparison import Comparison, Resampling
 from xfreqbench.learning_curves import (
     LearningCurve,
@@ -60,7 +61,7 @@ def summary_table(comparison: Comparison) -> str:
         ),
         ("± seeds", lambda row: number(row.seed_spread(splits, median_ssim), 4)),
         ("skill", lambda row: _skill(row, comparison)),
-        ("seeds", lambda row: _range(row.num_seeds(splits))),
+        ("seeds", lambda row: span(row.num_seeds(splits))),
         *_cost_columns(board, splits),
         (COLUMN, lambda row: published_cell(row, splits)),
     ]
@@ -151,7 +152,7 @@ def _split_table(comparison: Comparison) -> str:
         ("10th pct.", lambda row: number(row.value(split, lambda record: record.scores["ssim"].p10), 4)),
         *(_metric_column(split, name) for name in METRICS if name != "ssim"),
         ("skill", lambda row: _skill(row, comparison)),
-        ("seeds", lambda row: _range(row.num_seeds(comparison.splits))),
+        ("seeds", lambda row: span(row.num_seeds(comparison.splits))),
         *_cost_columns(board, comparison.splits),
         (COLUMN, lambda row: published_cell(row, comparison.splits)),
     ]
@@ -216,11 +217,7 @@ def _skill(row: Row, comparison: Comparison) -> str:
 
 
 def _rank(places: tuple[int, int] | None) -> str:
-    return ABSENT if places is None else _range(places)
-
-
-def _range(numbers: tuple[int, int]) -> str:
-    return str(numbers[0]) if numbers[0] == numbers[1] else f"{numbers[0]}–{numbers[1]}"
+    return ABSENT if places is None else span(places)
 
 
 def _curve_cells(curve: LearningCurve) -> list[str]:

@@ -34,6 +34,12 @@ def machine_name(hardware: Mapping[str, str]) -> str:
     return ", ".join(_cores(value) if name == "cores" else value for name, value in hardware.items())
 
 
+def span(numbers: tuple[int, int]) -> str:
+    """`2–4`, or the one number that both are."""
+    low, high = numbers
+    return str(low) if low == high else f"{low}–{high}"
+
+
 def _distance(distances_m: Sequence[float]) -> str:
     low, high = f"{min(distances_m):.2f} m", f"{max(distances_m):.2f} m"
     return low if low == high else f"{low} to {high}"

@@ -112,7 +112,7 @@ def run_all(
     stands. Raises any `XFreqBenchError`; jobs that were finished before it are kept.
     """
     jobs = list(jobs)
-    datasets = check_jobs(jobs, results_dir)
+    datasets = {task.job.dataset: task.dataset for task in _checked(jobs, results_dir)}
     done = []
     for number, job in enumerate(jobs, start=1):
         done.append(_run(_prepare(job, datasets[job.dataset]), results_dir, fitting))
@@ -121,29 +121,29 @@ def run_all(
     return done
 
 
-def check_jobs(jobs: Sequence[Job], results_dir: Path) -> dict[str, PasDataset]:
-    """Find what would stop one of the jobs, before the first fit; returns their data sets by path.
+def unfinished(jobs: Sequence[Job], results_dir: Path) -> list[Job]:
+    """Jobs whose record or predictions are not in `results_dir` yet, once all were checked as `run_all` does.
 
-    Names are resolved, data sets and checkpoints verified, `results_dir` is tried. Raises any
-    `XFreqBenchError`.
+    Raises any `XFreqBenchError`.
     """
+    known = {record.id for record in records.read(results_dir / RECORDS_FILE).records}
+    return [
+        task.job
+        for task in _checked(jobs, results_dir)
+        if task.id not in known or not task.predictions_path(results_dir).exists()
+    ]
+
+
+def _checked(jobs: Sequence[Job], results_dir: Path) -> list[_Task]:
+    """Find what would stop one of the jobs before the first fit: names, data sets, checkpoints, `results_dir`."""
     datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
-    for job in jobs:
-        _prepare(job, datasets[job.dataset]).checkpoint_folder(results_dir).read()
+    tasks = [_prepare(job, datasets[job.dataset]) for job in jobs]
+    for task in tasks:
+        task.checkpoint_folder(results_dir).read()
     _require_writable(results_dir)
     for path in datasets:
         verify(path)
-    return datasets
-
-
-def unfinished(jobs: Sequence[Job], results_dir: Path) -> list[Job]:
-    """Jobs whose record or predictions are not in `results_dir` yet."""
-    known = {record.id for record in records.read(results_dir / RECORDS_FILE).records}
-    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
-    tasks = [_prepare(job, datasets[job.dataset]) for job in jobs]
-    return [
-        task.job for task in tasks if task.id not in known or not task.predictions_path(results_dir).exists()
-    ]
+    return tasks
 
 
 def run_job(job: Job, results_dir: Path) -> RunRecord:

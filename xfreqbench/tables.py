@@ -65,22 +65,36 @@ class Bench:
         yield table
         self.say("")
         if self.output is not None:
-            append(self.output, self._record(title, note, table, software() | dict(versions or {})))
+            about = {"bench": self.name, "title": title, "command": self.command, "note": note}
+            rows, figure = tuple(table.rows), table.figure
+            record = recorded(**about, columns=table.columns, rows=rows, figure=figure, versions=versions)
+            append(self.output, record)
 
-    def _record(self, title: str, note: str, table: Table, versions: dict[str, str]) -> BenchRecord:
-        return BenchRecord(
-            bench=self.name,
-            title=title,
-            command=self.command,
-            note=note,
-            columns=table.columns,
-            rows=tuple(table.rows),
-            figure=table.figure,
-            hardware=hardware(),
-            software=versions,
-            git_commit=git_commit(),
-            time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
-        )
+
+def recorded(
+    bench: str,
+    title: str,
+    command: str,
+    note: str,
+    columns: tuple[str, ...],
+    rows: tuple[tuple[str, ...], ...],
+    figure: BenchFigure | None = None,
+    versions: Mapping[str, str] | None = None,
+) -> BenchRecord:
+    """A table as a record of this machine, commit and moment; `versions` are of libraries that no run names."""
+    return BenchRecord(
+        bench=bench,
+        title=title,
+        command=command,
+        note=note,
+        columns=columns,
+        rows=rows,
+        figure=figure,
+        hardware=hardware(),
+        software=software() | dict(versions or {}),
+        git_commit=git_commit(),
+        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
 
 
 def _line(cells: tuple[str, ...]) -> str:

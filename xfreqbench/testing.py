@@ -366,12 +366,12 @@ def _write_dataset(path: Path, has_other_test_rows: bool = False) -> PasDataset:
     if has_other_test_rows:
         other = np.roll(cfr, 2, axis=0)
         cfr[_UNSEEN_TX], cfr[:, _UNSEEN_CARRIER] = other[_UNSEEN_TX], other[:, _UNSEEN_CARRIER]
-    return _written(path, _CARRIER_HZ, tx_position_m, cfr)
+    return stored_channels(path, _RECEIVER, _CARRIER_HZ, tx_position_m, cfr, maps=True)
 
 
 def plane_wave_data(path: Path, carrier_hz: Float[FloatArray, "F"], num_tx: int) -> PasDataset:
     """A data set of random transmitters in an empty room with one wall: two plane waves each, nothing traced."""
-    return _written(path, carrier_hz, *_plane_waves(carrier_hz, num_tx))
+    return stored_channels(path, _RECEIVER, carrier_hz, *_plane_waves(carrier_hz, num_tx), maps=True)
 
 
 def _plane_waves(
@@ -383,21 +383,25 @@ def _plane_waves(
     return tx_position_m, cfr
 
 
-def _written(
+def stored_channels(
     path: Path,
+    receiver: ReceiverArray,
     carrier_hz: Float[FloatArray, "F"],
     tx_position_m: Float[FloatArray, "T 3"],
     cfr: Complex[NDArray[np.complex128], "T F M"],
+    *,
+    maps: bool,
 ) -> PasDataset:
+    """A data set of given channels, of which no scene is known; without `maps` they are derived when read."""
     header = DatasetHeader(
         scene_name="plane waves",
         scene_json="{}",
         scene_sha256="0" * 64,
-        receiver=_RECEIVER,
+        receiver=receiver,
         carrier_hz=carrier_hz,
         num_tx=len(tx_position_m),
         pas_kind="power",
-        maps=True,
+        maps=maps,
         settings={},
         software={},
         rejected={},

@@ -8,7 +8,7 @@ from html import escape
 from math import isfinite, isinf, isnan, nan
 
 from xfreqbench.boards import Board, Quantity, Row, family, median_ssim, short_commit, short_name
-from xfreqbench.captions import leak_statement, machine_name, tracing
+from xfreqbench.captions import leak_statement, machine_name, span, tracing
 from xfreqbench.comparison import Comparison, Interval
 from xfreqbench.records import BenchRecord
 
@@ -202,12 +202,12 @@ def _rank(comparison: Comparison, row: Row) -> Cell:
     if ranks is None:
         return Cell(_ABSENT)
     best, worst = ranks
-    return Cell(f"{best}" if best == worst else f"{best}–{worst}", best + worst / 1e4)
+    return Cell(span(ranks), best + worst / 1e4)
 
 
 def _seeds(comparison: Comparison, row: Row) -> Cell:
-    numbers = sorted({len(row.by_split[split]) for split in comparison.splits})
-    return Cell("–".join(map(str, dict.fromkeys((numbers[0], numbers[-1])))), float(numbers[0]))
+    numbers = row.num_seeds(comparison.splits)
+    return Cell(span(numbers), float(numbers[0]))
 
 
 def _number(value: float, form: str, interval: Interval = (nan, nan)) -> Cell:

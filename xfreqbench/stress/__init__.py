@@ -11,13 +11,12 @@ with ARM), references round as what they check does, and a case may err by twice
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from xfreqbench.errors import UnknownNameError
-from xfreqbench.machine import git_commit, hardware, software
 from xfreqbench.records import BenchRecord, append
 from xfreqbench.stress.case import Case, Verdict
+from xfreqbench.tables import recorded
 
 COLUMNS = ("area", "case", "error", "limit", "unit", "")
 _WIDTHS = (13, 68, 8, 8, 10, 0)
@@ -70,7 +69,7 @@ def stress(only: str | None, output: Path | None, say: Callable[[str], None]) ->
 
 def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchRecord:
     """The verdicts as a table of the report."""
-    return BenchRecord(
+    return recorded(
         bench="stress",
         title="Numerical stability",
         command="xfreqbench stress" + (f" --only {only!r}" if only else ""),
@@ -80,10 +79,6 @@ def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchReco
         ),
         columns=COLUMNS,
         rows=tuple(verdict.cells for verdict in verdicts),
-        hardware=hardware(),
-        software=software(),
-        git_commit=git_commit(),
-        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
 

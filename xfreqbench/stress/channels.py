@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xfreqbench.array import planar_array, steering_vector
-from xfreqbench.dataset import DatasetHeader, PasDataset, PasWriter, open_dataset
+from xfreqbench.dataset import PasDataset
 from xfreqbench.errors import MaterialBandError
 from xfreqbench.image_method import ImageTracer
 from xfreqbench.materials import ITU_MATERIALS, Band, complex_permittivity
 from xfreqbench.pas import cfr_of_plane_waves
 from xfreqbench.scene import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.stress.case import Case
+from xfreqbench.testing import stored_channels
 from xfreqbench.tracing import TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M, ghz_to_hz
 
@@ -106,22 +107,7 @@ def data_of(
     path: Path, tx_m: NDArray[np.float64], carrier_hz: list[float], cfr: NDArray[np.complex128]
 ) -> PasDataset:
     """A data set of channels (T, F, M) of `RECEIVER`, maps left to be derived."""
-    header = DatasetHeader(
-        scene_name="channels",
-        scene_json="{}",
-        scene_sha256="0" * 64,
-        receiver=RECEIVER,
-        carrier_hz=np.array(carrier_hz),
-        num_tx=len(cfr),
-        pas_kind="power",
-        maps=False,
-        settings={},
-        software={},
-        rejected={},
-    )
-    with PasWriter(path, header) as writer:
-        writer.append(tx_m, np.ones(len(cfr), bool), cfr, np.ones(cfr.shape[:2], np.int32))
-    return open_dataset(path)
+    return stored_channels(path, RECEIVER, np.array(carrier_hz), tx_m, cfr, maps=False)
 
 
 def _one_hertz_apart() -> float:
