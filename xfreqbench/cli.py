@@ -37,6 +37,7 @@ Interactions = Annotated[
     str, Parameter(help="Comma-separated, of: specular, refraction, diffraction, diffuse.")
 ]
 DEFAULT_INTERACTIONS = "specular,refraction"
+_PIPED_WIDTH = 160  # of a table that no terminal bounds
 
 
 def main() -> None:
@@ -502,6 +503,54 @@ def plot(
     titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
     plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
     _say(f"wrote {output}")
+
+
+@app.command
+def findings(
+    results: Path,
+    *,
+    data: Annotated[Path, Parameter(help="The data set that the run was on.")],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for tables, figures and model.")],
+    id_: Annotated[
+        str | None, Parameter(name="--id", help="How the record's id begins; the newest record if absent.")
+    ] = None,
+    split: Annotated[str | None, Parameter(help="Only runs on this split, as in lofo-24.25GHz.")] = None,
+    seed: Annotated[int | None, Parameter(help="Only runs of this seed.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare the planes, materials and images that a run found with the scene of its data.
+
+    Parameters
+    ----------
+    results
+        Folder of `run`, or its file of records.
+    """
+    from xfreqbench.dataset import open_dataset
+    from xfreqbench.findings_record import ComparedFindings, choose_record
+    from xfreqbench.findings_report import missing_rows, plane_rows, small_missing, title, write_findings
+
+    record = choose_record(results, id_, split, seed)
+    compared = ComparedFindings.of(record, open_dataset(data))
+    paths = write_findings(compared, output)
+    if not quiet:
+        _print_table(title(compared), *plane_rows(compared))
+        _print_table("Planes of the scene that were not found", *missing_rows(compared))
+    _say(small_missing(compared), quiet)
+    for path in paths:
+        _say(f"wrote {path}", quiet)
+
+
+def _print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left")
+    for name in header:
+        table.add_column(Text(name))
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH).print(table)
 
 
 BenchOutput = Annotated[

@@ -27,7 +27,7 @@ from xfreqbench.errors import DivergenceError, MethodError, UnknownNameError, XF
 ENTRY_POINT_GROUP = "xfreqbench.methods"
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
 _CONTRACT = ("fit", "predict", "save", "load")
-_SHARED_CODE = "xfreqbench.splatting"  # a package that methods build on without inheriting from it
+_SHARED_CODE = ("splatting", "virtual_source")  # packages that methods build on without inheriting from them
 _MEASUREMENTS = (
     "benchmark",
     "savings",
@@ -124,6 +124,15 @@ class Method(Protocol):
     @classmethod
     def load(cls, directory: Path) -> Method:
         """The method as it was saved."""
+        ...
+
+
+@runtime_checkable
+class ExplainedMethod(Protocol):
+    """A method that can tell what it has learned, in the terms of physics."""
+
+    def findings(self) -> Mapping[str, Any]:
+        """What goes to the record beside the scores, as JSON; called once, after the fit."""
         ...
 
 
@@ -258,18 +267,20 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
 def code_sha256(method: Method) -> str:
     """Hash of the files that define a method's class and its bases; a class typed into a shell has none.
 
-    All of `xfreqbench.splatting` that a fit depends on is hashed too where one of those files names it.
+    All of `xfreqbench.splatting` and `xfreqbench.virtual_source` that a fit depends on is hashed too, where
+    one of those files names them.
     """
     modules = dict.fromkeys(base.__module__ for base in type(method).__mro__)
     paths = [Path(getattr(sys.modules.get(module), "__file__", None) or "") for module in modules]
     sources = [path.read_bytes() for path in paths if path.is_file()]
-    if any(_SHARED_CODE.encode() in source for source in sources):
-        sources += _shared_sources()
+    for package in _SHARED_CODE:
+        if any(f"xfreqbench.{package}".encode() in source for source in sources):
+            sources += _shared_sources(package)
     return hashlib.sha256(b"".join(hashlib.sha256(source).digest() for source in sources)).hexdigest()
 
 
-def _shared_sources() -> list[bytes]:
-    folder = Path(__file__).with_name(_SHARED_CODE.rpartition(".")[2])
+def _shared_sources(package: str) -> list[bytes]:
+    folder = Path(__file__).with_name(package)
     paths = sorted(path for path in folder.rglob("*.py") if path.stem not in _MEASUREMENTS)
     return [path.read_bytes() for path in paths]
 

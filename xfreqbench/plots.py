@@ -1,4 +1,4 @@
-"""Figures: score distributions and costs as SVG, maps as PNG. The only module that imports matplotlib."""
+"""Figures: score distributions and costs as SVG, maps as PNG."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path) ->
         axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
         axis.set_title(title, fontsize="medium")
     _share_legend(figure, axes)
-    _save(figure, path, "svg")
+    save_figure(figure, path, "svg")
 
 
 def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None:
@@ -76,10 +76,10 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
     for axis, (title, panel) in zip(axes, panels.items(), strict=True):
         _draw_against_time(axis, panel, labels)
         axis.set(xlabel="seconds of fitting", xscale="log", ylabel="median SSIM, sample of maps")
-        _label_decades(axis)
+        label_decades(axis)
         axis.set_title(title, fontsize="medium")
     _share_legend(figure, axes)
-    _save(figure, path, "svg")
+    save_figure(figure, path, "svg")
 
 
 def plot_pas_maps(
@@ -99,7 +99,7 @@ def plot_pas_maps(
         image = _draw_disc(axis, pas_map, grid)
         axis.set_title(title, fontsize="medium")
     figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
-    _save(figure, path, "png")
+    save_figure(figure, path, "png")
 
 
 def plot_cost(figure: BenchFigure, path: Path) -> None:
@@ -117,12 +117,12 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     _draw_front(axis, figure.points)
     axis.set(xlabel=figure.x_label, ylabel=figure.y_label, xscale="log" if figure.log_x else "linear")
     if figure.log_x:
-        _label_decades(axis)
+        label_decades(axis)
     axis.margins(0.1)
     axis.grid(alpha=0.3)
     canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
     _write_labels(canvas, axis, figure.points, list(by_series))
-    _save(canvas, path, "svg")
+    save_figure(canvas, path, "svg")
 
 
 def _by_series(points: Sequence[BenchPoint]) -> dict[str, list[BenchPoint]]:
@@ -208,7 +208,7 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     return buffer.getvalue()
 
 
-def _label_decades(axis: Any) -> None:
+def label_decades(axis: Any) -> None:
     """Numbers written out at each decade, and at 2 and 5 of it where there are few decades."""
     low, high = axis.get_xlim()
     is_wide = np.log10(high / low) > 3
@@ -300,7 +300,8 @@ def _draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: Angu
     return image
 
 
-def _save(figure: Figure, path: Path, kind: str) -> None:
+def save_figure(figure: Figure, path: Path, kind: str) -> None:
+    """Write a figure as `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
     metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
     with mpl.rc_context(fixed), atomic_path(path) as temporary, storage_errors(path):

@@ -71,7 +71,7 @@ class RunRecord(BaseModel):
     limit, and where the method yielded once. `ssim_by_tx` holds the SSIM of every test sample to four
     decimals, a list for each tested transmitter in the order of their indices; `nearest_trained_m` is the
     median distance from a tested transmitter to the nearest trained one, `code_sha256` hashes the files that
-    define the method.
+    define the method, `findings` is what the method says it has learned.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
@@ -104,6 +104,7 @@ class RunRecord(BaseModel):
     ssim_by_tx: tuple[tuple[float, ...], ...] = ()
     nearest_trained_m: float | None = None
     code_sha256: str | None = None
+    findings: dict[str, Any] = {}
 
 
 class BenchPoint(BaseModel):

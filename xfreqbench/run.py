@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,6 +29,7 @@ from xfreqbench.dataset import IntArray, PasDataset, open_dataset, verify
 from xfreqbench.errors import DataError, DivergenceError, MethodError, XFreqBenchError
 from xfreqbench.method import (
     Budget,
+    ExplainedMethod,
     Fit,
     Maps,
     Method,
@@ -415,4 +417,12 @@ def _record(
         ssim_by_tx=_by_transmitter(scores["ssim"], task.dataset.tx_index[task.split.test]),
         nearest_trained_m=task.split.nearest_trained_m,
         code_sha256=code_sha256(task.method),
+        findings=_findings(task),
     )
+
+
+def _findings(task: _Task) -> dict[str, Any]:
+    if not isinstance(task.method, ExplainedMethod):
+        return {}
+    with _method_errors(task, "findings"):
+        return dict(task.method.findings())

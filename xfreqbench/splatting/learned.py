@@ -102,6 +102,7 @@ class LearnedMethod:
     """A radiance field trained on maps. A method derives from it and says which field, and its `Config`."""
 
     Config: ClassVar[type]
+    position_kind: ClassVar[torch.dtype] = torch.float32  # in which `predict` hands positions to the field
 
     def __init__(self, config: Any = None) -> None:
         self.config = self.Config() if config is None else config
@@ -141,7 +142,7 @@ class LearnedMethod:
     ) -> Float[NDArray[np.float32], "B E A"]:
         """Maps on the training data's grid and of their kind, peak 1."""
         training = self._trained()
-        position_m = torch.as_tensor(tx_position_m, dtype=torch.float32).to(self._device)
+        position_m = torch.as_tensor(tx_position_m, dtype=self.position_kind).to(self._device)
         carrier = torch.as_tensor(carrier_hz).to(self._device)
         with torch.no_grad():
             maps = [
@@ -204,10 +205,14 @@ class LearnedMethod:
         self, field: ChannelField, generator: torch.Generator, beam: BartlettBeam, kind: PasKind
     ) -> Training:
         field.to(self._device)
+        return Training(field, self.new_optimizer(field), generator, Beams(beam, self._device), kind)
+
+    def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
+        """Adam that knows nothing of the field's parameters yet."""
         optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
         for group in optimizer.param_groups:
             group["initial_lr"] = group["lr"]
-        return Training(field, optimizer, generator, Beams(beam, self._device), kind)
+        return optimizer
 
     def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
         of_field = {name[6:]: tensor for name, tensor in tensors.items() if name.startswith("field.")}
@@ -221,14 +226,26 @@ class LearnedMethod:
                 training.optimizer.state[parameter] = stored
         return training
 
-    def _step(self, training: Training, targets: Targets) -> float:
-        config, share = self.config, training.share
+    def batch_loss(self, training: Training, targets: Targets) -> Tensor:
+        """Eq. 12 of rows drawn at random, in a view drawn at random."""
+        config = self.config
         nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
         view = View.draw(config.stride, training.generator)
         position_m, carrier_hz = targets.queries(nth, config.carrier_blur, training.generator)
         power = training.field.power(position_m, carrier_hz, view, training.beams)
+        return self.loss_of(power, targets.maps(nth, view), training)
+
+    def loss_of(
+        self, power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training
+    ) -> Tensor:
+        """Eq. 12 of predicted power, its weight as the share spent has it."""
+        config, share = self.config, training.share
         weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
-        loss = map_loss(as_kind(power, training.kind), targets.maps(nth, view), weight, config.ssim_window)
+        return map_loss(as_kind(power, training.kind), truth, weight, config.ssim_window)
+
+    def _step(self, training: Training, targets: Targets) -> float:
+        share = training.share
+        loss = self.batch_loss(training, targets)
         training.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         training.step += 1

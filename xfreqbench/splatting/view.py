@@ -114,6 +114,11 @@ class Targets:
         shift = torch.randn(len(nth), generator=generator, dtype=torch.float64) * blur * self._half_band
         return position_m.to(self._device), (carrier_hz * shift.exp()).to(self._device)
 
+    @property
+    def positions_and_carriers(self) -> tuple[Float[FloatArray, "n 3"], Float[FloatArray, "n"]]:
+        """Of all rows that have a path, float64."""
+        return self._train.tx_position_m[self.rows], self._train.carrier_hz[self.rows]
+
     @cached_property
     def _half_band(self) -> float:
         """Of the logarithm of the training carriers."""

@@ -1,0 +1,148 @@
+"""Ours: planes found in the maps, transmitters mirrored in them, and phases that hold at every carrier."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xfreqbench.dataset import IntArray, PasDataset
+from xfreqbench.errors import MethodError
+from xfreqbench.method import Budget, Progress
+from xfreqbench.splatting.learned import Count, LearnedMethod, Positive, Training, TrainingConfig
+from xfreqbench.splatting.network import NetworkConfig
+from xfreqbench.splatting.view import Targets, View
+from xfreqbench.virtual_source.config import SourceConfig
+from xfreqbench.virtual_source.field import VirtualSourceField
+from xfreqbench.virtual_source.line_of_sight import Explained
+
+_TX_AT_ONCE = 32
+
+
+@dataclass(frozen=True)
+class VirtualSourceConfig(SourceConfig, NetworkConfig, TrainingConfig):
+    """A step looks at all carriers of a few transmitters, whose paths are then traced once."""
+
+    batch_size: Count = 8  # transmitters
+    learning_rate: Positive = 3e-3
+
+
+class VirtualSource(LearnedMethod):
+    """Virtual sources: planes found in the maps mirror the transmitter, exact in phase at every carrier."""
+
+    Config = VirtualSourceConfig
+    position_kind = torch.float64
+
+    def __init__(self, config: Any = None) -> None:
+        super().__init__(config)
+        if self._device.type != "cpu":
+            raise MethodError(
+                f"virtual-source runs on the processor, but device={self._device} is asked for."
+            )
+        self._rows: _TransmitterRows | None = None
+
+    def field(self) -> VirtualSourceField:
+        """No planes yet."""
+        return VirtualSourceField(self.config, self.config)
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
+        """Search planes, then minimise Eq. 12 by Adam, looking for more planes on the way."""
+        self._train = train
+        yield from super().fit(train, budget, seed)
+
+    def batch_loss(self, training: Training, targets: Targets) -> Tensor:
+        """Eq. 12 of all rows of some transmitters, and a little for what stands in the room."""
+        field, generator = _field(training), training.generator
+        rows = self._rows_of(training, targets)
+        chosen = torch.randint(rows.num_tx, (self.config.batch_size,), generator=generator)
+        view = View.draw(self.config.stride, generator)
+        nth, of_tx, of_carrier = rows.of(chosen)
+        _, blurred_hz = targets.queries(nth, self.config.carrier_blur, generator)
+        power = field.power_of(
+            rows.offset_m[chosen],
+            rows.traces[chosen],
+            rows.carrier_hz,
+            of_tx,
+            of_carrier,
+            view,
+            training.beams,
+            blurred_hz,
+        )
+        loss = self.loss_of(power, targets.maps(nth, view), training)
+        return loss + self.config.sparsity * field.room.clutter()
+
+    def findings(self) -> dict[str, Any]:
+        """Planes with their materials and uncertainties, and images: see `Room.findings`."""
+        field = _field(self._trained())
+        return field.room.findings(field.array_m)
+
+    def _rows_of(self, training: Training, targets: Targets) -> _TransmitterRows:
+        """Paths of the training transmitters, after another look for planes where it is time for one."""
+        field = _field(training)
+        if self._rows is None or not self._rows.are_of(field, targets):
+            self._rows = _TransmitterRows(field, targets)
+        if field.is_time_to_look(training.step, training.share):
+            element = torch.as_tensor(training.beams.element_position_wavelengths, dtype=torch.float32)
+            explained = self._rows.channels(field, element)
+            field.look_again(self._train, explained, training.step, training.generator)
+            training.optimizer = self.new_optimizer(field)
+            self._rows = _TransmitterRows(field, targets)
+        return self._rows
+
+
+def _field(training: Training) -> VirtualSourceField:
+    assert isinstance(training.field, VirtualSourceField)
+    return training.field
+
+
+class _TransmitterRows:
+    """Training rows by transmitter, and the paths of each, traced once."""
+
+    def __init__(self, field: VirtualSourceField, targets: Targets) -> None:
+        self._targets, self._sequence = targets, field.room.sequence
+        position_m, carrier_hz = targets.positions_and_carriers
+        unique_m, of_tx = np.unique(position_m, axis=0, return_inverse=True)
+        carriers, of_carrier = np.unique(carrier_hz, return_inverse=True)
+        self.num_tx = len(unique_m)
+        self.offset_m = field.offsets(unique_m)
+        self.carrier_hz = torch.as_tensor(carriers)
+        self.traces = field.room.traced(self.offset_m)
+        self._places = of_tx.reshape(-1), of_carrier.reshape(-1)
+        table = np.full((len(unique_m), len(carriers)), -1)
+        table[of_tx.reshape(-1), of_carrier] = np.arange(len(carrier_hz))
+        self._row = torch.as_tensor(table)
+
+    def channels(self, field: VirtualSourceField, element: Float[Tensor, "M 3"]) -> Explained:
+        """What the field says of the channels of rows of the training data, Q that do not interfere."""
+        carriers, parts = self.carrier_hz, []
+        with torch.no_grad():
+            for some in torch.arange(self.num_tx).split(_TX_AT_ONCE):
+                offset_m = self.offset_m[some]
+                told = offset_m.repeat_interleave(len(carriers), 0), carriers.repeat(len(some))
+                free = field.free_channels(*told, element).unflatten(1, (len(some), len(carriers)))
+                virtual = field.channels(offset_m, self.traces[some], carriers, element)
+                parts.append(torch.cat([virtual[None], free]))
+        cfr = torch.cat(parts, dim=1).numpy().astype(complex)
+        place = dict(zip(self._targets.rows.tolist(), zip(*self._places, strict=True), strict=True))
+
+        def explained(rows: IntArray) -> NDArray[np.complex128]:
+            tx, carrier = zip(*(place[row] for row in rows.tolist()), strict=True)
+            return cfr[:, tx, carrier]
+
+        return explained
+
+    def are_of(self, field: VirtualSourceField, targets: Targets) -> bool:
+        """Whether nothing has changed."""
+        return targets is self._targets and field.room.sequence is self._sequence
+
+    def of(self, chosen: Int[Tensor, "t"]) -> tuple[Int[Tensor, "B"], Int[Tensor, "B"], Int[Tensor, "B"]]:
+        """Rows of some transmitters, which of these each belongs to, and its carrier."""
+        rows = self._row[chosen]
+        of_tx, of_carrier = (rows >= 0).nonzero(as_tuple=True)
+        return rows[of_tx, of_carrier], of_tx, of_carrier

@@ -1,0 +1,38 @@
+"""What the virtual sources are asked to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field as Limits
+
+LOOK_SHARES = (0.08, 0.16, 0.3)  # of the budget, after which planes are searched once more
+
+
+@dataclass(frozen=True)
+class SourceConfig:
+    """What the virtual sources are. `max_order` bounds the reflections, `max_images` the paths that are kept.
+
+    Planes are searched before the first step, and once more at each of `looks` moments of the training, in what
+    the field has not explained by then.
+    """
+
+    max_planes: Annotated[int, Limits(ge=0)] = 32
+    max_order: Annotated[int, Limits(ge=0, le=3)] = 3
+    max_images: Annotated[int, Limits(ge=1)] = 160
+    planes: Literal["search", "random"] = "search"
+    looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES))] = len(LOOK_SHARES)
+    phase: bool = True  # of path lengths; without it, an ablation
+    lengths: Literal["float64", "float32"] = "float64"
+    cell_m: Annotated[float, Limits(gt=0)] = 0.3
+    gain_width: Annotated[int, Limits(ge=1)] = 64
+    gain_octaves: Annotated[int, Limits(ge=0)] = 2
+    sparsity: Annotated[float, Limits(ge=0)] = 0.02  # weight in the loss of what cells hold
+    max_gain: Annotated[float, Limits(ge=0, le=1)] = 0.0  # by which a network may move a path's gain; 0: none
+    free_sources: Annotated[int, Limits(ge=0)] = 32
+    free_modes: Annotated[int, Limits(ge=1)] = 2
+    lone_sources: Annotated[int, Limits(ge=1)] = (
+        128  # as in aperture-gs, where fewer than three planes are found
+    )
+    lone_modes: Annotated[int, Limits(ge=1)] = 4

@@ -1,0 +1,230 @@
+"""Virtual sources: transmitters mirrored in planes that were found, their phases exact at every carrier."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from jaxtyping import Complex, Float, Int
+from torch import Tensor, nn
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.dataset import PasDataset
+from xfreqbench.splatting.aperture import ApertureField
+from xfreqbench.splatting.encoding import Scaling
+from xfreqbench.splatting.learned import ChannelField
+from xfreqbench.splatting.network import NetworkConfig
+from xfreqbench.splatting.view import Beams, View
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+from xfreqbench.virtual_source.config import LOOK_SHARES, SourceConfig
+from xfreqbench.virtual_source.gain import PathGain
+from xfreqbench.virtual_source.images import Traces
+from xfreqbench.virtual_source.line_of_sight import Explained
+from xfreqbench.virtual_source.planes import Plane
+from xfreqbench.virtual_source.range_profile import find_more_planes, find_planes, random_planes
+from xfreqbench.virtual_source.room import Room
+
+_FEWEST_PLANES = 3  # of a room; with fewer, free sources have to explain nearly all
+_MIN_STEPS_BETWEEN_LOOKS = 250
+_MIN_LENGTH_M = 1e-3
+_CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
+_START_FREE = 0.1  # amplitude of free sources beside the line of sight
+
+
+class VirtualSourceField(ChannelField):
+    """h_n = Σ_p g_p(p_tx, f) d_0/d_p exp(−j2πf d_{p,n}/c), p over the transmitter's images in sequences of planes.
+
+    d_{p,n} is the image's distance to element n, exact to second order in the aperture. The gain is the
+    product of slab reflections at its bounces, polarisation followed, of what the cells of each plane hold
+    there, of transmissions on the way, and of a small network's correction. What no plane explains goes to free
+    sources as in `ApertureField`, whose powers add to the map. Everything is in units of the line of sight.
+    """
+
+    array_m: Tensor
+    num_looks: Tensor
+    last_look: Tensor
+    is_lone: Tensor
+    gain: PathGain | None
+
+    def __init__(self, config: SourceConfig, network: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.scaling = Scaling()
+        self.register_buffer("array_m", torch.zeros(3, dtype=torch.float64))
+        self.register_buffer("num_looks", torch.tensor(0))
+        self.register_buffer("last_look", torch.tensor(0))
+        self.register_buffer("is_lone", torch.tensor(False))
+        self.room = Room(config)
+        self.network = network
+        self.free = self._new_free()
+        self.log_free = nn.Parameter(torch.tensor(_START_FREE).log())
+        self.gain = self._new_gain()
+
+    def _new_free(self) -> ApertureField | None:
+        config = self.config
+        sizes = (
+            (config.lone_sources, config.lone_modes)
+            if self.is_lone
+            else (config.free_sources, config.free_modes)
+        )
+        return ApertureField(*sizes, self.network) if config.free_sources else None
+
+    def _new_gain(self) -> PathGain | None:
+        config, num_planes = self.config, len(self.room.normal)
+        if not config.max_gain:
+            return None
+        return PathGain(num_planes, config.gain_width, config.gain_octaves, config.max_gain, self.scaling)
+
+    def match(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take the number of planes, cells and images of stored tensors."""
+        self.is_lone.copy_(tensors["is_lone"])
+        self.free = self._new_free()
+        self.room.match({name[5:]: tensor for name, tensor in tensors.items() if name.startswith("room.")})
+        self.gain = self._new_gain()
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Find planes in training rows, and choose the images that matter most."""
+        receiver = train.header.receiver
+        self.array_m.copy_(torch.as_tensor(receiver.position_m, dtype=torch.float64))
+        antenna = (receiver.pattern, receiver.polarization)
+        self.room.enter(antenna, self.offsets(train.tx_position_m), torch.as_tensor(train.carrier_hz))
+        self.scaling.adapt(train)
+        self.room.take([], self._first_planes(train, generator))
+        self.gain = self._new_gain()
+        if len(self.room.normal) < _FEWEST_PLANES:
+            self.is_lone.fill_(True)
+            self.log_free.data.zero_()
+            self.free = self._new_free()
+        if self.free is not None:
+            self.free.adapt(train, generator)
+
+    def _first_planes(self, train: PasDataset, generator: torch.Generator) -> list[Plane]:
+        seed = int(torch.randint(2**31, (), generator=generator))
+        if not self.config.max_order:
+            return []
+        if self.config.planes == "random":
+            return random_planes(train, seed, self.config.max_planes)
+        return find_planes(train, seed)
+
+    def is_time_to_look(self, step: int, share: float) -> bool:
+        """Whether enough has been learned since the last search for another one."""
+        looks = int(self.num_looks)
+        has_learned = step - int(self.last_look) >= _MIN_STEPS_BETWEEN_LOOKS
+        return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned
+
+    def look_again(
+        self, train: PasDataset, explained: Explained, step: int, generator: torch.Generator
+    ) -> None:
+        """Search planes in what the field has not explained, and choose images anew by what it has learned."""
+        self.num_looks += 1
+        self.last_look.fill_(step)
+        kept = self.room.worth_keeping()
+        known = [self.room.planes[index] for index in kept]
+        is_searched = self.config.planes == "search" and known
+        self.room.take(kept, find_more_planes(train, known, explained) if is_searched else [])
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+            self.gain = self._new_gain()
+
+    def offsets(self, tx_position_m: Float[FloatArray, "B 3"] | Float[Tensor, "B 3"]) -> Float[Tensor, "B 3"]:
+        """Transmitters relative to the array centre, float64."""
+        return torch.as_tensor(tx_position_m, dtype=torch.float64) - self.array_m
+
+    def channels(
+        self,
+        offset_m: Float[Tensor, "B 3"],
+        traces: Traces,
+        carrier_hz: Float[Tensor, "F"],
+        element: Float[Tensor, "M 3"],
+    ) -> Complex[Tensor, "B F M"]:
+        """Channels of virtual sources at every carrier, `element` in wavelengths in the receiver's frame."""
+        gain = self.room.attenuated(traces, carrier_hz)
+        if self.gain is not None:
+            gain = gain * self.gain(self._in_frame(offset_m), traces)[..., None]
+        if self.config.phase:
+            gain = gain * self._travel(traces.length_m, carrier_hz)
+        return torch.einsum("bkf,bkfm->bfm", gain, self._response(traces, carrier_hz, element))
+
+    def _in_frame(self, offset_m: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3"]:
+        return offset_m.float() @ self.scaling.rotation
+
+    def _travel(
+        self, length_m: Float[Tensor, "B K"], carrier_hz: Float[Tensor, "F"]
+    ) -> Complex[Tensor, "B K F"]:
+        """exp(−j2πf d/c), whole turns taken off before the angle is rounded to float32."""
+        kind = getattr(torch, self.config.lengths)
+        turns = length_m.to(kind)[..., None] * (carrier_hz.to(kind) / SPEED_OF_LIGHT_M_S)
+        angle = (-2 * math.pi * (turns % 1)).float()
+        return torch.polar(torch.ones_like(angle), angle)
+
+    def _response(
+        self, traces: Traces, carrier_hz: Float[Tensor, "F"], element: Float[Tensor, "M 3"]
+    ) -> Complex[Tensor, "B K F M"]:
+        """Phases at the elements of a spherical wave, to second order in the aperture."""
+        along = traces.arrival @ self.scaling.rotation @ element.T
+        bend = ((element * element).sum(-1) - along * along) / traces.length_m.clamp_min(
+            _MIN_LENGTH_M
+        ).float()[..., None]
+        wavelength_m = (SPEED_OF_LIGHT_M_S / carrier_hz).float()
+        angle = 2 * math.pi * along[:, :, None] - math.pi * bend[:, :, None] * wavelength_m[:, None]
+        return torch.polar(torch.ones_like(angle), angle)
+
+    def power(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+    ) -> Float[Tensor, "B E A"]:
+        """Bartlett map of virtual and free sources; positions in float64 keep the phases of high carriers."""
+        offset_m = self.offsets(tx_position_m)
+        unique_m, of_tx = torch.unique(offset_m, dim=0, return_inverse=True)
+        carriers, of_carrier = torch.unique(carrier_hz.double(), return_inverse=True)
+        return self.power_of(unique_m, self.room.traced(unique_m), carriers, of_tx, of_carrier, view, beams)
+
+    def power_of(
+        self,
+        offset_m: Float[Tensor, "T 3"],
+        traces: Traces,
+        carrier_hz: Float[Tensor, "F"],
+        of_tx: Int[Tensor, "B"],
+        of_carrier: Int[Tensor, "B"],
+        view: View,
+        beams: Beams,
+        free_carrier_hz: Float[Tensor, "B"] | None = None,
+    ) -> Float[Tensor, "B E A"]:
+        """Maps of pairs of transmitters, whose paths are known, and carriers; free sources may be told others."""
+        element = torch.as_tensor(beams.element_position_wavelengths, dtype=torch.float32)
+        cfr = self.channels(offset_m, traces, carrier_hz, element)[of_tx, of_carrier][None]
+        if self.free is not None:
+            told_hz = carrier_hz[of_carrier] if free_carrier_hz is None else free_carrier_hz
+            cfr = torch.cat([cfr, self.free_channels(offset_m[of_tx], told_hz, element)])
+        return beams.power(cfr, view)
+
+    def free_channels(
+        self, offset_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], element: Float[Tensor, "M 3"]
+    ) -> Complex[Tensor, "Q B M"]:
+        """What no plane explains, in units of the line of sight; Q channels that do not interfere."""
+        if self.free is None:
+            return torch.zeros(0, len(offset_m), len(element), dtype=torch.complex64)
+        signal = self.free.network(self._in_frame(offset_m), carrier_hz, self.free.position_m).signal
+        return self.log_free.exp() * (signal.mT @ self.free.response(element))
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
+        """Cells and slabs learn faster, for a step touches few of them; thicknesses slowly, lest they skip a turn."""
+        gain = self.gain.parameters() if self.gain is not None else ()
+        thickness = self.room.slabs.log_thickness
+        others = [each for each in self.room.slabs.parameters() if each is not thickness]
+        rated = [
+            ([self.room.presence.logits], _CELL_RATE),
+            (others, _SLAB_RATE),
+            ([thickness, self.log_free, *gain], 1.0),
+        ]
+        groups = [{"params": parameters, "lr": rate * learning_rate} for parameters, rate in rated]
+        return [*groups, *(self.free.parameter_groups(learning_rate) if self.free is not None else ())]
+
+    def counts(self) -> dict[str, float]:
+        """Numbers of planes, images and free sources."""
+        return {
+            "planes": len(self.room.normal),
+            "images": len(self.room.sequence),
+            "free_sources": len(self.free.position_m) if self.free is not None else 0,
+        }
