@@ -46,6 +46,7 @@ class VirtualSource(LearnedMethod):
                 f"virtual-source runs on the processor, but device={self._device} is asked for."
             )
         self._rows: _TransmitterRows | None = None
+        self._train: PasDataset | None = None
 
     def field(self) -> VirtualSourceField:
         """No planes yet."""
@@ -89,6 +90,7 @@ class VirtualSource(LearnedMethod):
             self._rows = _TransmitterRows(field, targets)
         if field.is_time_to_look(training.step, training.share):
             element = torch.as_tensor(training.beams.element_position_wavelengths, dtype=torch.float32)
+            assert self._train is not None, "fit has it"
             explained = self._rows.channels(field, element)
             field.look_again(self._train, explained, training.step, training.generator)
             training.optimizer = self.new_optimizer(field)

@@ -62,6 +62,7 @@ VIRTUAL_SOURCE_ABLATIONS = tuple(
         "free_sources=0",
         "lengths=float32",
         "max_gain=0.5",
+        "sparsity=0",
     )
 )
 BLIND_APERTURE = Setting("aperture-gs", ("sees_carrier=false", "latent=0"))

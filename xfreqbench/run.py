@@ -425,4 +425,4 @@ def _findings(task: _Task) -> dict[str, Any]:
     if not isinstance(task.method, ExplainedMethod):
         return {}
     with _method_errors(task, "findings"):
-        return dict(task.method.findings())
+        return json.loads(json.dumps(dict(task.method.findings())))

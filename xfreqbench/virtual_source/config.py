@@ -18,14 +18,14 @@ class SourceConfig:
     the field has not explained by then.
     """
 
-    max_planes: Annotated[int, Limits(ge=0)] = 32
+    max_planes: Annotated[int, Limits(ge=0, le=64)] = 32  # of which sequences are enumerated
     max_order: Annotated[int, Limits(ge=0, le=3)] = 3
     max_images: Annotated[int, Limits(ge=1)] = 160
     planes: Literal["search", "random"] = "search"
     looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES))] = len(LOOK_SHARES)
     phase: bool = True  # of path lengths; without it, an ablation
     lengths: Literal["float64", "float32"] = "float64"
-    cell_m: Annotated[float, Limits(gt=0)] = 0.3
+    cell_m: Annotated[float, Limits(ge=0.05, le=10)] = 0.3
     gain_width: Annotated[int, Limits(ge=1)] = 64
     gain_octaves: Annotated[int, Limits(ge=0)] = 2
     sparsity: Annotated[float, Limits(ge=0)] = 0.02  # weight in the loss of what cells hold

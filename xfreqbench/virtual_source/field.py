@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
@@ -89,11 +90,12 @@ class VirtualSourceField(ChannelField):
         receiver = train.header.receiver
         self.array_m.copy_(torch.as_tensor(receiver.position_m, dtype=torch.float64))
         antenna = (receiver.pattern, receiver.polarization)
-        self.room.enter(antenna, self.offsets(train.tx_position_m), torch.as_tensor(train.carrier_hz))
+        heard = train.subset(np.flatnonzero(train.has_path))
+        self.room.enter(antenna, self.offsets(heard.tx_position_m), torch.as_tensor(heard.carrier_hz))
         self.scaling.adapt(train)
         self.room.take([], self._first_planes(train, generator))
         self.gain = self._new_gain()
-        if len(self.room.normal) < _FEWEST_PLANES:
+        if self._searches and len(self.room.normal) < _FEWEST_PLANES:
             self.is_lone.fill_(True)
             self.log_free.data.zero_()
             self.free = self._new_free()
@@ -102,14 +104,19 @@ class VirtualSourceField(ChannelField):
 
     def _first_planes(self, train: PasDataset, generator: torch.Generator) -> list[Plane]:
         seed = int(torch.randint(2**31, (), generator=generator))
-        if not self.config.max_order:
-            return []
-        if self.config.planes == "random":
-            return random_planes(train, seed, self.config.max_planes)
-        return find_planes(train, seed)
+        if self._searches:
+            return find_planes(train, seed)
+        return random_planes(train, seed, self.config.max_planes) if self.config.max_order else []
+
+    @property
+    def _searches(self) -> bool:
+        config = self.config
+        return config.planes == "search" and config.max_order > 0 and config.max_planes > 0
 
     def is_time_to_look(self, step: int, share: float) -> bool:
-        """Whether enough has been learned since the last search for another one."""
+        """Whether enough has been learned since the last search for another one, along normals that are known."""
+        if not (self._searches and self.config.phase and len(self.room.normal)):
+            return False
         looks = int(self.num_looks)
         has_learned = step - int(self.last_look) >= _MIN_STEPS_BETWEEN_LOOKS
         return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned
@@ -122,8 +129,7 @@ class VirtualSourceField(ChannelField):
         self.last_look.fill_(step)
         kept = self.room.worth_keeping()
         known = [self.room.planes[index] for index in kept]
-        is_searched = self.config.planes == "search" and known
-        self.room.take(kept, find_more_planes(train, known, explained) if is_searched else [])
+        self.room.take(kept, find_more_planes(train, known, explained) if known else [])
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
             self.gain = self._new_gain()

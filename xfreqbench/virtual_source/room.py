@@ -159,9 +159,8 @@ class Room(nn.Module):
         """Gain without travel and correction, in units of the line of sight in free space."""
         spread = traces.is_real * (traces.direct_m[:, None] / traces.length_m.clamp_min(_MIN_LENGTH_M))
         if not len(self.normal):
-            return torch.complex(spread.float(), torch.zeros(()))[..., None].expand(
-                *spread.shape, len(carrier_hz)
-            )
+            gain = (spread.float() * traces.polarised[..., 0])[..., None]
+            return torch.complex(gain, torch.zeros_like(gain)).expand(*spread.shape, len(carrier_hz))
         reflecting, transmitting = self.slabs.tables(carrier_hz)
         factors = (
             self._factors(traces.bounce, reflecting, is_crossed=False).unflatten(-1, (2, -1))
