@@ -71,12 +71,12 @@ def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: st
         }
 
 
-def test_the_standard_preset_fits_in_two_and_a_half_hours_on_two_cores(
+def test_the_standard_preset_fits_in_two_and_three_quarter_hours_on_two_cores(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(benchmarks, "own_cores", lambda: [frozenset({0}), frozenset({1})])
     planned = plan_benchmark("standard", Path("nowhere"), Path("results"))
-    assert benchmarks.seconds_needed(planned) <= 2.5 * 3600
+    assert benchmarks.seconds_needed(planned) <= 2.75 * 3600
 
 
 def test_ablations_change_the_setting_that_they_name() -> None:
