@@ -377,20 +377,24 @@ def test_a_method_without_a_loss_does_not_diverge(train: PasDataset) -> None:
     assert fit_within(method, train, Budget(), seed=0).step == 3
 
 
+SHARED = ("splatting", "virtual_source")
+
+
 def test_code_that_methods_share_without_inheriting_it_is_part_of_their_hash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shared = [b"a"]
-    monkeypatch.setattr("xfreqbench.method._shared_sources", lambda: shared)
+    monkeypatch.setattr("xfreqbench.method._shared_sources", lambda package: [package.encode(), *shared])
     monkeypatch.syspath_prepend(tmp_path)
     text = "from test_method import Short\n\nclass Own(Short):\n    # {}\n    pass\n"
     hashes = {}
-    for name, words in (("alone", "Alone."), ("building", "Builds on xfreqbench." + "splatting.")):
-        (tmp_path / f"{name}.py").write_text(text.format(words))
-        method = build_method(f"{name}:Own")
+    texts = {"alone": "Alone.", **{package: f"Builds on xfreqbench.{package}." for package in SHARED}}
+    for name, words in texts.items():
+        (tmp_path / f"own_{name}.py").write_text(text.format(words))
+        method = build_method(f"own_{name}:Own")
         before, shared[0] = code_sha256(method), shared[0] + b"a"
         hashes[name] = code_sha256(method) == before
-    assert hashes == {"alone": True, "building": False}
+    assert hashes == {"alone": True, **dict.fromkeys(SHARED, False)}
 
 
 def test_a_fit_that_yields_nothing_breaks_the_contract(train: PasDataset) -> None:
