@@ -33,6 +33,14 @@ class Predictions:
                 part = slice(start, start + size)
                 yield self.rows[part], file["pas"][part].astype(np.float32)
 
+    def maps_of(self, rows: Int[IntArray, "n"], batch_size: int) -> Float[NDArray[np.float32], "n E A"]:
+        """Maps of some rows, in their order; raises `DataError`, and `KeyError` for a row that is not stored."""
+        wanted = set(rows.tolist())
+        found: dict[int, NDArray[np.float32]] = {}
+        for batch, maps in self.batches(batch_size):
+            found |= {row: maps[i].copy() for i, row in enumerate(batch.tolist()) if row in wanted}
+        return np.stack([found[row] for row in rows.tolist()])
+
 
 def write_predictions(
     path: Path,

@@ -142,7 +142,7 @@ def take_apart(plan: ResidualPlan, tracing: ProgressCallback, scoring: ProgressC
     """Trace the drawn transmitters, then score all maps; the callbacks are told transmitters done and in all."""
     samples = plan.compared.dataset.subset(plan.rows)
     channels, share_not_found = _channels(plan, samples, tracing)
-    stored = {label: _stored_maps(each, plan.rows) for label, each in plan.predictions.items()}
+    stored = {label: each.maps_of(plan.rows, BATCH_SIZE) for label, each in plan.predictions.items()}
     labels = [*stored, *(selection.label for selection in SELECTIONS)]
     scored: dict[str, list[Scores]] = {label: [] for label in labels}
     for done, rows in enumerate(transmitters := _rows_by_transmitter(samples), start=1):
@@ -403,13 +403,6 @@ def _distance_m(
         along = offset_m @ edge_m / (edge_m @ edge_m or 1.0)
         nearest_m += along.clip(0, 1)[..., None] * edge_m
     return np.linalg.norm(offset_m - nearest_m, axis=-1)
-
-
-def _stored_maps(predictions: Predictions, rows: Int[IntArray, "n"]) -> Float[Maps, "n E A"]:
-    found: dict[int, Maps] = {}
-    for batch, maps in predictions.batches(BATCH_SIZE):
-        found |= {int(batch[i]): maps[i].copy() for i in np.flatnonzero(np.isin(batch, rows))}
-    return np.stack([found[row] for row in rows.tolist()])
 
 
 def _scores(predicted: Float[Maps, "f E A"], truth: Float[Maps, "f E A"], samples: PasDataset) -> Scores:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.boards import Board, Row, family, short_name
-from xfreqbench.dataset import IntArray, PasDataset, open_dataset
+from xfreqbench.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError
 from xfreqbench.metrics import Maps, score_all
 from xfreqbench.pas import power_of
@@ -124,7 +124,7 @@ def _cases(
 ) -> Iterable[Case]:
     chosen = _chosen(np.concatenate([np.asarray(ssim) for ssim in record.ssim_by_tx]))
     rows = predictions.rows[list(chosen.values())]
-    predicted, truth = _maps_of(predictions, rows), dataset.pas(rows)
+    predicted, truth = predictions.maps_of(rows, BATCH_SIZE), dataset.pas(rows)
     scores = score_all(predicted, truth, dataset.grid, dataset.header.pas_kind)
     samples = dataset.subset(rows)
     for index, place in enumerate(chosen):
@@ -145,14 +145,6 @@ def _chosen(ssim: Float[FloatArray, "N"]) -> dict[str, int]:
     """Positions of the best, the median and the worst sample, in the order in which they were tested."""
     order = np.argsort(-ssim, kind="stable").tolist()
     return {"best": order[0], "median": order[len(order) // 2], "worst": order[-1]}
-
-
-def _maps_of(predictions: Predictions, rows: Int[IntArray, "n"]) -> Float[Maps, "n E A"]:
-    wanted = set(rows.tolist())
-    found: dict[int, Maps] = {}
-    for batch_rows, maps in predictions.batches(BATCH_SIZE):
-        found |= {row: maps[i] for i, row in enumerate(batch_rows.tolist()) if row in wanted}
-    return np.stack([found[row] for row in rows.tolist()])
 
 
 def _draw(

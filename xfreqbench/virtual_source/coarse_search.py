@@ -22,7 +22,7 @@ from xfreqbench.virtual_source.line_of_sight import (
 
 MAX_TILT = 0.1  # rad, of ceilings and walls
 
-_BEHIND_BOX_M = 2.0  # how far beyond transmitters and receiver a wall may stand
+BEHIND_BOX_M = 2.0  # how far beyond transmitters and receiver a wall may stand
 _CELL_WAVELENGTHS = 1 / 3
 _CELLS_AT_ONCE = 96
 _MAX_PAIRS = 8e7  # of a cell and a transmitter: two seconds
@@ -110,7 +110,7 @@ def _level(reference: LineOfSightReference, cell_m: float) -> _Lattice:
 def bounds_m(reference: LineOfSightReference) -> tuple[Float[FloatArray, "3"], Float[FloatArray, "3"]]:
     """Lowest and highest corner of a box about the receiver and all transmitters, with room for walls behind."""
     offset_m = reference.offset_m
-    return offset_m.min(axis=0).clip(max=0) - _BEHIND_BOX_M, offset_m.max(axis=0).clip(min=0) + _BEHIND_BOX_M
+    return offset_m.min(axis=0).clip(max=0) - BEHIND_BOX_M, offset_m.max(axis=0).clip(min=0) + BEHIND_BOX_M
 
 
 def _axes(reference: LineOfSightReference, cell_m: float) -> list[Float[FloatArray, "_"]]:

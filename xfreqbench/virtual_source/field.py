@@ -25,11 +25,10 @@ from xfreqbench.virtual_source.images import Traces
 from xfreqbench.virtual_source.line_of_sight import Explained
 from xfreqbench.virtual_source.planes import Plane
 from xfreqbench.virtual_source.range_profile import find_more_planes, find_planes, random_planes
-from xfreqbench.virtual_source.room import Room
+from xfreqbench.virtual_source.room import MIN_LENGTH_M, Room
 
 _FEWEST_PLANES = 3  # of a room; with fewer, free sources have to explain nearly all
 _MIN_STEPS_BETWEEN_LOOKS = 250
-_MIN_LENGTH_M = 1e-3
 _CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
 _START_FREE = 0.1  # amplitude of free sources beside the line of sight
 
@@ -128,7 +127,8 @@ class VirtualSourceField(ChannelField):
         self.num_looks += 1
         self.last_look.fill_(step)
         kept = self.room.worth_keeping()
-        known = [self.room.planes[index] for index in kept]
+        planes = self.room.planes
+        known = [planes[index] for index in kept]
         self.room.take(kept, find_more_planes(train, known, explained) if known else [])
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
@@ -171,7 +171,7 @@ class VirtualSourceField(ChannelField):
         """Phases at the elements of a spherical wave, to second order in the aperture."""
         along = traces.arrival @ self.scaling.rotation @ element.T
         bend = ((element * element).sum(-1) - along * along) / traces.length_m.clamp_min(
-            _MIN_LENGTH_M
+            MIN_LENGTH_M
         ).float()[..., None]
         wavelength_m = (SPEED_OF_LIGHT_M_S / carrier_hz).float()
         angle = 2 * math.pi * along[:, :, None] - math.pi * bend[:, :, None] * wavelength_m[:, None]

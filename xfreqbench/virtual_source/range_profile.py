@@ -22,6 +22,7 @@ from scipy.optimize import minimize
 
 from xfreqbench.angles import FloatArray
 from xfreqbench.dataset import PasDataset
+from xfreqbench.virtual_source.coarse_search import BEHIND_BOX_M
 from xfreqbench.virtual_source.line_of_sight import Aligned, Explained, LineOfSightReference, aligned
 from xfreqbench.virtual_source.plane_search import mirrored_receivers_m
 from xfreqbench.virtual_source.planes import Plane, plane_of
@@ -29,7 +30,6 @@ from xfreqbench.virtual_source.planes import Plane, plane_of
 _NEIGHBOURHOOD_M = 1.0
 _MIN_NEIGHBOURS = 6
 _BLOCK_M, _STEP_M = 0.04, 8e-4  # steering is recomputed from block to block; λ/4 at 94 GHz is a step
-_BEHIND_BOX_M = 2.0
 _NEAREST_M = 0.05
 _CHANCE = 9.0  # of a neighbourhood's evidence, exponential of mean 1: what is above counts
 _PEAK_M = 0.02
@@ -71,7 +71,7 @@ def range_profile(reference: LineOfSightReference, normal: Float[FloatArray, "3"
     That of a neighbourhood is |Σ x|² / Σ|x|² over its transmitters and all carriers.
     """
     belongs = _neighbourhoods(reference, normal)
-    farthest_m = float((reference.offset_m @ normal).max(initial=0)) + _BEHIND_BOX_M
+    farthest_m = float((reference.offset_m @ normal).max(initial=0)) + BEHIND_BOX_M
     starts_m = np.arange(_NEAREST_M, farthest_m, _BLOCK_M)
     evidence = np.concatenate([_block(reference, normal, start_m, belongs) for start_m in starts_m])
     return Profile(

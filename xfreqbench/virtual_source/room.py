@@ -22,7 +22,7 @@ MAX_CROSSINGS = 6  # of planes that a path is told of: those that most probably 
 _MARGIN_M = 1.0  # of the cells around transmitters and receiver
 _CHUNK = 64  # transmitters, or sequences, that are traced at once
 _NUM_WEIGHED = 24  # transmitters on which sequences are weighed against each other
-_MIN_LENGTH_M = 1e-3
+MIN_LENGTH_M = 1e-3
 _MIN_PRESENCE = 0.3  # of what a plane holds anywhere: it is dropped where it holds less at the next search
 _MAX_ANTENNA_GAIN = 1.5  # of two dipoles, in amplitude
 _HELD = 0.3  # from which on a cell is said to hold something
@@ -104,7 +104,8 @@ class Room(nn.Module):
 
     def take(self, kept: Sequence[int], found: Sequence[Plane]) -> None:
         """Go on with some of the planes and all that was learned of them, and more; choose images anew."""
-        known = [self.planes[index] for index in kept]
+        before = self.planes
+        known = [before[index] for index in kept]
         planes = [*known, *found[: self.config.max_planes - len(known)]]
         mirrors, slabs, presence = Mirrors.of(planes), self.slabs, self.presence
         trained_m, trained_hz = self.trained_m, self.trained_hz
@@ -157,7 +158,7 @@ class Room(nn.Module):
 
     def attenuated(self, traces: Traces, carrier_hz: Float[Tensor, "F"]) -> Complex[Tensor, "B K F"]:
         """Gain without travel and correction, in units of the line of sight in free space."""
-        spread = traces.is_real * (traces.direct_m[:, None] / traces.length_m.clamp_min(_MIN_LENGTH_M))
+        spread = traces.is_real * (traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M))
         if not len(self.normal):
             gain = (spread.float() * traces.polarised[..., 0])[..., None]
             return torch.complex(gain, torch.zeros_like(gain)).expand(*spread.shape, len(carrier_hz))
