@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from xfreqbench.cli import parse_carriers_hz
+from xfreqbench.commands import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}

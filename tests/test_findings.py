@@ -12,7 +12,7 @@ from reference import slab_coefficients
 from synthetic import append_all, make_header
 from test_records import make_record
 
-from xfreqbench.cli import findings as findings_command
+from xfreqbench.commands.learned import findings as findings_command
 from xfreqbench.dataset import PasDataset, PasWriter, open_dataset
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError
 from xfreqbench.findings import Findings, FoundSlab, reflection, virtual_sources

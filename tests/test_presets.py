@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from xfreqbench import benchmark as benchmarks
-from xfreqbench import cli
 from xfreqbench.benchmark import Benchmark, cost, plan_benchmark
+from xfreqbench.commands import data, runs
 from xfreqbench.errors import OutputExistsError, UnknownNameError
 from xfreqbench.method import TRIVIAL, build_method
 from xfreqbench.presets import LEARNED, PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
@@ -97,7 +97,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(folder: Path) -> None:
-    cli.benchmark(preset="small", data=folder / "data", results=folder / "results", quiet=True)
+    runs.benchmark(preset="small", data=folder / "data", results=folder / "results", quiet=True)
 
 
 @pytest.mark.slow
@@ -138,7 +138,7 @@ def test_a_measurement_that_fails_is_named_and_its_tables_are_kept(
 
 def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
     planned = plan_benchmark("small", folder / "other", folder / "results")
-    cli.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
+    data.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
     with pytest.raises(OutputExistsError):
         benchmarks.generate_data(planned, lambda scene, done, total: None)
 

@@ -148,7 +148,7 @@ def test_gaussians_below_the_horizon_are_not_seen(train: PasDataset) -> None:
 
 
 def test_counts_that_are_none_are_refused() -> None:
-    from xfreqbench.cli import bench_render
+    from xfreqbench.commands.measure import bench_render
 
     with pytest.raises(XFreqBenchError, match=r"--batch takes whole numbers .* got '8,0'"):
         bench_render(batch="8,0")

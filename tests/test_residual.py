@@ -8,7 +8,7 @@ import pytest
 from synthetic import append_all, make_header
 from test_records import make_record, make_summary
 
-from xfreqbench.cli import residual as residual_command
+from xfreqbench.commands.learned import residual as residual_command
 from xfreqbench.dataset import PasDataset, PasWriter, open_dataset
 from xfreqbench.errors import DataError, OutputExistsError, XFreqBenchError
 from xfreqbench.findings import Findings

@@ -12,8 +12,9 @@ import pytest
 from synthetic import paper_dataset
 from xfreqbench.baselines.nearest import Nearest
 
-from xfreqbench import cli, machine, records
+from xfreqbench import machine, records
 from xfreqbench import method as method_module
+from xfreqbench.commands import runs
 from xfreqbench.dataset import PasDataset
 from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError, XFreqBenchError
 from xfreqbench.method import Budget, Progress
@@ -271,7 +272,7 @@ def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path)
 
 def run_cli(dataset: PasDataset, results: Path, method: str, **options: str) -> list[records.Job]:
     data, method = Path(dataset.path), f"nearest,{__name__}:{method}"
-    cli.run(data=data, results=results, method=method, targets="77", quiet=True, **options)
+    runs.run(data=data, results=results, method=method, targets="77", quiet=True, **options)
     return [record.job for record in records.read(results / "records.jsonl").records]
 
 
@@ -301,7 +302,7 @@ def test_a_running_fit_is_shown(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
-    cli.run(data=Path(dataset.path), results=tmp_path, **options)
+    runs.run(data=Path(dataset.path), results=tmp_path, **options)
     shown = " ".join(capsys.readouterr().err.split())
     assert "1/1 runs" in shown
     assert "step 4, loss 0.875" in shown

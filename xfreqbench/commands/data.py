@@ -1,0 +1,177 @@
+"""Commands about scenes and data sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from xfreqbench.commands import Freqs, Output, Quiet, app, parse_carriers_hz, progress_bars, say
+from xfreqbench.errors import XFreqBenchError
+
+Solver = Annotated[
+    Literal["auto", "image", "sionna"],
+    Parameter(
+        help="image: exact image method for planar facets; sionna: Sionna RT, every scene; auto: the first that serves."
+    ),
+]
+Interactions = Annotated[
+    str, Parameter(help="Comma-separated, of: specular, refraction, diffraction, diffuse.")
+]
+DEFAULT_INTERACTIONS = "specular,refraction"
+
+
+@app.command
+def scenes(
+    *,
+    schema: Annotated[
+        bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")
+    ] = False,
+) -> None:
+    """List the scenes that ship with the toolkit."""
+    import json
+
+    from xfreqbench.scene import scene_schema, shipped_scenes
+
+    if schema:
+        print(json.dumps(scene_schema(), indent=2))
+        return
+    for name, description in shipped_scenes().items():
+        print(f"{name:12} {description}")
+
+
+@app.command
+def generate(
+    scene: str = "office",
+    *,
+    output: Output,
+    freqs: Freqs = "paper",
+    tx: Annotated[
+        int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")
+    ] = None,
+    tx_positions: Annotated[
+        Path | None,
+        Parameter(help="CSV of x,y,z in metres, one transmitter a line, instead of the scene's grid."),
+    ] = None,
+    solver: Solver = "auto",
+    interactions: Interactions = DEFAULT_INTERACTIONS,
+    rays: Annotated[int, Parameter(help="Rays that look for paths.")] = 500_000,
+    max_depth: Annotated[
+        int, Parameter(help="Interactions of a path, reflections and transmissions together.")
+    ] = 6,
+    seed: Annotated[int, Parameter(help="Seed of the rays and of the choice of transmitters.")] = 1,
+    pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
+    materials: Annotated[
+        Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
+    ] = "error",
+    maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    dry_run: Annotated[
+        bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Trace a scene and write its channels and power angular spectra to an HDF5 file.
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.generate import estimate_seconds, plan_generation
+    from xfreqbench.generate import generate as run_plan
+    from xfreqbench.scene import load_scene
+    from xfreqbench.tracing import TraceSettings
+
+    if tx is not None and tx_positions is not None:
+        raise XFreqBenchError(
+            "--tx chooses from the scene's grid and --tx-positions replaces it; give one of them."
+        )
+    settings = TraceSettings(
+        solver=solver,
+        interactions=_interactions(interactions),
+        max_depth=max_depth,
+        rays=rays,
+        seed=seed,
+        materials=materials,
+    )
+    plan = plan_generation(
+        load_scene(scene),
+        parse_carriers_hz(freqs),
+        settings,
+        num_transmitters=tx,
+        tx_position_m=_read_positions(tx_positions),
+        pas_kind=pas_kind,
+        maps=maps,
+    )
+    say(plan.summary, quiet)
+    if dry_run:
+        print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
+        return
+    is_there = output.exists()
+    with progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing):
+        run_plan(plan, output, tracing, writing)
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    say(f"{output} already holds this data set" if is_there else f"wrote {output} ({size})", quiet)
+
+
+def _interactions(names: str) -> tuple[Literal["specular", "refraction", "diffraction", "diffuse"], ...]:
+    """Checked later, where every setting is; here only split."""
+    return tuple(name.strip() for name in names.split(",") if name.strip())  # type: ignore[misc]
+
+
+def _read_positions(path: Path | None) -> Any:
+    """Positions (T, 3) in metres, or None."""
+    if path is None:
+        return None
+    import warnings
+
+    import numpy as np
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an empty file, which is refused with the positions
+            return np.loadtxt(path, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
+    except (OSError, ValueError) as error:
+        raise XFreqBenchError(
+            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {error}"
+        ) from error
+
+
+@app.command
+def info(file: Path) -> None:
+    """Say what a data set holds and verify every byte of it against its hashes."""
+    from xfreqbench.dataset import verify
+    from xfreqbench.inspection import describe
+
+    print(describe(file))
+    verify(file)
+    print("every hash holds")
+
+
+@app.command
+def plot(
+    file: Path,
+    *,
+    output: Output,
+    tx: Annotated[int, Parameter(help="Index of the transmitter in the data set.")] = 0,
+) -> None:
+    """Draw the power angular spectra of one transmitter at every carrier, as a PNG."""
+    import numpy as np
+
+    from xfreqbench.dataset import open_dataset
+    from xfreqbench.pas import power_of
+    from xfreqbench.plots import plot_pas_maps
+    from xfreqbench.units import format_ghz
+
+    if output.suffix != ".png":
+        raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
+    dataset = open_dataset(file)
+    if not 0 <= tx < dataset.header.num_tx:
+        raise XFreqBenchError(
+            f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for."
+        )
+    rows = np.flatnonzero(dataset.tx_index == tx)
+    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
+    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
+    say(f"wrote {output}")

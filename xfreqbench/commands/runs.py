@@ -1,0 +1,221 @@
+"""Commands that run methods and report on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from xfreqbench.commands import Output, Quiet, app, parse_carriers_hz, progress_bars, say
+from xfreqbench.errors import XFreqBenchError
+
+
+@app.command
+def methods() -> None:
+    """List the installed methods."""
+    from xfreqbench.method import method_summaries
+
+    for name, summary in method_summaries().items():
+        print(f"{name:22} {summary}")
+
+
+@app.command(name="check-method")
+def check_method(
+    method: str,
+    *,
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+) -> None:
+    """Try every part of a method's contract on a small data set, in seconds.
+
+    Parameters
+    ----------
+    method
+        An installed method's name, or package.module:Class.
+    """
+    from xfreqbench.errors import MethodError
+    from xfreqbench.testing import check_method as findings_of
+
+    findings = findings_of(method, set_)
+    for finding in findings:
+        print(finding)
+    num_faults = sum(finding.is_fault for finding in findings)
+    if num_faults:
+        raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
+
+
+@app.command
+def run(
+    *,
+    data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
+    results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
+    method: Annotated[
+        str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
+    ] = "all",
+    protocol: Annotated[
+        str,
+        Parameter(
+            help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
+            "transmitters; lofo-unseen-tx: both unseen."
+        ),
+    ] = "lofo",
+    targets: Annotated[
+        str | None,
+        Parameter(
+            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default "
+            "2.4,24.25,77."
+        ),
+    ] = None,
+    seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
+    budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
+    ] = "cpu",
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+    quiet: Quiet = False,
+) -> None:
+    """Fit methods on a protocol's training rows, store their predictions and score them.
+
+    A killed run goes on where it stopped, in mid-fit too.
+    """
+    from xfreqbench.dataset import open_dataset
+    from xfreqbench.method import device_option, method_names, parse_budget
+    from xfreqbench.protocols import make_splits
+    from xfreqbench.report import leaderboard_summary
+    from xfreqbench.run import Job, run_all
+
+    dataset = open_dataset(data)
+    names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
+    splits = make_splits(dataset, protocol, _target_carriers_hz(targets))
+    overrides = {name: (*set_, *device_option(name, device)) for name in names}
+    jobs = [
+        Job(str(data), name, protocol, split.name, overrides[name], number, parse_budget(budget))
+        for name in names
+        for number in _seeds(seed)
+        for split in splits
+    ]
+    with _run_bars(f"{protocol} on {data.name}", quiet) as (progress, fitting):
+        records = run_all(jobs, results, progress, fitting)
+    say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
+
+
+def _seeds(text: str) -> list[int]:
+    """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() for part in parts):
+        raise XFreqBenchError(
+            f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
+        )
+    return list(dict.fromkeys(map(int, parts)))
+
+
+@contextmanager
+def _run_bars(title: str, quiet: bool) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
+    """A bar of the runs and one of the fit at hand, driven by `run_all`'s two callbacks."""
+    if quiet:
+        yield (lambda done, total, record: None), (lambda job, fit: None)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}")
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        runs = progress.add_task(title, total=None, state="")
+        steps = progress.add_task("fitting", total=None, state="")
+
+        def finished(done: int, total: int, record: Any) -> None:
+            progress.update(runs, completed=done, total=total, state=f"{done}/{total} runs")
+
+        def fitting(job: Any, fit: Any) -> None:
+            state = (
+                f"step {fit.step:,}, loss {fit.loss:.4g}, {fit.seconds:.0f} s, {fit.share:.0%} of the budget"
+            )
+            progress.update(
+                steps,
+                description=f"fitting {job.method} {job.split}",
+                completed=fit.share,
+                total=1 if fit.share else None,  # without a budget nobody knows when it ends
+                state=state if fit.share else state.rpartition(", ")[0],
+            )
+
+        yield finished, fitting
+
+
+@app.command
+def benchmark(
+    *,
+    preset: Annotated[
+        str, Parameter(help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores.")
+    ] = "standard",
+    data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
+        "data"
+    ),
+    results: Annotated[
+        Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")
+    ] = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
+    ] = "cpu",
+    dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole benchmark: data sets, every run side by side, measurements, report.
+
+    It prints what it takes before it starts; interrupted or killed, the same command goes on.
+    """
+    from xfreqbench import benchmark as benchmarks
+
+    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
+    say(benchmarks.cost(planned), quiet and not dry_run)
+    if dry_run:
+        return
+    with progress_bars("done", [*planned.scenes, "runs"], quiet) as (*tracing, runs):
+        by_scene = dict(zip(planned.scenes, tracing, strict=True))
+        benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total))
+        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total))
+    for name in planned.missing_benches():
+        failures += benchmarks.measure(planned, name)
+    if not failures:
+        benchmarks.record_contents(planned)
+    folder = planned.results_dir
+    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
+    if failures:
+        raise XFreqBenchError(
+            "\n".join([f"{len(failures)} of its parts failed; the same command tries them again.", *failures])
+        )
+
+
+def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
+    return "all" if targets == "all" else parse_carriers_hz(targets) if targets else None
+
+
+@app.command
+def report(
+    results: Path,
+    *,
+    output: Output = Path("BENCHMARK.md"),
+    html: Annotated[
+        Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Rebuild the leaderboard from the records of a results folder, offline."""
+    from xfreqbench.report import write_report
+
+    written = write_report(results, output)
+    for path in written.paths:
+        say(f"wrote {path}", quiet)
+    if written.num_truncated:
+        say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
+    if html is not None:
+        from xfreqbench.page import write_page
+
+        say(f"wrote {write_page(results, html)}", quiet)
