@@ -5,7 +5,7 @@ import math
 import pytest
 from test_records import make_record
 
-from xfreqbench.boards import boards, median_ssim, pooled_quantiles, short_commit, short_name
+from xfreqbench.boards import boards, family, median_ssim, pooled_quantiles, short_commit, short_name
 from xfreqbench.method import Budget
 from xfreqbench.records import Job
 
@@ -124,3 +124,43 @@ def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> Non
     both = sorted([*low.scores["ssim"].quantiles, *high.scores["ssim"].quantiles])
     assert (pooled[0], pooled[-1]) == (both[0], both[-1])
     assert pooled[50] == pytest.approx(both[100], abs=0.01)  # a step between two of the 202 values
+
+
+def external(split: str = SPLITS[0], seed: int = 0, file: str = "a", method: str = "theirs", **changes):
+    job = Job("data.h5", method, "lofo", split, seed=seed)
+    unknown = {"fit_seconds": None, "predict_ms_per_map": None, "peak_memory_mib": None, "parameters": None}
+    declared = {"external": {"sha256": file * 64}, "hardware": {}}
+    return make_record(
+        method, 0.9, split, job=job, id=f"{file}{split}{seed}", **(unknown | declared | changes)
+    )
+
+
+def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing() -> None:
+    (board,) = boards([make_record("nearest", 0.8, SPLITS[0]), external(method="nearest")])
+    assert [(row.label, row.is_trivial, family(row)) for row in board.rows] == [
+        ("nearest (external)", False, "external"),
+        ("nearest", True, "trivial"),
+    ]
+    assert board.best_trivial(SPLITS[0]) == 0.8
+
+
+def test_external_files_that_share_no_part_are_one_row() -> None:
+    files = [external(file="a"), external(SPLITS[1], file="b"), external(seed=1, file="c")]
+    row = only_row(*files)
+    assert row.label == "theirs (external)"
+    assert row.num_seeds(SPLITS[:1]) == (2, 2)
+
+
+def test_an_external_file_with_a_part_that_another_has_is_a_row_of_its_own_with_all_its_parts() -> None:
+    first = [external(split, file="a", time_utc="2026-01-01T00:00:00+00:00") for split in SPLITS[:2]]
+    later = [external(split, file="b", time_utc="2026-01-02T00:00:00+00:00") for split in SPLITS[1:]]
+    (board,) = boards([*later, *first])
+    assert {row.label: tuple(row.by_split) for row in board.rows} == {
+        "theirs (external) @ aaaaaaa": SPLITS[:2],
+        "theirs (external) @ bbbbbbb": SPLITS[1:],
+    }
+
+
+def test_external_methods_of_two_names_are_two_rows_even_in_one_file() -> None:
+    (board,) = boards([external(), external(method="others")])
+    assert sorted(row.label for row in board.rows) == ["others (external)", "theirs (external)"]

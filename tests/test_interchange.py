@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from synthetic import write_dataset
 
 from xfreqbench.angles import AngularGrid, unit_vector
 from xfreqbench.array import steering_vector
+from xfreqbench.conventions import CONVENTIONS
 from xfreqbench.dataset import PasDataset, open_dataset, verify
 from xfreqbench.errors import DataError, OutputExistsError, SceneError
-from xfreqbench.interchange import import_png_folder, published_grid, read_png_folder
+from xfreqbench.interchange import import_png_folder
 from xfreqbench.method import Budget, build_method, fit_within
 from xfreqbench.metrics import ssim
+from xfreqbench.png_folder import PngFolder, read_png_folder
 from xfreqbench.run import Job, run_job
 from xfreqbench.scene import ReceiverArray, parse_scene
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -53,8 +55,12 @@ def write_folder(folder: Path) -> Path:
     return folder
 
 
+def read(folder: Path) -> PngFolder:
+    return read_png_folder(folder, CONVENTIONS["wideband3dgs"])
+
+
 def imported(folder: Path, path: Path) -> PasDataset:
-    import_png_folder(read_png_folder(folder), path)
+    import_png_folder(read(folder), path)
     return open_dataset(path)
 
 
@@ -103,19 +109,19 @@ def test_what_was_not_published_is_marked_so(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.num_paths, [0, -1, -1, -1])
     assert dataset.line_of_sight.all()
     assert dataset.header.pas_kind == "amplitude"
-    assert "not_published" in dataset.header.settings["convention"]
+    assert "not_published" in dataset.header.settings
     with pytest.raises(DataError, match="maps alone"):
         _ = dataset.cfr
 
 
 def test_a_second_import_leaves_the_file_and_another_one_is_refused(tmp_path: Path) -> None:
     folder, path = write_folder(tmp_path / "small"), tmp_path / "data.h5"
-    assert import_png_folder(read_png_folder(folder), path)
+    assert import_png_folder(read(folder), path)
     written = path.read_bytes()
-    assert not import_png_folder(read_png_folder(folder), path)
+    assert not import_png_folder(read(folder), path)
     Image.fromarray(levels(5)).save(folder / "spectrum" / "00002.png")
     with pytest.raises(OutputExistsError, match="another data set"):
-        import_png_folder(read_png_folder(folder), path)
+        import_png_folder(read(folder), path)
     assert path.read_bytes() == written
 
 
@@ -128,7 +134,7 @@ def test_a_file_of_somebody_else_s_is_not_overwritten(tmp_path: Path, content: b
         path.write_bytes(content)
     before = path.read_bytes()
     with pytest.raises(OutputExistsError):
-        import_png_folder(read_png_folder(write_folder(tmp_path / "small")), path)
+        import_png_folder(read(write_folder(tmp_path / "small")), path)
     assert path.read_bytes() == before
 
 
@@ -143,6 +149,17 @@ def replace_line(name: str, number: int, line: str) -> Callable[[Path], None]:
 
 def remove(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
+
+
+def write(name: str, text: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / name).write_text(text)
+
+    return change
+
+
+def rename(name: str, other: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).rename(folder / other)
 
 
 def draw(name: str, image: np.ndarray) -> Callable[[Path], None]:
@@ -170,7 +187,7 @@ def turn_two_receivers(folder: Path) -> None:
     ("damage", "message"),
     [
         (remove("tx_pos.csv"), r"tx_pos\.csv cannot be read"),
-        (remove("freq.txt"), r"freq\.txt cannot be read"),
+        (remove("freq.txt"), r"no .*freq\.txt.*--freq"),
         (remove("gateway_info.yml"), r"gateway_info\.yml cannot be read"),
         (remove("spectrum/00003.png"), r"no .*00003\.png"),
         (draw("00005.png", levels(1)), r"00005\.png belongs to no line of tx_pos\.csv"),
@@ -183,7 +200,23 @@ def turn_two_receivers(folder: Path) -> None:
         (replace_line("freq.txt", 3, "24.25"), r"tx_pos\.csv, line 4, repeats line 2.*24\.25 GHz"),
         (leave_the_last_sample_out, r"tx_pos\.csv, line 3: .*has no sample at 2\.4 GHz"),
         (replace_line("gateway_info.yml", 3, "  position: [2,1]"), r"gateway_info\.yml .*3 finite numbers"),
-        (replace_line("gateway_info.yml", 4, "  orientation: [0, 0, 1, 0]"), r"turns the receiver"),
+        (
+            replace_line("gateway_info.yml", 4, "  orientation: [0, 0, 0, 0]"),
+            r"gateway_info\.yml .*no length",
+        ),
+        (
+            replace_line("gateway_info.yml", 4, "  orientation: [0, nan, 0, 1]"),
+            r"gateway_info\.yml .*4 finite",
+        ),
+        (
+            replace_line("gateway_info.yml", 3, "  position: [0, 1e9, 0]"),
+            r"gateway_info\.yml .*position_m\.1",
+        ),
+        (replace_line("freq.txt", 2, "nan"), r"freq\.txt, line 2,.*GHz"),
+        (replace_line("freq.txt", 2, "1e12"), r"freq\.txt, line 2,.*GHz"),
+        (write("train_index.txt", "00001\n00005"), r"train_index\.txt, line 2,.*numbered 1 to 4"),
+        (write("test_index.txt", "00001\n\nfour"), r"test_index\.txt, line 2,.*numbered 1 to 4"),
+        (rename("spectrum/00002.png", "spectrum/2.png"), r"no .*00002\.png.*2\.png is there"),
         (turn_two_receivers, r"must hold one line"),
         (draw("00002.png", levels(1)[1:]), r"00002\.png has \(90, 361\).*\(91, 361\)"),
         (draw("00002.png", np.zeros((91, 361, 3), np.uint8)), r"00002\.png.*mode RGB"),
@@ -196,7 +229,7 @@ def test_a_damaged_folder_is_refused_with_file_and_line(
     folder = write_folder(tmp_path / "small")
     damage(folder)
     with pytest.raises(DataError, match=message):
-        read_png_folder(folder)
+        read(folder)
 
 
 def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:
@@ -204,7 +237,7 @@ def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:
     path = folder / "spectrum" / "00004.png"
     path.write_bytes(path.read_bytes()[:80])
     with pytest.raises(DataError, match=r"00004\.png"):
-        import_png_folder(read_png_folder(folder), tmp_path / "data.h5")
+        import_png_folder(read(folder), tmp_path / "data.h5")
     assert [entry.name for entry in tmp_path.iterdir()] == ["small"]
 
 
@@ -325,6 +358,34 @@ def test_an_array_that_faces_its_pole_is_written_as_before_planes_could_be_chose
     assert adapter.validate_json(adapter.dump_json(upright)) == upright
 
 
+def test_a_receiver_that_is_not_turned_is_written_as_before_turns_could_be_given() -> None:
+    adapter = TypeAdapter(ReceiverArray)
+    turned = ReceiverArray(
+        position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=(0.0, 0.0, 0.6, 0.8)
+    )
+    assert "orientation" not in json.loads(adapter.dump_json(ReceiverArray(position_m=(0.0, 0.0, 1.0))))
+    assert adapter.validate_json(adapter.dump_json(turned)) == turned
+    x_axis = [0.8**2 - 0.6**2, 2 * 0.6 * 0.8, 0]  # a turn by twice the angle of (0.8, 0.6)
+    np.testing.assert_allclose(turned.rotation[:, 0], x_axis, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "message"),
+    [((0.0, 0.0, 0.0, 0.0), "zero quaternion"), ((1.0, 0.0, 0.0, 0.0), "turns its pole to")],
+)
+def test_an_orientation_agrees_with_the_boresight(orientation: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        ReceiverArray(position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=orientation)
+
+
+def test_a_map_that_is_nowhere_white_has_peak_1_and_its_own_peak_power(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "small")
+    Image.fromarray(levels(3) // 2).save(folder / "spectrum" / "00003.png")
+    dataset = imported(folder, tmp_path / "data.h5")
+    assert dataset.pas([0]).max() == 1  # sample 3 comes first
+    np.testing.assert_allclose(dataset.peak_power, [(127 / 255) ** 2, 1, 1, 1])  # amplitude, squared
+
+
 def test_rays_are_traced_to_no_upright_array() -> None:
     text = str(resources.files("xfreqbench.scenes").joinpath("empty.toml").read_text())
     with pytest.raises(SceneError, match="plane 'yz'"):
@@ -332,7 +393,7 @@ def test_rays_are_traced_to_no_upright_array() -> None:
 
 
 def test_the_published_grid_has_both_ends_of_both_axes() -> None:
-    grid = published_grid(91, 361)
+    grid = CONVENTIONS["wideband3dgs"].grid(91, 361)
     np.testing.assert_allclose(grid.elevation_rad, np.radians(np.arange(91)))
     np.testing.assert_allclose(grid.azimuth_rad, np.radians(np.arange(-180, 181)))
     assert unit_vector(grid.elevation_rad[:1], grid.azimuth_rad[:1])[0, 0] == -1

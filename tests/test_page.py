@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from page_results import HOSTILE, METHODS, SPLITS, store_results, stored
 from PIL import Image
+from test_boards import external
 from test_records import make_record
 
 from xfreqbench.boards import boards, median_ssim
@@ -232,3 +233,18 @@ def test_an_ablation_of_one_carrier_has_its_place_on_the_page(tmp_path: Path) ->
     html = write_page(tmp_path / "records.jsonl", tmp_path / "page.html").read_text()
     assert 'data-label="ours"' in html
     assert "ours" in content_of(html)["boards"][0]["sets"][1]["rows"]
+
+
+def test_an_external_row_is_a_family_of_its_own_whose_unknown_costs_are_no_numbers(tmp_path: Path) -> None:
+    address = {"external": {"sha256": "b" * 64, "url": "https://a.org/<b>"}}
+    for record in (make_record(), external("lofo-24.25GHz", **address)):
+        append(tmp_path / "records.jsonl", record)
+    html = write_page(tmp_path, tmp_path / "page.html").read_text()
+    families = {
+        a["data-label"]: a["data-family"] for tag, a in Tables(html).tags if tag == "tr" and "data-label" in a
+    }
+    assert families == {"nearest": "trivial", "theirs (external)": "external"}
+    assert Tables(html).rows()["theirs (external)"]["fit s"] == ("–", "")
+    standing = content_of(html)["boards"][0]["sets"][0]["rows"]["theirs (external)"]
+    assert [standing[cost] for cost in ("seconds", "milliseconds", "parameters")] == [None] * 3
+    assert "theirs (external): https://a.org/&lt;b&gt;." in html

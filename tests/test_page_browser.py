@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
+from test_boards import external
+from test_records import make_record
 
 from xfreqbench.page import write_page
+from xfreqbench.records import append
 
 sync_api = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
@@ -232,3 +235,24 @@ def test_without_a_script_the_tables_stand(browser, file: Path) -> None:
     assert tab.locator("table.leaderboard:visible").count() == 2
     assert not tab.locator("#controls").is_visible()
     context.close()
+
+
+def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(
+    browser, tmp_path: Path
+) -> None:
+    for record in (make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0)):
+        append(tmp_path / "records.jsonl", record)
+    page, complaints = browser.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(write_page(tmp_path, tmp_path / "page.html").as_uri())
+    assert shown_labels(page) == ["theirs (external)", "nearest"]
+    assert page.locator("#pareto .point").count() == 2
+    page.locator("#pareto .point[data-row^=theirs]").hover()
+    told = page.locator("#tip").inner_text()
+    assert "3 s of fitting" in told and "map" not in told and "parameters" not in told
+    page.select_option("#cost", "parameters")
+    assert page.locator("#pareto .point").count() == 1
+    page.uncheck("#families [value=external]")
+    assert shown_labels(page) == ["nearest"]
+    page.close()
+    assert complaints == []

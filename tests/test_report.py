@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_boards import external
 from test_records import make_record, make_summary
 
 from xfreqbench.angles import AngularGrid
@@ -14,6 +15,7 @@ from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.method import TRIVIAL, Budget
 from xfreqbench.metrics import METRICS
 from xfreqbench.plots import TimePanel, plot_error_against_time, plot_pas_maps
+from xfreqbench.published import COLUMN
 from xfreqbench.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint, append
 from xfreqbench.report import BEGIN, END, leaderboard_markdown, leaderboard_summary, write_report
 
@@ -584,3 +586,28 @@ def test_error_against_time_is_equal_bytes_for_equal_curves(tmp_path: Path) -> N
     a, b, c = ((tmp_path / f"{name}.svg").read_text() for name in "abc")
     assert a == b != c
     assert "best trivial predictor" in a and "best trivial predictor" not in c
+
+
+def test_external_rows_have_dashes_for_what_nobody_declares_and_a_note_whose_word_the_times_are() -> None:
+    silent = external(method="silent")
+    told = external(method="told", fit_seconds=9.0, external={"sha256": "b" * 64, "hardware": "8 × H200"})
+    markdown = leaderboard_markdown([*make_records(), silent, told])
+    unknown, declared = (rows_of(markdown, f"{name} (external)")[0] for name in ("silent", "told"))
+    costs = ("fit s", "ms/map", "peak MiB", "parameters")
+    assert [unknown[name] for name in costs] == ["–"] * 4
+    assert declared["fit s"] == "9.00"
+    assert "silent (external): hardware not declared; told (external): 8 × H200." in markdown
+    assert "Times were taken on AMD EPYC, 2 cores." in markdown
+    assert "External rows" not in leaderboard_markdown(make_records())
+
+
+def test_a_board_of_external_rows_alone_names_no_machine() -> None:
+    markdown = leaderboard_markdown([external()])
+    assert "Times were taken" not in markdown and "External rows" in markdown
+
+
+def test_an_external_row_has_no_published_counterpart() -> None:
+    theirs = leaderboard_markdown([external(split, method="xfreq-gs") for split in SPLITS])
+    ours = leaderboard_markdown([make_record("xfreq-gs", 0.9, split) for split in SPLITS])
+    assert COLUMN not in rows_of(theirs, "xfreq-gs (external)")[0]
+    assert rows_of(ours, "xfreq-gs")[0][COLUMN] == "XFreq-GS 0.9098"

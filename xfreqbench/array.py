@@ -43,6 +43,21 @@ def frame_rotation(boresight: tuple[float, float, float]) -> Float[FloatArray, "
     return np.stack([x, np.cross(pole, x), pole], axis=-1)
 
 
+def quaternion_rotation(quaternion_xyzw: tuple[float, float, float, float]) -> Float[FloatArray, "3 3"]:
+    """Rotation matrix of a quaternion x, y, z, w of any length but 0."""
+    from scipy.spatial.transform import Rotation  # 0.2 s that few receivers need
+
+    return Rotation.from_quat(quaternion_xyzw).as_matrix()
+
+
+def rotation_quaternion(rotation: Float[FloatArray, "3 3"]) -> tuple[float, float, float, float]:
+    """Unit quaternion x, y, z, w of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return x, y, z, w
+
+
 def steering_vector(
     element_position_m: Float[FloatArray, "M 3"], arrival: Float[FloatArray, "... 3"], carrier_hz: float
 ) -> Complex[NDArray[np.complex128], "... M"]:

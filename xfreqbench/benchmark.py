@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,12 +15,20 @@ from xfreqbench import records
 from xfreqbench.dataset import open_dataset
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.generate import Plan, estimate_seconds, generate, plan_generation
+from xfreqbench.many_runs import run_on
 from xfreqbench.method import build_method, device_option, parse_budget
-from xfreqbench.parallel import all_cores, own_cores, side_by_side
+from xfreqbench.parallel import (
+    HERE,
+    SERIAL,
+    LocalProcesses,
+    Workers,
+    all_cores,
+    open_workers,
+    own_cores,
+)
 from xfreqbench.presets import PRESETS, Block, Preset
 from xfreqbench.protocols import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
 from xfreqbench.records import RECORDS_FILE, Job
-from xfreqbench.run import run_job, unfinished
 from xfreqbench.scene import load_scene
 from xfreqbench.tables import recorded
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -107,9 +116,21 @@ def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "
     return Benchmark(name, preset, data_dir, results_dir, device)
 
 
-def cost(benchmark: Benchmark) -> str:
-    """What a benchmark takes before it starts, in words: data, runs, time, disk, and what it leaves out."""
+def run_workers(benchmark: Benchmark, executor: str | None) -> AbstractContextManager[Workers]:
+    """Who runs: whom `--executor` names, else a fresh process a core, or one at a time on a GPU or with `serial`."""
+    if executor is None or executor == SERIAL:
+        one_a_core = executor is None and benchmark.device == "cpu"
+        return LocalProcesses(own_cores() if one_a_core else all_cores(), is_fresh=True)
+    return open_workers(executor, is_fresh=True)
+
+
+def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
+    """What a benchmark takes before it starts, in words: data, runs, time, disk, and what it leaves out.
+
+    `num_places` are the runs at a time where they are not `benchmark.num_places`.
+    """
     preset = benchmark.preset
+    places = num_places or benchmark.num_places
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
     return "\n".join(
@@ -117,46 +138,37 @@ def cost(benchmark: Benchmark) -> str:
             f"preset {benchmark.name}: {preset.description}",
             f"left out: {preset.left_out}",
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
-            f"{num_runs} runs, {num_fits} of them fits with a budget, {benchmark.num_places} at a time, and "
-            f"{len(preset.benches)} measurements: about {_hours(seconds_needed(benchmark))}; "
+            f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
+            f"{len(preset.benches)} measurements: about {_hours(seconds_needed(benchmark, places))}; "
             f"{_disk_gb(benchmark):.0f} GB of predictions",
         ]
     )
 
 
-def seconds_needed(benchmark: Benchmark) -> float:
+def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
     """Of runs, where none of them is done yet, and of measurements."""
     blocks = benchmark.preset.blocks
     runs_s = sum(_num_runs(block) * (_budget_s(block) + OVERHEAD_S) for block in blocks)
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
-    return runs_s / benchmark.num_places + benches_s
+    return runs_s / (num_places or benchmark.num_places) + benches_s
 
 
-def generate_data(benchmark: Benchmark, progress: TracingProgress) -> None:
+def generate_data(benchmark: Benchmark, progress: TracingProgress, workers: Workers = HERE) -> None:
     """Make the data sets that are not there yet; a killed generation goes on.
 
     Raises `OutputExistsError` for a file that holds something else, and any other `XFreqBenchError`.
     """
     for scene, plan in benchmark.plans.items():
-        generate(plan, benchmark.data_path(scene), partial(progress, scene))
+        generate(plan, benchmark.data_path(scene), partial(progress, scene), workers=workers)
 
 
-def run_benchmark(benchmark: Benchmark, progress: RunProgress) -> list[str]:
-    """Run what is not yet recorded, side by side; what went wrong, in words, a line a failed run.
+def run_benchmark(benchmark: Benchmark, progress: RunProgress, executor: str | None = None) -> list[str]:
+    """Run what is not yet recorded, as `run_workers` says; what went wrong, in words, a line a failed run.
 
-    Everything that can be checked is checked before the first run, and raises the `XFreqBenchError` that it is.
+    Raises what `run_on` raises before the first run.
     """
-    jobs = benchmark.jobs()
-    missing = unfinished(jobs, benchmark.results_dir)
-    places = own_cores() if benchmark.device == "cpu" else all_cores()
-    failures, done = [], len(jobs) - len(missing)
-    for job, record in side_by_side(partial(run_job, results_dir=benchmark.results_dir), missing, places):
-        done += 1
-        error = record.exception()
-        if error:
-            failures.append(f"{job.method} on {job.split}, seed {job.seed}: {error}")
-        progress(done, len(jobs), job)
-    return failures
+    with run_workers(benchmark, executor) as workers:
+        return run_on(workers, benchmark.jobs(), benchmark.results_dir, progress)
 
 
 def measure(benchmark: Benchmark, name: str) -> list[str]:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from math import inf, isnan, nan
 
-from xfreqbench.boards import Board, Quantity, Row, median_ssim, short_name
-from xfreqbench.captions import span
+from xfreqbench.boards import Board, Quantity, Row, median_ssim, or_nan, short_name
+from xfreqbench.captions import external_statement, span
 from xfreqbench.comparison import Comparison, Resampling
 from xfreqbench.learning_curves import (
     LearningCurve,
@@ -19,7 +19,7 @@ from xfreqbench.learning_curves import (
 )
 from xfreqbench.markdown import ABSENT, number, seconds, table, with_interval
 from xfreqbench.metrics import METRICS
-from xfreqbench.published import COLUMN, published_cell
+from xfreqbench.published import COLUMN, published_cell, reduced_statement
 from xfreqbench.records import CURVE_SHARES, RunRecord
 from xfreqbench.units import format_ghz
 
@@ -31,10 +31,10 @@ _OTHER_METRICS = {  # title, decimals
     "beam_loss": ("beam loss", 3),
 }
 _COSTS: tuple[tuple[str, Quantity, str], ...] = (  # title, value, format
-    ("fit s", lambda record: record.fit_seconds, ".2f"),
-    ("ms/map", lambda record: record.predict_ms_per_map, ".2f"),
-    ("peak MiB", lambda record: record.peak_memory_mib, ".0f"),
-    ("parameters", lambda record: record.parameters, ",.0f"),
+    ("fit s", lambda record: or_nan(record.fit_seconds), ".2f"),
+    ("ms/map", lambda record: or_nan(record.predict_ms_per_map), ".2f"),
+    ("peak MiB", lambda record: or_nan(record.peak_memory_mib), ".0f"),
+    ("parameters", lambda record: or_nan(record.parameters), ",.0f"),
     ("Gaussians", lambda record: record.counts.get("gaussians", nan), ",.0f"),
 )
 
@@ -69,7 +69,12 @@ def summary_table(comparison: Comparison) -> str:
         f"Median SSIM on {len(splits)} splits, best average first" if several else "Median SSIM, best first"
     )
     caption = f"{where}; order within overlapping ranks means nothing:"
-    return f"{caption}\n\n{_table(columns, comparison.rows)}"
+    return "\n\n".join([caption, _table(columns, comparison.rows), *_notes(comparison.rows)])
+
+
+def _notes(rows: Sequence[Row]) -> list[str]:
+    """Whose rows are not this toolkit's own predictions, and whose not their authors' programs."""
+    return [each for each in (external_statement(rows), reduced_statement(rows)) if each]
 
 
 def curve_table(board: Board) -> list[str]:
@@ -106,8 +111,8 @@ def split_tables(board: Board, resampling: Resampling) -> list[str]:
 
 def _of_split(board: Board, split: str, resampling: Resampling) -> list[str]:
     comparison = Comparison(board, (split,), resampling)
-    pairs = _pair_matrix(comparison) if split in board.lone_splits() else []
-    return [_split_table(comparison), *pairs, *_carrier_table(board, split)]
+    alone = [*_notes(comparison.rows), *_pair_matrix(comparison)] if split in board.lone_splits() else []
+    return [_split_table(comparison), *alone, *_carrier_table(board, split)]
 
 
 def _pair_matrix(comparison: Comparison) -> list[str]:

@@ -46,7 +46,12 @@ class Row:
     @property
     def is_trivial(self) -> bool:
         """Whether this is a trivial predictor as it comes; budget and seed change nothing in it."""
-        return _is_trivial(self.job)
+        return _is_trivial(self.records[0])
+
+    @property
+    def is_external(self) -> bool:
+        """Whether the predictions were made elsewhere, and only scored here."""
+        return self.records[0].external is not None
 
     def value(self, split: str, quantity: Quantity) -> float:
         """Mean over the seeds; nan where the split was not run."""
@@ -145,10 +150,17 @@ def median_ssim(record: RunRecord) -> float:
     return record.scores["ssim"].median
 
 
+def or_nan(value: float | None) -> float:
+    """A number of a record; nan where nobody told it."""
+    return nan if value is None else value
+
+
 def family(row: Row) -> str:
-    """`trivial` as it comes, `ablation` with other options, `learned` otherwise; a device is no option."""
+    """`trivial` as it comes, `external`, `ablation` with other options, `learned`; a device is no option."""
     if row.is_trivial:
         return "trivial"
+    if row.is_external:
+        return "external"
     changed = [option for option in row.job.overrides if not option.startswith("device=")]
     return "ablation" if changed else "learned"
 
@@ -197,19 +209,44 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
 def _rows(records: Sequence[RunRecord]) -> list[Row]:
     """A row for every method as it was configured; where defaults changed since, the commit tells rows apart."""
     by_config: dict[Configured, Runs] = {}
+    editions = _editions(records)
     for record in records:
-        key = _label(record.job), json.dumps(record.config, sort_keys=True), record.code_sha256
+        label = _label(record)
+        source = editions[label, record.external.sha256] if record.external else record.code_sha256
+        key = label, json.dumps(record.config, sort_keys=True), source
         by_config.setdefault(key, {})[record.job.split, record.job.seed] = record
     return [Row(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
 
 
+def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
+    """For every label and file of predictions from elsewhere, the first file of its row.
+
+    Files of one method share a row, be they one a seed or one a split, unless they hold the same part.
+    """
+    files: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for record in records:
+        if record.external:
+            parts = files.setdefault((_label(record), record.external.sha256), set())
+            parts.add((record.job.split, record.job.seed))
+    editions: dict[tuple[str, str], str] = {}
+    taken: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for file, parts in files.items():
+        row = next((row for row in taken if row[0] == file[0] and not taken[row] & parts), file)
+        taken[row] = taken.get(row, set()) | parts
+        editions[file] = row[1]
+    return editions
+
+
 def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
-    """Runs by labels of which no two are equal: with their commit where the label alone is, or a number."""
+    """Runs by labels of which no two are equal: with their commit where the label alone is, or a number.
+
+    Predictions from elsewhere have the first digits of their file's hash.
+    """
     times = Counter(label for label, *_ in by_config)
     named: dict[str, Runs] = {}
     for (label, *_), found in by_config.items():
-        commit = short_commit(next(iter(found.values())).git_commit)
-        name = label if times[label] == 1 else f"{label} @ {commit}"
+        version = _version(next(iter(found.values())))
+        name = label if times[label] == 1 else f"{label} @ {version}"
         others = (f"{name} #{number}" for number in count(2))
         named[next(each for each in chain([name], others) if each not in named)] = found
     return named
@@ -222,10 +259,17 @@ def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[Run
     return by_split
 
 
-def _label(job: Job) -> str:
+def _version(record: RunRecord) -> str:
+    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+
+
+def _label(record: RunRecord) -> str:
     """The method's name, with whatever differs from a plain run."""
-    if _is_trivial(job):
+    job = record.job
+    if _is_trivial(record):
         return job.method
+    if record.external:
+        return f"{job.method} (external)"
     differences = sorted(job.overrides)
     if job.budget != Budget():
         limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
@@ -233,8 +277,8 @@ def _label(job: Job) -> str:
     return f"{job.method} ({', '.join(differences)})" if differences else job.method
 
 
-def _is_trivial(job: Job) -> bool:
-    return job.method in TRIVIAL and not job.overrides
+def _is_trivial(record: RunRecord) -> bool:
+    return record.job.method in TRIVIAL and not record.job.overrides and record.external is None
 
 
 def _or_lowest(value: float) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from xfreqbench.boards import Board
+from xfreqbench.boards import Board, Row
+from xfreqbench.records import RunRecord
 
 
 def leak_statement(board: Board) -> str:
@@ -29,6 +30,23 @@ def tracing(board: Board) -> str:
     return ", ".join(parts)
 
 
+def external_statement(rows: Sequence[Row]) -> str:
+    """Whose word stands for the times of predictions that were made elsewhere; empty without any such row."""
+    external = [row for row in rows if row.is_external]
+    if not external:
+        return ""
+    sources = "; ".join(f"{row.label}: {_source(row)}" for row in external)
+    return (
+        "External rows were predicted elsewhere and are scored here like every other; their times and "
+        f"parameters are declared by their authors, or absent (–). {sources}."
+    )
+
+
+def machine_names(records: Sequence[RunRecord]) -> list[str]:
+    """Machines on which anything was timed here, each once, sorted."""
+    return sorted({machine_name(record.hardware) for record in records if record.external is None})
+
+
 def machine_name(hardware: Mapping[str, str]) -> str:
     """Processor, cores, system and GPUs in one line."""
     return ", ".join(_cores(value) if name == "cores" else value for name, value in hardware.items())
@@ -38,6 +56,13 @@ def span(numbers: tuple[int, int]) -> str:
     """`2–4`, or the one number that both are."""
     low, high = numbers
     return str(low) if low == high else f"{low}–{high}"
+
+
+def _source(row: Row) -> str:
+    """Hardware and address, as far as they are declared."""
+    told = [(each.external.hardware, each.external.url) for each in row.records if each.external]
+    texts = dict.fromkeys(text for pair in told for text in pair if text)
+    return ", ".join(texts) or "hardware not declared"
 
 
 def _distance(distances_m: Sequence[float]) -> str:

@@ -88,7 +88,8 @@ class CheckpointFolder:
             checkpoint = Checkpoint.model_validate_json((newest / _STATE_FILE).read_bytes())
             sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
         except (OSError, ValidationError) as error:
-            raise self._refusal(f"cannot be read: {error}") from error
+            fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
+            raise self._refusal(f"cannot be read: {fault}") from error
         if checkpoint.task_id != self.task_id:
             raise self._refusal(f"belongs to job {checkpoint.task_id}, not to {self.task_id}")
         if sha256 != checkpoint.sha256:
@@ -120,7 +121,8 @@ class CheckpointFolder:
                 _remove(removed)
 
     def _numbers(self) -> list[int]:
-        return sorted(int(path.name) for path in self.path.glob("*") if path.name.isdigit())
+        names = [path.name for path in self.path.glob("*")]
+        return sorted(int(name) for name in names if name.isascii() and name.isdigit())
 
     def _state(self, fit: Fit, curve: tuple[CurvePoint, ...], sha256: dict[str, str]) -> Checkpoint:
         return Checkpoint(

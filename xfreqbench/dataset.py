@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
+from pydantic import PositiveInt, TypeAdapter, ValidationError
 
 from xfreqbench.angles import AngularGrid, FloatArray
 from xfreqbench.errors import DataError
@@ -25,7 +25,9 @@ from xfreqbench.hdf5 import (
     Variable,
     create_sealed,
     open_sealed,
+    read_array,
     read_errors,
+    require_layout,
     sealed_sha256,
     text_attributes,
     verify_sealed,
@@ -48,7 +50,8 @@ class DatasetHeader:
     """All that a data set says of itself. `settings` are the solver's, `rejected` counts transmitters.
 
     Without `channels` the maps came as such, and must be stored. What nobody told of them is then marked:
-    `peak_power` is 1 where there is a map, `num_paths` −1, and `line_of_sight` 1 unless it is known.
+    `peak_power` is 1 where there is a map (less where its PNG was nowhere white), `num_paths` −1, and
+    `line_of_sight` 1 unless it is known.
     """
 
     scene_name: str
@@ -65,7 +68,8 @@ class DatasetHeader:
     channels: bool = True
 
     def __post_init__(self) -> None:
-        assert self.maps or self.channels, "a data set without channels stores its maps"
+        if not (self.maps or self.channels):
+            raise ValueError("a data set without channels stores its maps")
 
     @property
     def num_bytes(self) -> int:
@@ -94,21 +98,29 @@ class DatasetHeader:
     def from_attributes(
         cls, attributes: Mapping[str, str], carrier_hz: Float[FloatArray, "F"]
     ) -> DatasetHeader:
-        """Inverse of `attributes`."""
+        """Inverse of `attributes`; raises `KeyError`, and `ValueError` for one that is not of its type."""
         return cls(
             scene_name=attributes["scene_name"],
             scene_json=attributes["scene_json"],
             scene_sha256=attributes["scene_sha256"],
-            receiver=TypeAdapter(ReceiverArray).validate_json(attributes["receiver_json"]),
+            receiver=_parsed(ReceiverArray, attributes, "receiver_json"),
             carrier_hz=carrier_hz,
-            num_tx=int(attributes["num_tx"]),
-            pas_kind=cast("PasKind", attributes["pas_kind"]),
-            maps=json.loads(attributes["maps"]),
-            settings=json.loads(attributes["settings_json"]),
-            software=json.loads(attributes["software_json"]),
-            rejected=json.loads(attributes["rejected_json"]),
-            channels=json.loads(attributes.get("channels", "true")),
+            num_tx=_parsed(PositiveInt, attributes, "num_tx"),
+            pas_kind=_parsed(PasKind, {"pas_kind": json.dumps(attributes["pas_kind"])}, "pas_kind"),
+            maps=_parsed(bool, attributes, "maps"),
+            settings=_parsed(dict[str, Any], attributes, "settings_json"),
+            software=_parsed(dict[str, str], attributes, "software_json"),
+            rejected=_parsed(dict[str, int], attributes, "rejected_json"),
+            channels=_parsed(bool, {"channels": "true", **attributes}, "channels"),
         )
+
+
+def _parsed(kind: Any, attributes: Mapping[str, str], name: str) -> Any:
+    """A header attribute from its JSON; raises `ValueError` naming it."""
+    try:
+        return TypeAdapter(kind).validate_json(attributes[name], strict=kind is bool)
+    except ValidationError as error:
+        raise ValueError(f"header attribute {name!r}: {error.errors()[0]['msg']}") from error
 
 
 class PasWriter:
@@ -155,11 +167,15 @@ class PasWriter:
         tx_position_m: Float[FloatArray, "T 3"],
         line_of_sight: Bool[NDArray[np.bool_], "T"],
         maps: Float[NDArray[np.float32], "T F E A"],
+        peak_power: Float[FloatArray, "T F"] | None = None,
     ) -> None:
-        """Write the next T transmitters of a data set without channels; each map has peak 1, or is zero."""
+        """Write the next T transmitters of a data set without channels; each map has peak 1, or is zero.
+
+        `peak_power` is 0 where the map is; 1 at all others unless it is given.
+        """
         is_heard = np.asarray(maps.any(axis=(2, 3)))
         self._file.append("pas", maps)
-        self._file.append("peak_power", is_heard)
+        self._file.append("peak_power", is_heard if peak_power is None else peak_power)
         self._append_transmitters(tx_position_m, line_of_sight, np.where(is_heard, UNKNOWN_NUM_PATHS, 0))
 
     def _append_transmitters(
@@ -296,13 +312,25 @@ def open_dataset(path: str | Path) -> PasDataset:
     """Every sample of a data set; raises `DataError` for a missing, truncated or foreign file."""
     path = Path(path)
     with open_sealed(path, SCHEMA) as file:
-        header = DatasetHeader.from_attributes(text_attributes(file), file["carrier_hz"][...])
+        header = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
+        grid = AngularGrid(
+            *(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth"))
+        )
+        require_layout(file, _variables(header, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
-        grid = AngularGrid(np.radians(file["elevation_deg"][...]), np.radians(file["azimuth_deg"][...]))
         beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
+        angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
+        elements = {"element_position_wavelengths": beam.element_position_wavelengths}
+        _require_finite({_CARRIER: header.carrier_hz, **angles, **elements, **tables})
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
         return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows)
+
+
+def _require_finite(tables: Mapping[str, NDArray[Any]]) -> None:
+    for name, values in tables.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"dataset {name!r} holds numbers that are not finite")
 
 
 def reopen(path: str, sha256: str, rows: Rows) -> PasDataset:
@@ -316,6 +344,13 @@ def reopen(path: str, sha256: str, rows: Rows) -> PasDataset:
 def verify(path: str | Path) -> None:
     """Compare every byte of a data set with its hashes; raises `DataError` naming the first damaged part."""
     verify_sealed(Path(path), SCHEMA)
+
+
+def geometry(dataset: PasDataset) -> list[tuple[Variable, NDArray[Any]]]:
+    """Grid and receiver as a data set stores them, each with its values: all that any method may know."""
+    known = _constants(dataset.header, dataset.grid)
+    variables = _variables(dataset.header, dataset.grid)
+    return [(each, known[each.name]) for each in variables if each.name in known.keys() - {_TX, _CARRIER}]
 
 
 def _variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:

@@ -11,6 +11,7 @@ XFreqBenchError
 ├── MethodError            a method that breaks its contract
 │   └── DivergenceError    a fit whose loss, gradients or parameters are no longer finite
 ├── StorageError           no space, or no permission, where the output goes
+├── ClusterError           workers that cannot be reached, are unlike this process, or die of their work
 └── MissingLLVMError       no LLVM library that Dr.Jit can use
 """
 
@@ -82,6 +83,10 @@ class DivergenceError(MethodError):
 
 class StorageError(XFreqBenchError):
     """An output that cannot be written."""
+
+
+class ClusterError(XFreqBenchError):
+    """Workers that cannot be reached, are unlike this process, or die of their work."""
 
 
 class MissingLLVMError(XFreqBenchError):

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import platform
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +19,20 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from xfreqbench.angles import FloatArray
+from xfreqbench.cluster import differences
 from xfreqbench.dataset import DatasetHeader, PasWriter, open_dataset, verify
-from xfreqbench.errors import DataError, OutputExistsError, StorageError, XFreqBenchError
+from xfreqbench.errors import ClusterError, DataError, OutputExistsError, StorageError, XFreqBenchError
 from xfreqbench.materials import check_dispersion
 from xfreqbench.mesh import SurfaceMesh, meshes_sha256, sees, surface_meshes
 from xfreqbench.overlaps import check_overlaps
+from xfreqbench.parallel import HERE, Workers, side_by_side
 from xfreqbench.pas import pas_kind_named
 from xfreqbench.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
 from xfreqbench.provenance import software_versions
 from xfreqbench.scene import Scene
 from xfreqbench.solvers import make_tracer, resolve_solver
 from xfreqbench.storage import atomic_path, require_space, storage_errors, write_text
-from xfreqbench.tracing import Channel, TraceSettings
+from xfreqbench.tracing import Channel, Tracer, TraceSettings
 from xfreqbench.units import format_ghz_list
 
 BATCH = 16  # transmitters a batch: what a kill can lose
@@ -38,6 +41,16 @@ ProgressCallback = Callable[[int, int], None]
 
 def _ignore(done: int, total: int) -> None:
     """Progress that nobody watches."""
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """What a worker has to know before it traces: some kilobytes, equal where they give equal channels."""
+
+    scene: Scene
+    scene_sha256: str
+    carrier_hz: tuple[float, ...]
+    settings: TraceSettings
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,13 @@ class Plan:
     def sha256(self) -> str:
         """Names the job: two plans with the same digest give the same data."""
         return job_sha256(self.header, self.tx_position_m)
+
+    @property
+    def tracing(self) -> Tracing:
+        """The job without its transmitters, and with absolute paths."""
+        scene = replace(self.scene, folder=self.scene.folder.absolute())
+        carriers = tuple(self.header.carrier_hz.tolist())
+        return Tracing(scene, self.header.scene_sha256, carriers, self.settings)
 
     @property
     def batches(self) -> list[slice]:
@@ -161,14 +181,16 @@ def generate(
     path: Path,
     progress: ProgressCallback = _ignore,
     write_progress: ProgressCallback = _ignore,
+    workers: Workers = HERE,
 ) -> Path:
     """Trace every transmitter, then write the data set; a killed run goes on where it stopped.
 
-    `progress` and `write_progress` are told transmitters done and in all, of the two stages.
+    `progress` and `write_progress` are told transmitters done and in all, of the two stages. `workers` trace;
+    files are written here, and are the same whoever traced.
 
     Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. An output that
-    already holds this job is left as it is. Raises `OutputExistsError` for one that holds another, and
-    `StorageError` where there is no room.
+    already holds this job is left as it is. Raises `OutputExistsError` for one that holds another,
+    `StorageError` where there is no room, and `ClusterError` for workers whose solvers differ, or that die.
     """
     num_tx = len(plan.tx_position_m)
     if path.exists():
@@ -177,8 +199,9 @@ def generate(
         write_progress(num_tx, num_tx)
         return path
     require_space(path, plan.num_bytes)
+    _require_same_solver(plan, workers)
     store = BatchStore(path.with_name(path.name + ".parts"), plan)
-    _trace_missing(plan, store, progress)
+    _trace_missing(plan, store, progress, workers)
     with PasWriter(path, plan.header) as writer:
         for index, rows in enumerate(plan.batches):
             channel = store.read(index)
@@ -208,17 +231,43 @@ def require_same_job(path: Path, sha256: str, kind: str) -> None:
         )
 
 
-def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback) -> None:
+def _require_same_solver(plan: Plan, workers: Workers) -> None:
+    for worker, software in workers.ask(software_versions, plan.settings.solver).items():
+        differing = differences(plan.header.software, software)
+        if differing:
+            raise ClusterError(
+                f"Worker {worker} traces with other software: {differing}. Install the same versions on both."
+            )
+
+
+def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, workers: Workers) -> None:
     missing = store.missing()
     done = len(plan.tx_position_m) - sum(rows.stop - rows.start for _, rows in missing)
     report(done, len(plan.tx_position_m))
-    if not missing:
-        return
-    tracer = make_tracer(plan.scene, plan.header.carrier_hz.tolist(), plan.settings)
-    for index, rows in missing:
-        store.write(index, tracer.channel(plan.tx_position_m[rows]))
-        done += rows.stop - rows.start
-        report(done, len(plan.tx_position_m))
+    batches = ((index, plan.tx_position_m[rows]) for index, rows in missing)
+    try:
+        for (index, tx), traced in side_by_side(workers, partial(_traced, plan.tracing), batches, ahead=1):
+            store.write(index, traced.result())
+            done += len(tx)
+            report(done, len(plan.tx_position_m))
+    finally:
+        _tracer.cache_clear()  # here; in a worker it stays for the next batch
+
+
+def _traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
+    _, tx_position_m = batch
+    return _tracer(tracing).channel(tx_position_m)
+
+
+@lru_cache(maxsize=1)
+def _tracer(tracing: Tracing) -> Tracer:
+    """Rays are shot once a process. Raises `ClusterError` where a worker finds other meshes under their names."""
+    if meshes_sha256(surface_meshes(tracing.scene)) != tracing.scene_sha256:
+        raise ClusterError(
+            f"A worker on {platform.node()} finds other meshes of scene {tracing.scene.name!r} in "
+            f"{tracing.scene.folder}. Keep them on a file system that all workers share."
+        )
+    return make_tracer(tracing.scene, tracing.carrier_hz, tracing.settings)
 
 
 class BatchStore:
@@ -232,6 +281,7 @@ class BatchStore:
         self.folder = folder
         self.plan = plan
         self._claim()
+        self._paths = self._found()
 
     def _claim(self) -> None:
         """Make the folder this job's, or raise `OutputExistsError` where it is another's."""
@@ -243,16 +293,20 @@ class BatchStore:
             )
         write_text(marker, self.plan.sha256)
 
-    def _found(self, index: int) -> Path | None:
-        for path in self.folder.glob(f"{index:06d}-*.npz"):
-            if path.stem.partition("-")[2] == hashlib.sha256(path.read_bytes()).hexdigest():
-                return path
-            path.unlink()
-        return None
+    def _found(self) -> dict[int, Path]:
+        """Whole batches by index; the others are removed."""
+        found = {}
+        for path in self.folder.glob("[0-9]*-*.npz"):
+            index, _, sha256 = path.stem.partition("-")
+            if _sha256(path) == sha256:
+                found[int(index)] = path
+            else:
+                path.unlink()
+        return found
 
     def missing(self) -> list[tuple[int, slice]]:
         """Batches that have to be traced."""
-        return [(i, rows) for i, rows in enumerate(self.plan.batches) if self._found(i) is None]
+        return [(i, rows) for i, rows in enumerate(self.plan.batches) if i not in self._paths]
 
     def write(self, index: int, channel: Channel) -> None:
         """Keep a batch; raises `StorageError`."""
@@ -262,11 +316,12 @@ class BatchStore:
         path = self.folder / f"{index:06d}-{hashlib.sha256(content).hexdigest()}.npz"
         with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
+        self._paths[index] = path
 
     def read(self, index: int) -> Channel:
         """A batch that was kept."""
-        path = self._found(index)
-        if path is None:
+        path = self._paths[index]
+        if not path.is_file() or _sha256(path) != path.stem.partition("-")[2]:
             raise StorageError(f"Batch {index} has gone from {self.folder}. Run the same command again.")
         with np.load(path) as content:
             return Channel(content["cfr"], content["num_paths"])
@@ -274,6 +329,10 @@ class BatchStore:
     def remove(self) -> None:
         """Forget the batches, once the data set is whole."""
         shutil.rmtree(self.folder)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def estimate_seconds(plan: Plan, probes: int = 4) -> float:

@@ -29,12 +29,16 @@ _BLOCK_BYTES = 1 << 25
 _SEAL = "data_sha256"
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
-_READ_FAILURES = (OSError, RuntimeError, KeyError, ValueError, TypeError)
+_READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
+_MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can hold: deflate's bound
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One dataset: its axes by name (an axis of its own name makes it their coordinate), unit and chunk."""
+    """One dataset: its axes by name (an axis of its own name makes it their coordinate), unit and chunk.
+
+    A name may hold its group, as in `lofo-77GHz/train_row`; names of axes then hold theirs.
+    """
 
     name: str
     dtype: str
@@ -90,9 +94,15 @@ class SealedWriter:
 
 @contextmanager
 def create_sealed(
-    path: Path, variables: Sequence[Variable], attributes: Mapping[str, str]
+    path: Path,
+    variables: Sequence[Variable],
+    attributes: Mapping[str, str],
+    groups: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Iterator[SealedWriter]:
-    """Write a sealed file; it appears at `path`, whole, when the block ends. Raises `StorageError`."""
+    """Write a sealed file; it appears at `path`, whole, when the block ends. Raises `StorageError`.
+
+    `groups` are attributes of the groups that variables are in, by the group's name.
+    """
     num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
     with atomic_path(path, num_bytes) as temporary:
         with storage_errors(path, num_bytes):
@@ -100,6 +110,8 @@ def create_sealed(
         try:
             with storage_errors(path, num_bytes):
                 _set_texts(file, attributes)
+                for group, texts in (groups or {}).items():
+                    _set_texts(file.create_group(group), texts)
                 writer = SealedWriter(file, path, variables)
             yield writer
             with storage_errors(path, num_bytes):
@@ -114,7 +126,9 @@ def create_sealed(
 @contextmanager
 def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     """Open a file of a schema to read; raises `DataError` where it is missing, damaged or of another one."""
-    if not path.is_file():
+    with read_errors(path):  # a path that is too long raises too
+        is_there = path.is_file()
+    if not is_there:
         raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
     with read_errors(path), h5py.File(path, "r") as file:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
@@ -131,9 +145,68 @@ def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
     try:
         yield
     except _READ_FAILURES as error:
+        fault = getattr(error, "strerror", None) or error
         raise DataError(
-            f"{path} is damaged or not HDF5: {what} cannot be read ({error}). Generate it again."
+            f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). Generate it again."
         ) from error
+
+
+@contextmanager
+def open_foreign(path: Path) -> Iterator[Any]:
+    """Open an HDF5 file that anybody wrote, to read; raises `DataError` where it is missing or not HDF5."""
+    if not path.is_file():
+        raise DataError(f"There is no file {path}. Mend the path.")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise DataError(
+            f"{path} is not HDF5, or was not written to its end ({error.strerror or error}). Write it again with "
+            "h5py, h5write of MATLAB, or another HDF5 library."
+        ) from error
+    with file:
+        yield file
+
+
+def is_group(item: Any) -> bool:
+    """Whether something in a file is a group, and not a dataset."""
+    return isinstance(item, h5py.Group)
+
+
+def stands_elsewhere(group: Any, name: str) -> bool:
+    """Whether a member of a group is not in this very place of this very file, but linked to from there.
+
+    Reading it would read whatever file or dataset the link names.
+    """
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        return True
+    item = group[name]
+    return isinstance(item, h5py.Dataset) and bool(item.is_virtual or item.external)
+
+
+def read_array(file: Any, name: str) -> NDArray[Any]:
+    """All of a dataset; raises `ValueError` where there is none, or one that claims more than the file holds."""
+    return _dataset(file, name)[...]
+
+
+def require_layout(file: Any, variables: Sequence[Variable]) -> None:
+    """Raise `ValueError` naming the first dataset that is not as a variable says: in dtype, shape or content."""
+    for variable in variables:
+        stored = _dataset(file, variable.name)
+        if (stored.dtype, stored.shape) != (np.dtype(variable.dtype), variable.shape):
+            raise ValueError(
+                f"dataset {variable.name!r} is {stored.dtype} of shape {stored.shape}, but the header asks for "
+                f"{variable.dtype} of shape {variable.shape}"
+            )
+
+
+def _dataset(file: Any, name: str) -> Any:
+    """A dataset whose content is there: nobody has to hold terabytes that a few damaged bytes claim."""
+    stored = file.get(name)
+    if not isinstance(stored, h5py.Dataset):
+        raise ValueError(f"it has no dataset {name!r}")
+    if stored.nbytes > _MOST_COMPRESSED * stored.id.get_storage_size():
+        raise ValueError(f"dataset {name!r} claims {stored.nbytes:,} bytes, more than the file can hold")
+    return stored
 
 
 def sealed_sha256(file: Any) -> str:
@@ -153,9 +226,9 @@ def verify_sealed(path: Path, schema: str) -> None:
     if _is_whole(path):
         return
     with open_sealed(path, schema) as file:
-        for name in sorted(file):
+        for name in _dataset_names(file):
             with read_errors(path, f"dataset {name!r}"):
-                if _digest_of(file[name]) != _text(file[name], "sha256"):
+                if _digest_of(_dataset(file, name)) != _text(file[name], "sha256"):
                     raise DataError(f"{path} is damaged: dataset {name!r} differs from its sha256.")
         if _seal_of(file) != sealed_sha256(file):
             raise DataError(f"{path} is damaged: its header attributes differ from the file's {_SEAL}.")
@@ -203,7 +276,7 @@ def _create(file: Any, variable: Variable) -> None:
     )
     _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
     if variable.axes == (variable.name,):
-        dataset.make_scale(variable.name)
+        dataset.make_scale(variable.name.rpartition("/")[2])
 
 
 def _attach_axes(file: Any, variable: Variable) -> None:
@@ -230,6 +303,15 @@ def _digest_of(dataset: Any) -> str:
 
 
 def _seal_of(file: Any) -> str:
-    """sha256 over the hashes of all datasets, in sorted order, and over the header."""
-    hashes = {name: _text(file[name], "sha256") for name in sorted(file)}
-    return hashlib.sha256(json.dumps([hashes, text_attributes(file)], sort_keys=True).encode()).hexdigest()
+    """sha256 over the hashes of all datasets, in sorted order, over the header and the groups' attributes."""
+    hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
+    groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
+    content = [hashes, text_attributes(file), *([groups] if groups else [])]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _dataset_names(file: Any) -> list[str]:
+    """Names of all datasets, those in groups with their group's, sorted."""
+    names: list[str] = []
+    file.visit(names.append)
+    return sorted(name for name in names if not is_group(file[name]))

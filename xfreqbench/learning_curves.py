@@ -9,7 +9,7 @@ from statistics import mean, median
 
 import numpy as np
 
-from xfreqbench.boards import Board, Row
+from xfreqbench.boards import Board, Row, or_nan
 from xfreqbench.pareto import pareto_front
 from xfreqbench.records import CURVE_SHARES, CurvePoint, RunRecord, curve_positions
 
@@ -60,7 +60,9 @@ def best_trivial(board: Board, split: str) -> Reached | None:
         for row in board.rows
         if row.is_trivial and split in row.by_split and row.by_split[split][0].ssim_by_tx
     ]
-    reached = [Reached(record.job.method, record.fit_seconds, _sampled_median(record)) for record in records]
+    reached = [
+        Reached(record.job.method, or_nan(record.fit_seconds), _sampled_median(record)) for record in records
+    ]
     return max(reached, key=lambda point: point.ssim, default=None)
 
 

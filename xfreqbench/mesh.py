@@ -79,8 +79,10 @@ def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
     """Meshes of a Mitsuba XML with `itu-radio-material` materials and PLY shapes, as Sionna reads them."""
     try:
         root = ElementTree.parse(xml).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise SceneError(f"The Mitsuba scene {xml} cannot be read: {error}.") from error
+    except OSError as error:
+        raise SceneError(f"The Mitsuba scene {xml} cannot be read: {error.strerror}.") from error
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # of XML, its encoding, its path
+        raise SceneError(f"The Mitsuba scene {str(xml)!r} cannot be read: {error}.") from error
     bsdfs = {bsdf.get("id", ""): bsdf for bsdf in root.iter("bsdf") if bsdf.get("id")}
     return [_imported_mesh(shape, bsdfs, xml) for shape in root.iter("shape")]
 

@@ -1,8 +1,9 @@
-"""A scene, planes and points in it as one GLB file, for any viewer of 3D models."""
+"""Scenes and what belongs in them as GLB files, for any viewer of 3D models."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,74 @@ from xfreqbench.angles import FloatArray
 from xfreqbench.mesh import SurfaceMesh
 from xfreqbench.storage import atomic_path, storage_errors
 
-_SURFACE, _PLANE, _POINT = (150, 160, 175, 60), (213, 94, 0, 150), (0, 114, 178, 255)  # RGBA
+Colour = tuple[int, int, int, int]  # red, green, blue, opacity; 255 is all of it
+
+_SURFACE, _PLANE, _POINT = (150, 160, 175, 60), (213, 94, 0, 150), (0, 114, 178, 255)
 _RADIUS_M = 0.06
+_TUBE_SIDES = 6
+_OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
+_OCTAHEDRON_FACES = np.array(
+    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+)
 _Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # as glTF has it; ours is z
+
+
+class GlbModel:
+    """A 3D model in the making; every shape is a node of its name, of one colour, seen from both sides.
+
+    Positions are metres in world axes, z upwards; the file has y upwards, as glTF wants it.
+    """
+
+    def __init__(self) -> None:
+        self._scene = trimesh.Scene()
+
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE) -> None:
+        """A scene's surface, as node `surface NAME`."""
+        self._add(f"surface {mesh.name}", trimesh.Trimesh(mesh.vertices_m, mesh.triangles), colour)
+
+    def add_rectangle(self, name: str, corners_m: Float[FloatArray, "4 3"], colour: Colour) -> None:
+        """A rectangle by its corners in turn."""
+        self._add(name, trimesh.Trimesh(corners_m, [[0, 1, 2], [0, 2, 3]], process=False), colour)
+
+    def add_ball(self, name: str, centre_m: Float[FloatArray, "3"], radius_m: float, colour: Colour) -> None:
+        """A sphere."""
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=radius_m)
+        self._add(name, ball.apply_translation(centre_m), colour)
+
+    def add_markers(
+        self, name: str, position_m: Float[FloatArray, "N 3"], radius_m: float, colour: Colour
+    ) -> None:
+        """Octahedra, all in one mesh of 168 bytes each, however many there are; nothing where there are none."""
+        if not len(position_m):
+            return
+        vertices_m = position_m[:, None] + radius_m * _OCTAHEDRON
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + _OCTAHEDRON_FACES
+        vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
+        self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
+
+    def add_tube(
+        self, name: str, points_m: Float[FloatArray, "n 3"], radius_m: float, colour: Colour
+    ) -> None:
+        """A line of some thickness, which viewers draw alike, through points no two of which coincide in turn."""
+        parts = [
+            trimesh.creation.cylinder(radius=radius_m, segment=segment, sections=_TUBE_SIDES)
+            for segment in pairwise(points_m)
+        ]
+        tube = trimesh.util.concatenate(parts)
+        assert isinstance(tube, trimesh.Trimesh), "cylinders are meshes"
+        self._add(name, tube, colour)
+
+    def write(self, path: Path) -> None:
+        """Write the file; equal models give equal bytes. Raises `StorageError`."""
+        content: bytes = export_glb(self._scene)  # type: ignore[no-untyped-call]
+        with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
+            temporary.write_bytes(content)
+
+    def _add(self, name: str, shape: trimesh.Trimesh, colour: Colour) -> None:
+        mode = "OPAQUE" if colour[3] == 255 else "BLEND"
+        material = PBRMaterial(baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
+        shape.visual = trimesh.visual.TextureVisuals(material=material)  # type: ignore[no-untyped-call]
+        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
 
 
 def write_glb(
@@ -30,21 +96,11 @@ def write_glb(
 
     Every one is a node of its name; surfaces are `surface NAME`. Raises `StorageError`.
     """
-    scene = trimesh.Scene()
+    model = GlbModel()
     for mesh in meshes:
-        _add(scene, f"surface {mesh.name}", trimesh.Trimesh(mesh.vertices_m, mesh.triangles), _SURFACE)
+        model.add_surface(mesh)
     for name, corners_m in rectangles_m.items():
-        _add(scene, name, trimesh.Trimesh(corners_m, [[0, 1, 2], [0, 2, 3]], process=False), _PLANE)
+        model.add_rectangle(name, corners_m, _PLANE)
     for name, point_m in points_m.items():
-        ball = trimesh.creation.icosphere(subdivisions=1, radius=_RADIUS_M)
-        _add(scene, name, ball.apply_translation(point_m), _POINT)
-    content: bytes = export_glb(scene)  # type: ignore[no-untyped-call]
-    with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
-        temporary.write_bytes(content)
-
-
-def _add(scene: trimesh.Scene, name: str, shape: trimesh.Trimesh, colour: tuple[int, int, int, int]) -> None:
-    mode = "OPAQUE" if colour[3] == 255 else "BLEND"
-    material = PBRMaterial(baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
-    shape.visual = trimesh.visual.TextureVisuals(material=material)  # type: ignore[no-untyped-call]
-    scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+        model.add_ball(name, point_m, _RADIUS_M, _POINT)
+    model.write(path)

@@ -58,7 +58,7 @@ def parse_budget(text: str | None) -> Budget:
     """Budget from `300s`, `5m`, `2h` or `2000steps`; unlimited where None. Raises `MethodError`."""
     if text is None:
         return Budget()
-    matched = re.fullmatch(r"(\d+)\s*(steps)|(\d+(?:\.\d+)?)\s*([smh])", text.strip())
+    matched = re.fullmatch(r"(\d{1,15})\s*(steps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
     number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
     if float(number) == 0:
         raise MethodError(f"A budget is written as in 300s, 5m, 2h or 2000steps, but {text!r} was given.")

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from xfreqbench.angles import FloatArray
 from xfreqbench.errors import PlacementError
 from xfreqbench.mesh import SurfaceMesh, distance_to_surfaces, enclosing_mesh
-from xfreqbench.scene import Scene
+from xfreqbench.scene import FAR_M, Scene
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
@@ -91,9 +91,12 @@ def check_transmitters(
     """
     if len(tx_position_m) == 0:
         raise PlacementError("No transmitter position is given; give at least one.")
-    if not np.isfinite(tx_position_m).all():
-        row = int(np.flatnonzero(~np.isfinite(tx_position_m).all(axis=1))[0])
-        raise PlacementError(f"Transmitter {row} stands at {tx_position_m[row]}; give finite metres.")
+    is_near = np.abs(tx_position_m) <= FAR_M  # and finite
+    if not is_near.all():
+        row = int(np.flatnonzero(~is_near.all(axis=1))[0])
+        raise PlacementError(
+            f"Transmitter {row} stands at {_metres(tx_position_m[row])}; give finite metres, up to {FAR_M:g}."
+        )
     _check_free(meshes, tx_position_m, "Transmitter")
     for carrier in carrier_hz:
         _check_off_the_array(scene, tx_position_m, carrier)

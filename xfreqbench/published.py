@@ -35,12 +35,24 @@ def published_section(protocol: str) -> list[str]:
     return ["### Published, other data, not comparable", note, *map(_published_table, tables)]
 
 
+def reduced_statement(rows: Sequence[Row]) -> str:
+    """What is reduced of the systems that some rows are named after; empty where none is."""
+    notes = {each["method"]: each for each in _content()["counterpart"] if "note" in each}
+    named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in notes)
+    if not named:
+        return ""
+    told = "; ".join(f"{method} for {notes[method]['name']}: {notes[method]['note']}" for method in named)
+    return f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {told}."
+
+
 @cache
 def _content() -> dict[str, Any]:
     return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
 
 
 def _stands_for(counterpart: Mapping[str, Any], row: Row) -> bool:
+    if row.is_external:
+        return False
     config = row.records[0].config
     return (row.job.protocol, row.job.method) == (counterpart["protocol"], counterpart["method"]) and all(
         config.get(name) == value for name, value in counterpart.get("config", {}).items()

@@ -19,6 +19,7 @@ from xfreqbench.storage import storage_errors
 
 RECORDS_FILE = "records.jsonl"
 NUM_QUANTILES = 101
+_RECORD_START = b'{"'
 _BENCH_START = b'{"bench":'  # how a line of a table begins, and none of a run
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
 CURVE_MAPS = 64  # scored at every point of a learning curve
@@ -62,6 +63,19 @@ class CurvePoint(BaseModel):
     ssim: float
 
 
+class External(BaseModel):
+    """Predictions that were made elsewhere: `sha256` hashes all that came in one file, maps and declarations.
+
+    `hardware` and `url` are what their authors say.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sha256: str
+    hardware: str | None = None
+    url: str | None = None
+
+
 class RunRecord(BaseModel):
     """What was run, on what, with which result. `id` hashes everything that determines the result.
 
@@ -72,6 +86,10 @@ class RunRecord(BaseModel):
     decimals, a list for each tested transmitter in the order of their indices; `nearest_trained_m` is the
     median distance from a tested transmitter to the nearest trained one, `code_sha256` hashes the files that
     define the method, `findings` is what the method says it has learned.
+
+    Where `external` is there, nothing was fitted or timed here: `fit_seconds`, `predict_ms_per_map` and
+    `parameters` are as declared, None where they are not, `peak_memory_mib` is None, `step` 0 and `hardware`
+    empty. Only the scores are computed here, with the software and the commit that are named.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
@@ -87,10 +105,10 @@ class RunRecord(BaseModel):
     metrics_version: str
     config: dict[str, Any]
     step: int
-    fit_seconds: float
-    predict_ms_per_map: float
-    peak_memory_mib: float
-    parameters: int
+    fit_seconds: float | None
+    predict_ms_per_map: float | None
+    peak_memory_mib: float | None
+    parameters: int | None
     num_test: int
     num_without_path: int
     shares_transmitters: bool
@@ -105,6 +123,7 @@ class RunRecord(BaseModel):
     nearest_trained_m: float | None = None
     code_sha256: str | None = None
     findings: dict[str, Any] = {}
+    external: External | None = None
 
 
 class BenchPoint(BaseModel):
@@ -165,7 +184,8 @@ def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], 
 def append(path: Path, record: RunRecord | BenchRecord) -> None:
     """Add one line, whole and on disk before this returns; raises `StorageError`.
 
-    Writers take turns. Half a line that a killed run left at the end is removed.
+    Writers take turns. Half a line that a killed run left at the end is removed; raises `DataError` where
+    the end of the file is anything else.
     """
     line = record.model_dump_json().encode() + b"\n"
     with storage_errors(path, len(line)):
@@ -173,7 +193,7 @@ def append(path: Path, record: RunRecord | BenchRecord) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
-            _append_line(descriptor, line)
+            _append_line(path, descriptor, line)
         finally:
             os.close(descriptor)
 
@@ -190,16 +210,25 @@ def read(path: Path) -> StoredRecords:
         *lines, rest = path.read_bytes().split(b"\n")
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from error
+    _require_half_a_record(path, rest)
     parsed = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
     runs = tuple(record for record in parsed if isinstance(record, RunRecord))
     benches = tuple(record for record in parsed if isinstance(record, BenchRecord))
     return StoredRecords(runs, benches, num_truncated=int(bool(rest)))
 
 
-def _append_line(descriptor: int, line: bytes) -> None:
+def _require_half_a_record(path: Path, rest: bytes) -> None:
+    """Raise `DataError` where what stands behind the last line's end is no record cut short: it would be lost."""
+    if not rest.startswith(_RECORD_START[: len(rest)]):
+        raise DataError(f"{path} is no file of records: it ends in {rest[:40]!r}. Give the path of another.")
+
+
+def _append_line(path: Path, descriptor: int, line: bytes) -> None:
     """Write behind the last whole line; a write that fails half way is taken back."""
     with os.fdopen(os.dup(descriptor), "rb") as file:
-        end = file.read().rfind(b"\n") + 1
+        content = file.read()
+    end = content.rfind(b"\n") + 1
+    _require_half_a_record(path, content[end:])
     os.ftruncate(descriptor, end)
     try:
         written = os.pwrite(descriptor, line, end)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from xfreqbench.board_tables import curve_table, split_tables, summary_table, summary_tables
 from xfreqbench.boards import Board, boards, short_commit
-from xfreqbench.captions import leak_statement, machine_name, tracing
+from xfreqbench.captions import leak_statement, machine_name, machine_names, tracing
 from xfreqbench.comparison import MIN_SEEDS, Comparison, Resampling
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.markdown import table
@@ -27,6 +27,7 @@ _BENCH_SECTIONS = {
     "plain": "Generator",
     "render": "Rendering and training",
     "savings": "Savings",
+    "scale-out": "Scale-out",
     "stress": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
@@ -122,12 +123,13 @@ def _picture(links: Mapping[str, str], name: str, title: str) -> list[str]:
 
 def _conditions(board: Board) -> str:
     """Where the data come from, what is shared between training and test, and whose times these are."""
-    machines = sorted({machine_name(record.hardware) for record in board.records})
+    machines = machine_names(board.records)
+    times = f"Times were taken on {'; '.join(machines)}. " if machines else ""
     commits = sorted({short_commit(record.git_commit) for record in board.records})
     seeds = sorted({record.job.seed for record in board.records})
     return (
         f"Data set `{board.dataset_sha256[:16]}`: {tracing(board)}. **{leak_statement(board)}** "
-        f"Times were taken on {'; '.join(machines)}. {_counted('Commit', commits)}; {_counted('seed', seeds)}."
+        f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
     )
 
 

@@ -31,8 +31,8 @@ from xfreqbench.metrics import Maps, psnr, ssim
 from xfreqbench.paths import REFRACTION, SPECULAR, Paths
 from xfreqbench.predictions import Predictions, read_predictions
 from xfreqbench.records import RECORDS_FILE, RunRecord, read
-from xfreqbench.run import BATCH_SIZE, PREDICTIONS_FOLDER
 from xfreqbench.scene import ReceiverArray, Scene
+from xfreqbench.scoring import BATCH_SIZE, PREDICTIONS_FOLDER
 from xfreqbench.storage import require_space, storage_errors, write_text
 from xfreqbench.tracing import TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -310,6 +310,7 @@ def _best_trivial(record: RunRecord, folder: Path, results: Path) -> list[RunRec
         for each in known
         if each.job.method in TRIVIAL
         and not each.job.overrides
+        and each.external is None
         and _tested(each) == _tested(record)
         and _predictions_path(each, folder).exists()
     ]

@@ -19,14 +19,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench import checkpoints, machine, records
 from xfreqbench.angles import FloatArray
 from xfreqbench.checkpoints import CHECKPOINTS_FOLDER, Checkpoint, CheckpointFolder
 from xfreqbench.config import as_json
 from xfreqbench.dataset import IntArray, PasDataset, open_dataset, verify
-from xfreqbench.errors import DataError, DivergenceError, MethodError, XFreqBenchError
+from xfreqbench.errors import DivergenceError, MethodError, XFreqBenchError
 from xfreqbench.method import (
     Budget,
     ExplainedMethod,
@@ -40,27 +39,28 @@ from xfreqbench.method import (
     fit_within,
     predict_checked,
 )
-from xfreqbench.metrics import METRICS_VERSION, bootstrap_interval, quantiles, score_all, ssim
-from xfreqbench.predictions import MapBatch, read_predictions, write_predictions
+from xfreqbench.metrics import METRICS_VERSION, ssim
+from xfreqbench.predictions import MapBatch, write_predictions
 from xfreqbench.protocols import Split, find_split
 from xfreqbench.records import (
     CURVE_SHARES,
-    NUM_QUANTILES,
     RECORDS_FILE,
     CurvePoint,
     Job,
     RunRecord,
-    Summary,
     curve_positions,
+)
+from xfreqbench.scoring import (
+    BATCH_SIZE,
+    PREDICTIONS_FOLDER,
+    median,
+    predictions_path,
+    scored_fields,
+    stored_record,
 )
 from xfreqbench.storage import exclusive, require_space, storage_errors
 
 __all__ = ["Job", "RunRecord", "run_all", "run_job"]
-
-PREDICTIONS_FOLDER = "predictions"
-BATCH_SIZE = 32
-_BOOTSTRAP_SEED = 0
-_SSIM_DECIMALS = 4
 
 ProgressCallback = Callable[[int, int, RunRecord], None]
 FittingCallback = Callable[[Job, Fit], None]
@@ -93,7 +93,7 @@ class _Task:
 
     def predictions_path(self, results_dir: Path) -> Path:
         """Where this job's predictions are."""
-        return results_dir / PREDICTIONS_FOLDER / f"{self.id}.h5"
+        return predictions_path(results_dir, self.id)
 
     def checkpoint_folder(self, results_dir: Path) -> CheckpointFolder:
         """Where this job's fit is saved while it runs."""
@@ -123,17 +123,17 @@ def run_all(
     return done
 
 
-def unfinished(jobs: Sequence[Job], results_dir: Path) -> list[Job]:
+def unfinished(jobs: Sequence[Job], results_dir: Path) -> dict[Job, str]:
     """Jobs whose record or predictions are not in `results_dir` yet, once all were checked as `run_all` does.
 
-    Raises any `XFreqBenchError`.
+    With the id that each record will have. Raises any `XFreqBenchError`.
     """
     known = {record.id for record in records.read(results_dir / RECORDS_FILE).records}
-    return [
-        task.job
+    return {
+        task.job: task.id
         for task in _checked(jobs, results_dir)
         if task.id not in known or not task.predictions_path(results_dir).exists()
-    ]
+    }
 
 
 def _checked(jobs: Sequence[Job], results_dir: Path) -> list[_Task]:
@@ -157,14 +157,35 @@ def _run(task: _Task, results_dir: Path, fitting: FittingCallback | None = None)
     saved = task.checkpoint_folder(results_dir)
     lock = task.predictions_path(results_dir).with_suffix(".lock")
     with exclusive(lock):  # another process may be at the same job
-        record = _stored_record(task, results_dir) or _new_record(task, results_dir, saved, fitting)
+        record = stored_record(results_dir, task.id)
+        if record is None:
+            record = _new_record(task, results_dir, fitting)
+            records.append(results_dir / RECORDS_FILE, record)
         saved.remove()
     return record
 
 
-def _new_record(
-    task: _Task, results_dir: Path, saved: CheckpointFolder, fitting: FittingCallback | None
-) -> RunRecord:
+def run_unkept(job: Job, results_dir: Path) -> RunRecord:
+    """As `run_job`, but the record is left to whoever gets it, who stores it by `keep`.
+
+    Until then the checkpoint stays, and the job is unfinished.
+    """
+    task = _prepare(job, open_dataset(job.dataset))
+    with exclusive(task.predictions_path(results_dir).with_suffix(".lock")):
+        return stored_record(results_dir, task.id) or _new_record(task, results_dir)
+
+
+def keep(record: RunRecord, results_dir: Path) -> None:
+    """Store the record of a job that `run_unkept` ran, and remove its checkpoint."""
+    path = results_dir / RECORDS_FILE
+    known = {(stored.id, stored.time_utc) for stored in records.read(path).records}
+    if (record.id, record.time_utc) not in known:
+        records.append(path, record)
+    CheckpointFolder(results_dir / CHECKPOINTS_FOLDER / record.id, record.id).remove()
+
+
+def _new_record(task: _Task, results_dir: Path, fitting: FittingCallback | None = None) -> RunRecord:
+    saved = task.checkpoint_folder(results_dir)
     earlier = saved.read()
     if earlier:
         task = replace(task, method=saved.load(task.method))
@@ -173,9 +194,7 @@ def _new_record(
     clock = Stopwatch()
     _store_predictions(task, results_dir, clock)
     memory_mib = machine.peak_memory_mib()
-    record = _record(task, fit, curve, clock, memory_mib, _stored_scores(task, results_dir))
-    records.append(results_dir / RECORDS_FILE, record)
-    return record
+    return _record(task, fit, curve, clock, memory_mib, results_dir)
 
 
 def _fitted(
@@ -224,8 +243,8 @@ class _Watch:
 
     def _point(self, fit: Fit) -> CurvePoint:
         with _method_errors(self._task, "predict"):
-            median = _median(_sampled_ssim(self._task))
-        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=median)
+            ssim_median = median(_sampled_ssim(self._task))
+        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median)
 
     def _save(self, fit: Fit) -> None:
         with _method_errors(self._task, "save"):
@@ -308,13 +327,6 @@ def _prepare(job: Job, dataset: PasDataset) -> _Task:
     )
 
 
-def _stored_record(task: _Task, results_dir: Path) -> RunRecord | None:
-    if not task.predictions_path(results_dir).exists():
-        return None
-    known = records.read(results_dir / RECORDS_FILE).records
-    return next((record for record in reversed(known) if record.id == task.id), None)
-
-
 def _store_predictions(task: _Task, results_dir: Path, clock: Stopwatch) -> None:
     write_predictions(
         task.predictions_path(results_dir),
@@ -336,86 +348,30 @@ def _predicted(task: _Task, clock: Stopwatch) -> Iterator[MapBatch]:
         yield rows, checked_maps(task.method, maps, (len(rows), *test.grid.shape))
 
 
-def _stored_scores(task: _Task, results_dir: Path) -> dict[str, Float[FloatArray, "N"]]:
-    """Every metric of every test sample, from the predictions as they are stored."""
-    predictions = read_predictions(task.predictions_path(results_dir))
-    if predictions.split_sha256 != task.split.sha256 or not np.array_equal(predictions.rows, task.split.test):
-        raise DataError(f"{predictions.path} holds predictions of another split. Delete it and run again.")
-    batches = [
-        score_all(maps, task.dataset.pas(rows), task.dataset.grid, task.dataset.header.pas_kind)
-        for rows, maps in predictions.batches(BATCH_SIZE)
-    ]
-    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
-
-
-def _summaries(task: _Task, scores: dict[str, Float[FloatArray, "N"]]) -> dict[str, Summary]:
-    test = task.dataset.subset(task.split.test)
-    return {name: _summary(values, test.tx_index, test.carrier_hz) for name, values in scores.items()}
-
-
-def _by_transmitter(
-    values: Float[FloatArray, "N"], tx_index: Int[IntArray, "N"]
-) -> tuple[tuple[float, ...], ...]:
-    """Values of each transmitter, in the order of their indices; `tx_index` ascends, as rows do."""
-    starts = np.flatnonzero(np.diff(tx_index)) + 1
-    return tuple(tuple(part.tolist()) for part in np.split(values.round(_SSIM_DECIMALS), starts))
-
-
-def _summary(
-    values: Float[FloatArray, "N"], tx_index: Int[NDArray[np.int64], "N"], carrier_hz: Float[FloatArray, "N"]
-) -> Summary:
-    return Summary(
-        mean=float(values.mean()),
-        median=_median(values),
-        p10=float(quantiles(values, [0.1])[0]),
-        interval=bootstrap_interval(values, tx_index, _median, _BOOTSTRAP_SEED),
-        quantiles=quantiles(values, np.linspace(0, 1, NUM_QUANTILES).tolist()).tolist(),
-        median_by_carrier_hz={
-            f"{carrier:.0f}": _median(values[carrier_hz == carrier]) for carrier in np.unique(carrier_hz)
-        },
-    )
-
-
-def _median(values: Float[FloatArray, "N"]) -> float:
-    return float(np.median(values))
-
-
 def _record(
     task: _Task,
     fit: Fit,
     curve: tuple[CurvePoint, ...],
     clock: Stopwatch,
     memory_mib: float,
-    scores: dict[str, Float[FloatArray, "N"]],
+    results_dir: Path,
 ) -> RunRecord:
     return RunRecord(
         id=task.id,
         job=task.job,
-        dataset_sha256=task.dataset.sha256,
-        scene=task.dataset.header.scene_name,
-        pas_kind=task.dataset.header.pas_kind,
-        settings=dict(task.dataset.header.settings),
-        split_sha256=task.split.sha256,
-        protocol_version=task.split.version,
-        metrics_version=METRICS_VERSION,
+        **scored_fields(task.dataset, task.split, task.predictions_path(results_dir)),
         config=as_json(task.method.config),
         step=fit.step,
         fit_seconds=fit.seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
         peak_memory_mib=memory_mib,
         parameters=task.method.num_parameters,
-        num_test=len(task.split.test),
-        num_without_path=task.split.num_without_path,
-        shares_transmitters=task.split.shares_transmitters,
-        scores=_summaries(task, scores),
         hardware=machine.hardware(),
         software=machine.software(),
         git_commit=machine.git_commit(),
         time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         counts=dict(fit.counts),
         curve=curve,
-        ssim_by_tx=_by_transmitter(scores["ssim"], task.dataset.tx_index[task.split.test]),
-        nearest_trained_m=task.split.nearest_trained_m,
         code_sha256=code_sha256(task.method),
         findings=_findings(task),
     )

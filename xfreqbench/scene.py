@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterator
 from importlib.resources import files
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,13 +15,23 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_seri
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.angles import FloatArray
-from xfreqbench.array import ArrayPlane, frame_rotation, planar_array
+from xfreqbench.array import (
+    ArrayPlane,
+    frame_rotation,
+    planar_array,
+    quaternion_rotation,
+    rotation_quaternion,
+)
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.materials import material_bands
 
-Metres = Annotated[float, Field(allow_inf_nan=False)]
+FAR_M = 1e7  # as far as the coordinates of any map go
+MAX_CANDIDATES = 100_000  # of a transmitter grid: ten carriers of them are 65 GB, and their placement minutes
+
+Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M)]
 Point = tuple[Metres, Metres, Metres]
-PositiveMetres = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Quaternion = tuple[Metres, Metres, Metres, Metres]
+PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M)]
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -55,7 +66,9 @@ class ReceiverArray:
     """A planar array, half a wavelength apart at each carrier, whose boresight is the hemisphere's pole.
 
     Data sets that others published may hold an array in plane `yz` of its frame: `boresight` is then the
-    hemisphere's pole alone, and lies in the array. The default plane is left out of the JSON.
+    hemisphere's pole alone, and lies in the array. They may also turn the frame about its pole: `orientation`,
+    a quaternion x, y, z, w, is then the whole turn from the frame to the world, and its pole the boresight.
+    What is not given of these two is left out of the JSON.
     Every element has the same antenna: `pattern` `iso` or `dipole` (short, along the vertical), its field
     polarised along the vertical (`V`, the unit vector of the polar angle in world axes) or the horizontal
     (`H`, that of the azimuth). Transmitters carry the same antenna.
@@ -69,18 +82,32 @@ class ReceiverArray:
     pattern: Literal["iso", "dipole"] = "iso"
     polarization: Literal["V", "H"] = "V"
     plane: ArrayPlane = "xy"
+    orientation: Quaternion | None = None
 
     @model_serializer(mode="wrap")
-    def _without_the_default_plane(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        content = serialize(self)
-        if self.plane == "xy":
-            del content["plane"]  # JSON, and every hash of it, is what it was before planes could be chosen
-        return content
+    def _without_later_defaults(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        content = serialize(self)  # JSON, and every hash of it, is what it was before these could be chosen
+        later = {"plane": "xy", "orientation": None}
+        return {key: value for key, value in content.items() if key not in later or value != later[key]}
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ReceiverArray:
         if not any(self.boresight):
             raise ValueError("the receiver's boresight is the zero vector; give a direction like [0, 0, -1]")
+        return self
+
+    @model_validator(mode="after")
+    def _boresight_is_the_pole_of_the_orientation(self) -> ReceiverArray:
+        if self.orientation is None:
+            return self
+        if not np.linalg.norm(self.orientation) > 1e-6:
+            raise ValueError("the receiver's orientation is the zero quaternion; [0, 0, 0, 1] is no turn")
+        pole = np.asarray(self.boresight) / np.linalg.norm(self.boresight)
+        if not np.allclose(self.rotation[:, 2], pole, atol=1e-6):
+            raise ValueError(
+                f"the receiver's orientation turns its pole to {self.rotation[:, 2].round(6).tolist()}, but its "
+                f"boresight is {self.boresight}; give the same direction, or no orientation"
+            )
         return self
 
     @property
@@ -91,7 +118,14 @@ class ReceiverArray:
     @property
     def rotation(self) -> Float[FloatArray, "3 3"]:
         """Receiver's frame → world."""
-        return frame_rotation(self.boresight)
+        if self.orientation is None:
+            return frame_rotation(self.boresight)
+        return quaternion_rotation(self.orientation)
+
+    @property
+    def quaternion_xyzw(self) -> tuple[float, float, float, float]:
+        """The same rotation as a quaternion x, y, z, w, as it was given where it was."""
+        return self.orientation or rotation_quaternion(self.rotation)
 
     @property
     def element_position_wavelengths(self) -> Float[FloatArray, "M 3"]:
@@ -117,14 +151,25 @@ class TransmitterGrid:
     def _is_not_empty(self) -> TransmitterGrid:
         if any(low > high for low, high in zip(self.min_m, self.max_m, strict=True)):
             raise ValueError(f"the transmitter grid's min_m {self.min_m} exceeds its max_m {self.max_m}")
+        if (num_candidates := prod(self._num_steps)) > MAX_CANDIDATES:
+            raise ValueError(
+                f"the transmitter grid has {num_candidates:,.0f} positions, but {MAX_CANDIDATES:,} are the most; "
+                "give it a larger step_m, or less space"
+            )
         return self
+
+    @property
+    def _num_steps(self) -> list[float]:
+        """Positions along each axis, before they are cut to whole numbers."""
+        spans = zip(self.min_m, self.max_m, self.step_m, strict=True)
+        return [(high - low) / step + 1 + 1e-9 for low, high, step in spans]
 
     @property
     def lattice_m(self) -> Float[FloatArray, "N 3"]:
         """Every lattice point, x slowest."""
         axes = [
-            low + step * np.arange(int((high - low) / step + 1e-9) + 1)
-            for low, high, step in zip(self.min_m, self.max_m, self.step_m, strict=True)
+            low + step * np.arange(int(number))
+            for low, step, number in zip(self.min_m, self.step_m, self._num_steps, strict=True)
         ]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -206,7 +251,9 @@ def parse_scene(text: str, folder: Path = Path()) -> Scene:
     """Scene from TOML text; relative mesh paths start at `folder`. Raises `SceneError`."""
     try:
         content: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError as error:
+        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
+    except ValueError as error:  # not TOML, or numbers of thousands of digits
         raise SceneError(f"this is not TOML: {error}") from error
     return _validated(content, folder)
 

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import cast, get_args
 
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.mesh import SurfaceMesh
 from xfreqbench.scene import Scene
-from xfreqbench.tracing import INTERACTIONS, SolverName, Tracer, TraceSettings
+from xfreqbench.tracing import INTERACTIONS, Interaction, SolverName, Tracer, TraceSettings
+
+
+def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
+    """The interactions of those names, in their order; raises `UnknownNameError`."""
+    given = tuple(names)
+    for name in given:
+        if name not in INTERACTIONS:
+            raise UnknownNameError("interaction", name, INTERACTIONS)
+    return cast("tuple[Interaction, ...]", given)
 
 
 def check_settings(settings: TraceSettings) -> None:
     """Raise a clear error for settings that no solver takes."""
     if settings.solver not in get_args(SolverName):
         raise UnknownNameError("solver", settings.solver, get_args(SolverName))
-    for interaction in settings.interactions:
-        if interaction not in INTERACTIONS:
-            raise UnknownNameError("interaction", interaction, INTERACTIONS)
+    interactions_named(settings.interactions)
     for name, value, least in (
         ("depth", settings.max_depth, 0),
         ("number of rays", settings.rays, 1),

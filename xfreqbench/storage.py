@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from xfreqbench.errors import StorageError
+from xfreqbench.errors import OutputExistsError, StorageError
 
 
 @contextmanager
@@ -41,7 +41,38 @@ def _remove_abandoned(target: Path) -> None:
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
         process = path.name.split(".")[-2]
         if process.isdigit() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
-            path.unlink(missing_ok=True)
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(target: Path) -> Iterator[Path]:
+    """Temporary folder beside `target`, renamed to it when the block ends without an exception.
+
+    `target` must be absent, or an empty folder: raises `OutputExistsError` else, and `StorageError`. What a
+    killed process left, a hidden `.NAME.PID.partial`, goes with the next try.
+    """
+    target = target.absolute()
+    require_empty(target)
+    _remove_abandoned(target)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    with storage_errors(target):
+        temporary.mkdir(parents=True)
+    try:
+        yield temporary
+        with storage_errors(target):
+            os.sync()
+            temporary.replace(target)
+            sync(target.parent)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def require_empty(folder: Path) -> None:
+    """Raise `OutputExistsError` for anything but an empty folder, or nothing, at a path."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise OutputExistsError(
+            f"{folder} exists, and is no empty folder; nothing is written over it. Choose another, or empty it."
+        )
 
 
 def write_text(target: Path, text: str) -> None:

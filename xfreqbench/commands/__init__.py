@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -26,6 +26,12 @@ Freqs = Annotated[
 ]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
+Executor = Annotated[
+    str,
+    Parameter(
+        help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster."
+    ),
+]
 _PIPED_WIDTH = 160  # of a table that no terminal bounds
 
 
@@ -39,6 +45,11 @@ def parse_carriers_hz(freqs: str) -> list[float]:
         raise XFreqBenchError(
             f"--freqs takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
         ) from error
+
+
+def target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
+    """Held-out carriers in hertz from `2.4,77` (GHz), `all` or nothing; raises `XFreqBenchError`."""
+    return "all" if targets == "all" else None if targets is None else parse_carriers_hz(targets)
 
 
 @contextmanager

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.commands import Freqs, Output, Quiet, app, parse_carriers_hz, progress_bars, say
-from xfreqbench.errors import XFreqBenchError
+from xfreqbench.commands import Executor, Freqs, Output, Quiet, app, parse_carriers_hz, progress_bars, say
+from xfreqbench.errors import OutputExistsError, XFreqBenchError
 
 Solver = Annotated[
     Literal["auto", "image", "sionna"],
@@ -66,6 +66,7 @@ def generate(
         Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
     ] = "error",
     maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    executor: Executor = "serial",
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
     ] = False,
@@ -80,6 +81,7 @@ def generate(
     """
     from xfreqbench.generate import estimate_seconds, plan_generation
     from xfreqbench.generate import generate as run_plan
+    from xfreqbench.parallel import open_workers
     from xfreqbench.scene import load_scene
     from xfreqbench.tracing import TraceSettings
 
@@ -109,32 +111,40 @@ def generate(
         print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
         return
     is_there = output.exists()
-    with progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing):
-        run_plan(plan, output, tracing, writing)
+    with (
+        open_workers(executor) as workers,
+        progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing),
+    ):
+        run_plan(plan, output, tracing, writing, workers)
     size = f"{output.stat().st_size / 1e6:.1f} MB"
     say(f"{output} already holds this data set" if is_there else f"wrote {output} ({size})", quiet)
 
 
 def _interactions(names: str) -> tuple[Literal["specular", "refraction", "diffraction", "diffuse"], ...]:
-    """Checked later, where every setting is; here only split."""
-    return tuple(name.strip() for name in names.split(",") if name.strip())  # type: ignore[misc]
+    """Interactions from `specular,refraction`; raises `UnknownNameError`."""
+    from xfreqbench.solvers import interactions_named
+
+    return interactions_named(name.strip() for name in names.split(",") if name.strip())
 
 
 def _read_positions(path: Path | None) -> Any:
     """Positions (T, 3) in metres, or None."""
     if path is None:
         return None
+    import io
     import warnings
 
     import numpy as np
 
     try:
+        text = io.StringIO(path.read_text())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty file, which is refused with the positions
-            return np.loadtxt(path, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
+            return np.loadtxt(text, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
     except (OSError, ValueError) as error:
+        fault = error.strerror if isinstance(error, OSError) else error
         raise XFreqBenchError(
-            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {error}"
+            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {fault}"
         ) from error
 
 
@@ -166,6 +176,8 @@ def plot(
 
     if output.suffix != ".png":
         raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
+    if output.exists():
+        raise OutputExistsError(f"{output} exists. Delete it, or choose another figure with -o.")
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
         raise XFreqBenchError(
@@ -175,3 +187,33 @@ def plot(
     titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
     plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
     say(f"wrote {output}")
+
+
+@app.command
+def view(
+    data_or_scene: str,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for page, figures and model.")],
+    tx: Annotated[
+        int | None, Parameter(help="Index of the transmitter shown; one amid the others if absent.")
+    ] = None,
+    carrier: Annotated[
+        float | None, Parameter(help="Carrier of the rays in GHz; the middle one if absent.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show a data set or a scene: a page, figures, and the scene with one transmitter's rays in 3D.
+
+    Parameters
+    ----------
+    data_or_scene
+        The path of a data set, a shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.view_report import claim, write_view
+    from xfreqbench.viewing import plan_view
+
+    planned = plan_view(data_or_scene, tx, carrier)
+    claim(planned, output)
+    say(planned.missing or "tracing the rays of one transmitter", quiet)
+    for path in write_view(planned.with_rays(), output):
+        say(f"wrote {path}", quiet)

@@ -104,9 +104,21 @@ def bench_savings(*, output: BenchOutput = None) -> None:
     efficiency.bench_savings(_bench("savings", output))
 
 
+@bench.command(name="scale-out")
+def bench_scale_out(
+    *,
+    tx: Annotated[int, Parameter(help="Transmitters that are generated, 16 or more.")] = 64,
+    output: BenchOutput = None,
+) -> None:
+    """Print what processes and clusters cost on the same work, and what up to a million transmitters would take."""
+    from xfreqbench import scale_out
+
+    scale_out.bench_scale_out(_bench("scale-out", output, tx=tx), tx)
+
+
 def _counts(option: str, text: str) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and int(part) > 0 for part in parts):
+    if not all(part.isdecimal() and len(part) < 10 and int(part) > 0 for part in parts):
         raise XFreqBenchError(f"{option} takes whole numbers from 1 on, as in 1,8,32, but got {text!r}.")
     return [int(part) for part in parts]
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.commands import Output, Quiet, app, parse_carriers_hz, progress_bars, say
+from xfreqbench.commands import Executor, Output, Quiet, app, progress_bars, say, target_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 
 
@@ -80,6 +80,7 @@ def run(
         tuple[str, ...],
         Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
     ] = (),
+    executor: Executor = "serial",
     quiet: Quiet = False,
 ) -> None:
     """Fit methods on a protocol's training rows, store their predictions and score them.
@@ -94,7 +95,7 @@ def run(
 
     dataset = open_dataset(data)
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
-    splits = make_splits(dataset, protocol, _target_carriers_hz(targets))
+    splits = make_splits(dataset, protocol, target_carriers_hz(targets))
     overrides = {name: (*set_, *device_option(name, device)) for name in names}
     jobs = [
         Job(str(data), name, protocol, split.name, overrides[name], number, parse_budget(budget))
@@ -102,15 +103,33 @@ def run(
         for number in _seeds(seed)
         for split in splits
     ]
+    if executor != "serial":
+        _run_elsewhere(executor, jobs, results, quiet)
     with _run_bars(f"{protocol} on {data.name}", quiet) as (progress, fitting):
         records = run_all(jobs, results, progress, fitting)
     say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
 
 
+def _run_elsewhere(executor: str, jobs: list[Any], results: Path, quiet: bool) -> None:
+    """Run jobs on workers; raises `XFreqBenchError` naming those that failed."""
+    from xfreqbench.many_runs import run_on
+    from xfreqbench.parallel import open_workers
+
+    with open_workers(executor, is_fresh=True) as workers, progress_bars("done", ["runs"], quiet) as (bar,):
+        failures = run_on(workers, jobs, results, lambda done, total, job: bar(done, total))
+    _raise_failures(failures, "runs")
+
+
+def _raise_failures(failures: list[str], what: str) -> None:
+    if failures:
+        number = f"{len(failures)} of its {what} failed; the same command tries them again."
+        raise XFreqBenchError("\n".join([number, *failures]))
+
+
 def _seeds(text: str) -> list[int]:
     """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() for part in parts):
+    if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
         raise XFreqBenchError(
             f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
         )
@@ -164,6 +183,13 @@ def benchmark(
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
     ] = "cpu",
+    executor: Annotated[
+        str | None,
+        Parameter(
+            help="serial: one run after the other; 4: as many processes here; dask://host:8786: workers of a cluster, "
+            "which generate the data too; a process a core if absent, or one for a GPU."
+        ),
+    ] = None,
     dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -172,29 +198,27 @@ def benchmark(
     It prints what it takes before it starts; interrupted or killed, the same command goes on.
     """
     from xfreqbench import benchmark as benchmarks
+    from xfreqbench.parallel import open_workers
 
     planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
-    say(benchmarks.cost(planned), quiet and not dry_run)
+    with benchmarks.run_workers(planned, executor) as workers:
+        say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:
         return
     with progress_bars("done", [*planned.scenes, "runs"], quiet) as (*tracing, runs):
         by_scene = dict(zip(planned.scenes, tracing, strict=True))
-        benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total))
-        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total))
+        with open_workers(executor or "serial") as workers:
+            benchmarks.generate_data(
+                planned, lambda scene, done, total: by_scene[scene](done, total), workers
+            )
+        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total), executor)
     for name in planned.missing_benches():
         failures += benchmarks.measure(planned, name)
     if not failures:
         benchmarks.record_contents(planned)
     folder = planned.results_dir
     report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
-    if failures:
-        raise XFreqBenchError(
-            "\n".join([f"{len(failures)} of its parts failed; the same command tries them again.", *failures])
-        )
-
-
-def _target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
-    return "all" if targets == "all" else parse_carriers_hz(targets) if targets else None
+    _raise_failures(failures, "parts")
 
 
 @app.command

@@ -12,23 +12,27 @@ from typing import Any
 
 from xfreqbench.boards import Board, boards
 from xfreqbench.comparison import Comparison, Resampling
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.page.content import board_content, figure_content
 from xfreqbench.page.gallery import Gallery, gallery, scales
 from xfreqbench.page.tables import bench_sections, board_section, header
 from xfreqbench.records import RECORDS_FILE, BenchRecord, read
 from xfreqbench.report import latest_benches
-from xfreqbench.storage import write_text
+from xfreqbench.storage import require_space, storage_errors, write_text
 
 __all__ = ["write_page"]
+
+_TITLE = b"<title>xfreqbench results</title>"  # of every page, and of no other file
 
 
 def write_page(results: Path, output_html: Path) -> Path:
     """Write the page of `results`: a results folder, or one file of records; returns the file written.
 
     The gallery shows predictions that lie in `predictions` beside the records, where their data set is there
-    too. Raises `DataError` where there are no runs, or as `boards` does, and `StorageError`.
+    too. Raises `DataError` where there are no runs, or as `boards` does, `OutputExistsError` for a file that is
+    no such page, and `StorageError`.
     """
+    _claim(output_html)
     path = results / RECORDS_FILE if results.is_dir() else results
     stored = read(path)
     if not stored.records:
@@ -37,6 +41,15 @@ def write_page(results: Path, output_html: Path) -> Path:
     galleries = [gallery(board, path.parent) for board in ranked]
     write_text(output_html, _page(ranked, galleries, latest_benches(stored.benches)))
     return output_html
+
+
+def _claim(path: Path) -> None:
+    """Raise `OutputExistsError` for a file that this never wrote."""
+    require_space(path, 1)
+    with storage_errors(path):
+        is_foreign = path.exists() and _TITLE not in path.read_bytes()
+    if is_foreign:
+        raise OutputExistsError(f"{path} exists and is no page of results. Delete it, or give another path.")
 
 
 def _page(ranked: Sequence[Board], galleries: Sequence[Gallery], benches: Sequence[BenchRecord]) -> str:

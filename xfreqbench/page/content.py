@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from xfreqbench.boards import Board, Row, family, median_ssim, pooled_quantiles, short_name
+from xfreqbench.boards import Board, Row, family, median_ssim, or_nan, pooled_quantiles, short_name
 from xfreqbench.comparison import Comparison
 from xfreqbench.learning_curves import best_trivial
 from xfreqbench.metrics import METRICS
@@ -82,9 +82,9 @@ def _standing(comparison: Comparison, row: Row) -> Content:
         "ssim": _rounded(row.average(splits, median_ssim)),
         "interval": [_rounded(bound) for bound in comparison.interval(row)],
         "skill": _rounded(row.average(splits, comparison.board.skill)),
-        "seconds": _rounded(row.average(splits, lambda record: record.fit_seconds)),
-        "milliseconds": _rounded(row.average(splits, lambda record: record.predict_ms_per_map)),
-        "parameters": row.average(splits, lambda record: record.parameters),
+        "seconds": _rounded(row.average(splits, lambda record: or_nan(record.fit_seconds))),
+        "milliseconds": _rounded(row.average(splits, lambda record: or_nan(record.predict_ms_per_map))),
+        "parameters": row.average(splits, lambda record: or_nan(record.parameters)),
     }
 
 

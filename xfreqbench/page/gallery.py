@@ -23,7 +23,7 @@ from xfreqbench.plots import map_png
 from xfreqbench.predictions import Predictions, read_predictions
 from xfreqbench.protocols import SPARSE_TEST_HZ
 from xfreqbench.records import RunRecord
-from xfreqbench.run import BATCH_SIZE, PREDICTIONS_FOLDER
+from xfreqbench.scoring import BATCH_SIZE, PREDICTIONS_FOLDER
 
 SHOWN_CARRIER_HZ = SPARSE_TEST_HZ  # which both of the paper's protocols test
 RANGE_DB = 30.0

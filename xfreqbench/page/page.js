@@ -208,13 +208,15 @@ function empty(host, text) {
 
 // ---- the four kinds of charts
 
-// Points cheaper than `least` stand at the left edge: what costs nothing has no place on a logarithmic axis.
+// Points cheaper than `least` stand at the left edge: what costs nothing has no place on a logarithmic axis. Whose
+// cost nobody tells has no place at all.
 function drawPareto(host) {
   host.replaceChildren();
   const cost = find("#cost");
   const least = { seconds: 0.1, milliseconds: 0.001, parameters: 1 }[cost.value];
-  const points = shownRows().map((name) => ({ name, ...splitSet().rows[name], cost: splitSet().rows[name][cost.value] }));
-  if (!points.length) return empty(host, "No method is shown.");
+  const points = shownRows().map((name) => ({ name, ...splitSet().rows[name], cost: splitSet().rows[name][cost.value] }))
+    .filter((point) => point.cost !== null);
+  if (!points.length) return empty(host, "No method is shown whose cost is known.");
   const dear = points.filter((point) => point.cost >= least);
   const hasEdge = dear.length < points.length;
   const [low, high] = extent(dear.map((point) => point.cost), { log: true });
@@ -251,8 +253,9 @@ function summary(row) {
   return [row.name,
     `average median SSIM ${row.ssim.toFixed(4)}${known ? ` [${row.interval.map((each) => each.toFixed(4)).join(", ")}]` : ""}`,
     ...(row.skill === null ? [] : [`skill ${row.skill.toFixed(3)}`]),
-    `${readable(row.seconds)} s of fitting, ${readable(row.milliseconds)} ms a map`,
-    `${Math.round(row.parameters).toLocaleString("en")} parameters`].join("\n");
+    ...(row.seconds === null ? [] : [`${readable(row.seconds)} s of fitting`]),
+    ...(row.milliseconds === null ? [] : [`${readable(row.milliseconds)} ms a map`]),
+    ...(row.parameters === null ? [] : [`${Math.round(row.parameters).toLocaleString("en")} parameters`])].join("\n");
 }
 
 const around = (x, y) => ({ left: x - 6, right: x + 6, top: y - 6, bottom: y + 6 });

@@ -7,9 +7,19 @@ from dataclasses import dataclass
 from html import escape
 from math import isfinite, isinf, isnan, nan
 
-from xfreqbench.boards import Board, Quantity, Row, family, median_ssim, short_commit, short_name
-from xfreqbench.captions import leak_statement, machine_name, span, tracing
+from xfreqbench.boards import (
+    Board,
+    Quantity,
+    Row,
+    family,
+    median_ssim,
+    or_nan,
+    short_commit,
+    short_name,
+)
+from xfreqbench.captions import external_statement, leak_statement, machine_name, machine_names, span, tracing
 from xfreqbench.comparison import Comparison, Interval
+from xfreqbench.published import reduced_statement
 from xfreqbench.records import BenchRecord
 
 _ABSENT = "–"
@@ -42,7 +52,7 @@ def header(ranked: Sequence[Board]) -> str:
     days = sorted({record.time_utc[:10] for record in records})
     facts = {
         "Data": sorted(data),
-        "Machines": sorted({machine_name(record.hardware) for record in records}),
+        "Machines": machine_names(records) or ["none: every row is external"],
         "Commits": [", ".join(sorted(commits))],
         "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
     }
@@ -82,8 +92,14 @@ def _set_section(index: int, comparison: Comparison) -> str:
     title = f"{len(splits)} {noun}: {', '.join(splits)}"
     return (
         f'<div class="set" data-set="{index}" data-title="{_e(title)}">\n<h3>{_e(title)}</h3>\n'
-        f"{_leaderboard(comparison)}</div>"
+        f"{_leaderboard(comparison)}{_notes(comparison)}</div>"
     )
+
+
+def _notes(comparison: Comparison) -> str:
+    """Whose rows are not this toolkit's own predictions, and whose not their authors' programs."""
+    texts = external_statement(comparison.rows), reduced_statement(comparison.rows)
+    return "".join(f'<p class="note">{_e(text)}</p>\n' for text in texts if text)
 
 
 def _leaderboard(comparison: Comparison) -> str:
@@ -150,10 +166,16 @@ _METRIC_COLUMNS = (
 
 _COST_COLUMNS: tuple[tuple[str, str, bool, Quantity, str], ...] = (
     ("p10 SSIM", "a tenth of the maps lies below", True, lambda record: record.scores["ssim"].p10, ".4f"),
-    ("fit s", "seconds of fitting", False, lambda record: record.fit_seconds, ",.2f"),
-    ("ms/map", "milliseconds a predicted map", False, lambda record: record.predict_ms_per_map, ",.2f"),
-    ("MiB", "largest memory of the process", False, lambda record: record.peak_memory_mib, ",.0f"),
-    ("parameters", "numbers that training sets", False, lambda record: record.parameters, ",.0f"),
+    ("fit s", "seconds of fitting", False, lambda record: or_nan(record.fit_seconds), ",.2f"),
+    (
+        "ms/map",
+        "milliseconds a predicted map",
+        False,
+        lambda record: or_nan(record.predict_ms_per_map),
+        ",.2f",
+    ),
+    ("MiB", "largest memory of the process", False, lambda record: or_nan(record.peak_memory_mib), ",.0f"),
+    ("parameters", "numbers that training sets", False, lambda record: or_nan(record.parameters), ",.0f"),
 )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -33,6 +34,29 @@ def bin_footprints(
     bin_ordered = _bin_torch if backend == "torch" or not on_cpu else _bin_numba
     start, nth = bin_ordered(centre, conic, grid, support)
     return PixelLists(start, order[nth], len(order))
+
+
+@torch.no_grad()
+def bin_each(projection: Projection, num_maps: int, grid: AngularGrid, support: float) -> PixelLists:
+    """Lists of several maps one below the other, where each has its own run of N of the M N Gaussians.
+
+    Rows of directions are then those of `stacked(grid, num_maps)`.
+    """
+    parts = (projection.azimuth_rad, projection.elevation_rad, projection.covariance, projection.range_m)
+    each = [
+        bin_footprints(Projection(*of_map), grid, support)
+        for of_map in zip(*(part.chunk(num_maps) for part in parts), strict=True)
+    ]
+    first = [nth * lists.num_gaussians for nth, lists in enumerate(each)]
+    counts = torch.cat([lists.start.diff() for lists in each])
+    start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(each, first, strict=True)])
+    return PixelLists(start, gaussian, len(projection.range_m))
+
+
+def stacked(grid: AngularGrid, num_maps: int) -> AngularGrid:
+    """The same directions several times, one map below the other."""
+    return AngularGrid(np.tile(grid.elevation_rad, num_maps), grid.azimuth_rad)
 
 
 def squared_distance(projection: Projection, lists: PixelLists, grid: AngularGrid) -> Float[Tensor, "P"]:

@@ -1,0 +1,143 @@
+"""Wideband3DGS, reduced: Gaussians with an electromagnetic feature network told the carrier on a raw axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated
+
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field as Limits
+from torch import Tensor, nn
+from torch.nn.functional import relu, softplus
+
+from xfreqbench.dataset import PasDataset
+from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.splatting.gaussians import RFGaussians
+from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.splatting.network import Attributes, PairwiseMLP, Precision
+from xfreqbench.splatting.splat import GaussianConfig, GaussianField
+
+_HIGHEST_HZ = 94e9  # scaled to 1 on a linear axis
+_NEAREST_M = 0.1  # signals of Gaussians closer to the receiver are not divided by less
+_OPACITY = 0.1  # of every Gaussian, to start with
+
+
+@dataclass(frozen=True)
+class Wideband3DGSConfig(GaussianConfig, TrainingConfig):
+    """Theirs: 8 layers of 128 for the attenuation, 128 and 64 for the signal, 10 octaves of everything."""
+
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # one deviation, to start with
+    width: Annotated[int, Limits(ge=2)] = 64
+    layers: Count = 4
+    octaves: Annotated[int, Limits(ge=0)] = 4
+    carrier_octaves: Annotated[int, Limits(ge=0)] = 10
+    precision: Precision = "auto"
+    learning_rate: Positive = 5e-3
+    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
+
+
+class FeatureNetwork(nn.Module):
+    """Attenuation δ from place and carrier alone; signal S from what that leaves, transmitter and view."""
+
+    def __init__(self, config: Wideband3DGSConfig, scaling: Scaling) -> None:
+        super().__init__()
+        self.config, self.scaling = config, scaling
+        place, carrier = encoded_size(3, config.octaves), encoded_size(1, config.carrier_octaves)
+        self.gate = nn.Linear(carrier, place)
+        sizes = [place, *[config.width] * config.layers]
+        self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(sizes))
+        self.skip = nn.Linear(place, config.width, bias=False)  # into the layer in the middle
+        self.attenuation = nn.Linear(config.width, 2)
+        hidden = [config.width, config.width // 2]
+        self.radiance = PairwiseMLP(place + carrier, 0, place + config.width, hidden, 2, config.precision)
+
+    def forward(
+        self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
+    ) -> tuple[Float[Tensor, "B V 2"], Float[Tensor, "B V 2"]]:
+        """Amplitude and phase, unbounded, of attenuation and signal; positions in the receiver's frame."""
+        of_carrier, feature = self.features(carrier_hz, position_m)
+        unit_tx, place = self.scaling.unit_position(tx_m), self.scaling.unit_position(position_m)
+        query = torch.cat([positional_encoding(unit_tx, self.config.octaves), of_carrier], dim=-1)
+        view = positional_encoding((place - unit_tx[:, None]) / 2, self.config.octaves)
+        signal = self.radiance(query, place[:, :0], torch.cat([feature, view], dim=-1))
+        return self.attenuation(feature), signal
+
+    def features(
+        self, carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
+    ) -> tuple[Float[Tensor, "B C"], Float[Tensor, "B V W"]]:
+        """Encoded carriers, and the features of places at each; computed once for rows of one carrier."""
+        each_hz, of_row = carrier_hz.unique(return_inverse=True)
+        carrier = positional_encoding((each_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
+        place = positional_encoding(self.scaling.unit_position(position_m), self.config.octaves)
+        gated = place * torch.sigmoid(self.gate(carrier))[:, None]
+        feature = gated
+        for depth, layer in enumerate(self.layers):
+            skipped = self.skip(gated) if depth == len(self.layers) // 2 else 0.0
+            feature = relu(layer(feature) + skipped)
+        return carrier.index_select(0, of_row), feature.index_select(0, of_row)
+
+
+class OpaqueGaussians(RFGaussians):
+    """Gaussians that hold an opacity each."""
+
+    def __init__(self, num_gaussians: int) -> None:
+        super().__init__(num_gaussians)
+        self.opacity_logit = nn.Parameter(torch.full((num_gaussians,), math.log(_OPACITY / (1 - _OPACITY))))
+
+
+class Wideband3DGSField(GaussianField):
+    """R_k = Σ_i o_i G_i S_i / d_i Π_{m<i} (1 − o_m G_m (1 − δ_m)), d_i the distance to the receiver."""
+
+    config: Wideband3DGSConfig
+    network: FeatureNetwork
+    gaussians: OpaqueGaussians
+
+    def __init__(self, config: Wideband3DGSConfig) -> None:
+        scaling = Scaling()
+        super().__init__(config, scaling, FeatureNetwork(config, scaling))
+
+    def new_gaussians(self, number: int) -> OpaqueGaussians:
+        """Of one opacity."""
+        return OpaqueGaussians(number)
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Random points in the box of the data."""
+        self.scaling.adapt(train)
+        self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
+
+    def attributes(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
+    ) -> Attributes:
+        """The network's answer for some of the Gaussians, with their opacity and path loss."""
+        position_m = self.gaussians.position_m.detach()[seen]
+        opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]
+        tx_m = self.scaling.in_frame(tx_position_m)
+        attenuation, signal = (each.permute(2, 1, 0) for each in self.network(tx_m, carrier_hz, position_m))
+        share = opacity / position_m.norm(dim=-1, keepdim=True).clamp_min(_NEAREST_M)
+        transmitted = torch.polar(torch.sigmoid(attenuation[0]), attenuation[1])
+        return Attributes(
+            torch.polar(share * softplus(signal[0]), signal[1])[None],
+            1 - opacity * (1 - transmitted),
+            torch.ones_like(attenuation[0]),
+        )
+
+
+class Wideband3DGS(LearnedMethod):
+    """Wideband3DGS (NeurIPS 2025), from its paper's idea, on this renderer.
+
+    Kept: opacities, an attenuation branch of encoded places gated by the carrier, which no transmitter changes,
+    a radiance branch of its feature, view, transmitter and carrier, a path loss, carriers on a linear axis.
+    Left out: half the width and half the layers of the attenuation branch, octaves of places, all but a few
+    hundred Gaussians, hours of training.
+    Changed: one skip; Gaussians are divided and dropped as in `xfreq-gs`, and move by their footprints' gradient
+    alone; maps are normalised, and the loss is Eq. 12.
+    """
+
+    Config = Wideband3DGSConfig
+
+    def field(self) -> ChannelField:
+        """Gaussians with a feature network."""
+        return Wideband3DGSField(self.config)

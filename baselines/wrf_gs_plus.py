@@ -1,0 +1,143 @@
+"""WRF-GS+, reduced: static Gaussians that a network moves, turns, rescales and brightens for each transmitter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from jaxtyping import Complex, Float
+from pydantic import Field as Limits
+from torch import Tensor, nn
+
+from xfreqbench.dataset import PasDataset
+from xfreqbench.splatting.composite import composite
+from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.splatting.footprints import bin_each, squared_distance, stacked
+from xfreqbench.splatting.gaussians import RFGaussians, covariance
+from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.splatting.network import PairwiseMLP, Precision
+from xfreqbench.splatting.projection import Projection, project
+from xfreqbench.splatting.splat import GaussianConfig, GaussianField
+from xfreqbench.splatting.view import Beams, View
+
+_SIGNAL = 0.5  # of every Gaussian, to start with
+_OPACITY = 0.1
+_PARTS = (3, 4, 3, 2)  # of a deformation: position, quaternion, log-scale, signal (real and imaginary part)
+
+
+@dataclass(frozen=True)
+class WRFGSPlusConfig(GaussianConfig, TrainingConfig):
+    """Theirs: 8 layers of 256 with a skip, 10 octaves of positions and 6 of transmitters, 10,000s of Gaussians."""
+
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 4.0  # one deviation, to start with
+    width: Count = 64
+    layers: Count = 4
+    position_octaves: Annotated[int, Limits(ge=0)] = 4
+    tx_octaves: Annotated[int, Limits(ge=0)] = 6
+    precision: Precision = "auto"
+    batch_size: Count = 16  # each map has footprints of its own
+    learning_rate: Positive = 5e-3
+    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
+
+
+class DeformationNetwork(nn.Module):
+    """What each transmitter changes of each Gaussian: one network of E(μ) and E(p_tx)."""
+
+    def __init__(self, config: WRFGSPlusConfig, scaling: Scaling) -> None:
+        super().__init__()
+        self.config, self.scaling = config, scaling
+        sizes = encoded_size(3, config.tx_octaves), encoded_size(3, config.position_octaves)
+        hidden = [config.width] * config.layers
+        self.mlp = PairwiseMLP(*sizes, 0, hidden, sum(_PARTS), config.precision)
+
+    def forward(
+        self, tx_m: Float[Tensor, "B 3"], position_m: Float[Tensor, "N 3"]
+    ) -> tuple[
+        Float[Tensor, "B N 3"], Float[Tensor, "B N 4"], Float[Tensor, "B N 3"], Float[Tensor, "B N 2"]
+    ]:
+        """Metres, quaternion, log-scale and complex signal to be added, all in the receiver's frame."""
+        query = positional_encoding(self.scaling.unit_position(tx_m), self.config.tx_octaves)
+        gaussian = positional_encoding(self.scaling.unit_position(position_m), self.config.position_octaves)
+        outputs = self.mlp(query, gaussian, query.new_zeros(len(query), len(gaussian), 0))
+        position, quaternion, log_scale, signal = outputs.split(_PARTS, dim=-1)
+        return position, quaternion, log_scale, signal
+
+
+class BrightGaussians(RFGaussians):
+    """Gaussians that hold a real signal and an opacity each."""
+
+    def __init__(self, num_gaussians: int) -> None:
+        super().__init__(num_gaussians)
+        self.signal = nn.Parameter(torch.full((num_gaussians,), _SIGNAL))
+        self.opacity_logit = nn.Parameter(torch.full((num_gaussians,), math.log(_OPACITY / (1 - _OPACITY))))
+
+
+class WRFGSPlusField(GaussianField):
+    """R_k = Σ_i o_i G_i s_i Π_{m<i} (1 − o_m G_m) of Gaussians as they stand for one transmitter; all of it real."""
+
+    config: WRFGSPlusConfig
+    network: DeformationNetwork
+    gaussians: BrightGaussians
+
+    def __init__(self, config: WRFGSPlusConfig) -> None:
+        scaling = Scaling()
+        super().__init__(config, scaling, DeformationNetwork(config, scaling))
+
+    def new_gaussians(self, number: int) -> BrightGaussians:
+        """Of one brightness."""
+        return BrightGaussians(number)
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Random points in the box of the data."""
+        self.scaling.adapt(train)
+        self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
+
+    def power(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+    ) -> Float[Tensor, "B E A"]:
+        """R_k² of every direction in view; each transmitter has its own footprints."""
+        num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
+        projection, amplitude = self.deformed(tx_position_m)
+        lists = bin_each(projection, num_maps, grid, self._support)
+        distance = squared_distance(projection, lists, stacked(grid, num_maps))
+        opacity = torch.sigmoid(self.gaussians.opacity_logit)[:, None].expand(-1, num_maps)
+        signal = (opacity * amplitude).to(torch.complex64)[None]
+        self.density.watch(torch.ones_like(self.gaussians.opacity_logit, dtype=torch.bool), signal)
+        transmitted = _one_map_after_another((1 - opacity).to(torch.complex64))
+        spread = torch.ones_like(transmitted.real)
+        field = composite(lists, distance, spread, _one_map_after_another(signal[0]), transmitted)
+        return field.real.square().reshape(num_maps, *grid.shape)
+
+    def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Projection, Float[Tensor, "N B"]]:
+        """Footprints of all Gaussians for one transmitter after another, and their amplitudes."""
+        gaussians, tx_m = self.gaussians, self.scaling.in_frame(tx_position_m)
+        moved_m, turned, scaled, signal = self.network(tx_m, gaussians.position_m.detach())
+        of_all = covariance(
+            (gaussians.quaternion + turned).flatten(0, 1), (gaussians.log_scale + scaled).flatten(0, 1)
+        )
+        projection = project((gaussians.position_m + moved_m).flatten(0, 1), of_all)
+        return projection, torch.relu(gaussians.signal + signal.norm(dim=-1)).T
+
+
+def _one_map_after_another(attribute: Complex[Tensor, "N B"]) -> Complex[Tensor, "NB 1"]:
+    return attribute.T.reshape(-1, 1)
+
+
+class WRFGSPlus(LearnedMethod):
+    """WRF-GS+, from its paper's idea, on this renderer: blind to the carrier, no interference.
+
+    Kept: static Gaussians with an opacity, a network of encoded place and transmitter that shifts, turns and
+    rescales them and adds |s e^{jφ}| to their signal, footprints projected and sorted anew for each transmitter.
+    Left out: the network's skip, four of its eight layers and three quarters of its width; all but a few hundred
+    Gaussians; spherical harmonics of the signal, for one receiver sees a Gaussian from one side.
+    Changed: what it shifts is shifted (the released renderer leaves positions alone); sizes are multiplied, not
+    added to; Gaussians are divided and dropped as in `xfreq-gs`; maps are normalised and the loss is Eq. 12.
+    """
+
+    Config = WRFGSPlusConfig
+
+    def field(self) -> ChannelField:
+        """Gaussians deformed for each transmitter."""
+        return WRFGSPlusField(self.config)

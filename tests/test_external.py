@@ -1,0 +1,564 @@
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from synthetic import paper_dataset, write_dataset
+
+from xfreqbench import external, external_file, metrics
+from xfreqbench.boards import boards
+from xfreqbench.commands import exchange
+from xfreqbench.dataset import PasDataset
+from xfreqbench.errors import (
+    DataError,
+    OutputExistsError,
+    ProtocolError,
+    StorageError,
+    UnknownNameError,
+    XFreqBenchError,
+)
+from xfreqbench.external import score_file
+from xfreqbench.handout import SCHEMA, Handout, write_handout
+from xfreqbench.hdf5 import verify_sealed
+from xfreqbench.method import Budget, build_method, fit_within
+from xfreqbench.protocols import make_splits
+from xfreqbench.records import Job, RunRecord, read
+from xfreqbench.run import run_job
+
+SPLITS = ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
+GEOMETRY = {
+    "axis",
+    "receiver_axis",
+    "element",
+    "elevation_deg",
+    "azimuth_deg",
+    "rx_position_m",
+    "element_position_wavelengths",
+    "frame_rotation",
+}
+ROWS = {f"{part}_{name}" for part in ("train", "test") for name in ("row", "tx_position_m", "carrier_hz")}
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals of a single run take most of its scoring, and nothing here asks for them."""
+    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=5)
+
+
+@pytest.fixture(scope="module")
+def split_file(dataset: PasDataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hand_out(dataset, tmp_path_factory.mktemp("split") / "split.h5")
+
+
+@pytest.fixture(scope="module")
+def noise(split_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A valid file of predictions, for tests to spoil a copy of."""
+    return write_predictions(tmp_path_factory.mktemp("noise") / "predictions.h5", split_file)
+
+
+@pytest.fixture
+def predictions(noise: Path, tmp_path: Path) -> Path:
+    copy = tmp_path / "predictions.h5"
+    copy.write_bytes(noise.read_bytes())
+    return copy
+
+
+def hand_out(
+    dataset: PasDataset, path: Path, protocol: str = "lofo", targets=None, maps: bool = False
+) -> Path:
+    write_handout(Handout(dataset, make_splits(dataset, protocol, targets), maps), path)
+    return path
+
+
+def noisy_maps(tx_position_m, carrier_hz):
+    maps = np.random.default_rng(7).random((len(carrier_hz), 90, 360), np.float32)
+    return maps / maps.max(axis=(1, 2), keepdims=True)
+
+
+def write_predictions(path: Path, split_file: Path, predict=noisy_maps, **declared) -> Path:
+    """What the docstring of `xfreqbench.external` tells a user to write."""
+    with h5py.File(split_file) as splits, h5py.File(path, "w") as file:
+        for name, split in splits.items():
+            group = file.create_group(name)
+            group["pas"] = predict(split["test_tx_position_m"][:], split["test_carrier_hz"][:])
+            group.attrs.update(split.attrs, **({"method": "mine"} | declared))
+    return path
+
+
+def stored(results: Path) -> tuple[RunRecord, ...]:
+    return read(results / "records.jsonl").records
+
+
+def fitted(name: str, dataset: PasDataset, split):
+    method = build_method(name)
+    fit_within(method, dataset.subset(split.train).isolated(), Budget(), seed=0)
+    return method
+
+
+# ---- what is handed out
+
+
+def test_a_split_file_holds_the_rows_of_the_protocol_and_their_coordinates(
+    dataset: PasDataset, split_file: Path
+) -> None:
+    with h5py.File(split_file) as file:
+        assert list(file) == SPLITS
+        for split in make_splits(dataset, "lofo"):
+            group = file[split.name]
+            for part, rows in (("train", split.train), ("test", split.test)):
+                samples = dataset.subset(rows)
+                np.testing.assert_array_equal(group[f"{part}_row"], rows)
+                np.testing.assert_array_equal(group[f"{part}_tx_position_m"], samples.tx_position_m)
+                np.testing.assert_array_equal(group[f"{part}_carrier_hz"], samples.carrier_hz)
+            assert group.attrs["split_sha256"].decode() == split.sha256
+            assert group.attrs["dataset_sha256"].decode() == dataset.sha256
+            assert group.attrs["protocol_version"].decode() == split.version
+            assert group.attrs["pas_kind"].decode() == "power"
+            np.testing.assert_array_equal(group["rx_position_m"], dataset.header.receiver.position_m)
+            np.testing.assert_allclose(np.radians(group["azimuth_deg"]), dataset.grid.azimuth_rad)
+
+
+def test_a_split_file_is_sealed_groups_included(split_file: Path, tmp_path: Path) -> None:
+    verify_sealed(split_file, SCHEMA)
+    damaged = tmp_path / "split.h5"
+    damaged.write_bytes(split_file.read_bytes())
+    with h5py.File(damaged, "r+") as file:
+        file["lofo-77GHz/test_carrier_hz"][0] = 1.0
+    with pytest.raises(DataError, match="lofo-77GHz/test_carrier_hz"):
+        verify_sealed(damaged, SCHEMA)
+
+
+def test_a_changed_attribute_of_a_group_is_noticed(split_file: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "split.h5"
+    damaged.write_bytes(split_file.read_bytes())
+    with h5py.File(damaged, "r+") as file:
+        file["lofo-77GHz"].attrs["split_sha256"] = "0" * 64
+    with pytest.raises(DataError, match="header attributes differ"):
+        verify_sealed(damaged, SCHEMA)
+
+
+@pytest.mark.parametrize("maps", [False, True])
+def test_no_test_map_and_no_channel_is_in_a_split_file(
+    dataset: PasDataset, tmp_path: Path, maps: bool
+) -> None:
+    path = hand_out(dataset, tmp_path / "split.h5", targets=[24.25e9], maps=maps)
+    (split,) = make_splits(dataset, "lofo", [24.25e9])
+    with h5py.File(path) as file:
+        assert set(file["lofo-24.25GHz"]) == GEOMETRY | ROWS | ({"train_pas"} if maps else set())
+    content = path.read_bytes()
+    for row in split.test.tolist():
+        for kind in ("<f2", "<f4", "<f8"):
+            assert dataset.pas([row]).astype(kind).tobytes() not in content
+    for row in dataset.rows:
+        assert dataset.cfr[row].tobytes() not in content
+    is_there = dataset.pas(split.train[:1]).astype("<f4").tobytes() in content
+    assert is_there == maps  # the search finds a map that is there
+
+
+def test_training_maps_come_along_where_they_are_asked_for(dataset: PasDataset, tmp_path: Path) -> None:
+    path = hand_out(dataset, tmp_path / "split.h5", "sparse", maps=True)
+    for split in make_splits(dataset, "sparse"):
+        with xarray.open_dataset(path, group=split.name, engine="h5netcdf") as group:
+            assert group["train_pas"].dims == ("train_row", "elevation_deg", "azimuth_deg")
+            np.testing.assert_array_equal(group["train_row"], split.train)
+            np.testing.assert_array_equal(group["train_pas"], dataset.pas(split.train))
+
+
+def test_maps_that_another_split_tests_are_not_handed_out(dataset: PasDataset, tmp_path: Path) -> None:
+    with pytest.raises(ProtocolError, match=r"'lofo-2\.4GHz' hands out maps that 'lofo-24\.25GHz' tests"):
+        hand_out(dataset, tmp_path / "split.h5", maps=True)
+    for protocol in ("sparse", "held-out-tx", "lofo-unseen-tx"):
+        hand_out(dataset, tmp_path / f"{protocol}.h5", protocol, maps=True)
+
+
+def test_a_split_file_that_is_there_is_left_and_another_is_never_overwritten(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    path = tmp_path / "split.h5"
+    handout = Handout(dataset, make_splits(dataset, "lofo"))
+    assert write_handout(handout, path)
+    before = path.read_bytes()
+    assert not write_handout(handout, path)
+    with pytest.raises(OutputExistsError, match="holds other splits"):
+        hand_out(dataset, path, "sparse")
+    assert path.read_bytes() == before
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OutputExistsError, match="no splits that can be read"):
+        write_handout(handout, tmp_path / "notes.txt")
+    with pytest.raises(StorageError, match="not a file"):
+        write_handout(handout, tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_writing_training_maps_tells_how_far_it_is_and_holds_a_batch_at_a_time(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    told = []
+    handout = Handout(dataset, make_splits(dataset, "lofo", [77e9]), maps=True)
+    write_handout(handout, tmp_path / "split.h5", lambda *each: told.append(each))
+    assert told == [(32, 45), (45, 45)]  # 5 transmitters at 9 carriers
+
+
+# ---- what is scored
+
+
+@pytest.mark.parametrize("method", ["nearest", "log-frequency"])
+def test_predictions_of_a_built_in_method_score_exactly_as_its_run_does(
+    dataset: PasDataset, split_file: Path, tmp_path: Path, method: str
+) -> None:
+    splits = {split.test.tobytes(): split for split in make_splits(dataset, "lofo")}
+    by_carrier = {dataset.carrier_hz[split.test[0]]: split for split in splits.values()}
+    path = write_predictions(
+        tmp_path / "predictions.h5",
+        split_file,
+        lambda tx, carrier: fitted(method, dataset, by_carrier[carrier[0]]).predict(tx, carrier),
+    )
+    scored = score_file(path, dataset.path, tmp_path / "results").records
+    for record in scored:
+        ran = run_job(Job(str(dataset.path), method, "lofo", record.job.split), tmp_path / "run")
+        same = ("dataset_sha256", "split_sha256", "scores", "ssim_by_tx", "num_test", "nearest_trained_m")
+        assert {name: getattr(record, name) for name in same} == {name: getattr(ran, name) for name in same}
+        assert record.id != ran.id
+    assert [record.job.split for record in scored] == SPLITS
+    assert stored(tmp_path / "results") == scored
+
+
+def test_a_record_says_what_was_declared_and_that_nothing_was_measured(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    declared = {
+        "fit_seconds": 12.5,
+        "parameters": 7,
+        "hardware": "4 × H200",
+        "url": "https://a.org/x",
+        "seed": 3,
+    }
+    path = write_predictions(tmp_path / "told.h5", split_file, **declared)
+    record = score_file(path, dataset.path, tmp_path / "results").records[0]
+    assert (record.fit_seconds, record.parameters, record.job.seed) == (12.5, 7, 3)
+    assert record.external is not None
+    assert (record.external.hardware, record.external.url) == ("4 × H200", "https://a.org/x")
+    assert (record.predict_ms_per_map, record.peak_memory_mib, record.hardware) == (None, None, {})
+    assert read(tmp_path / "results" / "records.jsonl").records[0].external == record.external
+
+
+def test_scoring_a_file_again_gives_its_records_and_adds_none(
+    dataset: PasDataset, split_file: Path, predictions: Path, tmp_path: Path
+) -> None:
+    first = score_file(predictions, dataset.path, tmp_path / "results")
+    rewritten = write_predictions(tmp_path / "again.h5", split_file)
+    assert score_file(rewritten, dataset.path, tmp_path / "results") == first
+    assert stored(tmp_path / "results") == first.records
+
+
+def test_a_changed_file_is_another_row_of_the_leaderboard(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    score_file(predictions, dataset.path, tmp_path / "results")
+    with h5py.File(predictions, "r+") as file:
+        file["lofo-77GHz/pas"][0, :, :180] = 0
+    score_file(predictions, dataset.path, tmp_path / "results")
+    (board,) = boards(stored(tmp_path / "results"))
+    assert len({row.label for row in board.rows}) == 2
+    assert all(row.label.startswith("mine (external) @ ") and len(row.by_split) == 3 for row in board.rows)
+
+
+def test_files_of_one_method_with_other_seeds_or_splits_are_one_row(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    for seed in range(3):
+        path = write_predictions(tmp_path / f"{seed}.h5", split_file, seed=seed)
+        score_file(path, dataset.path, tmp_path / "results")
+    single = hand_out(dataset, tmp_path / "single.h5", targets=[1e9])
+    score_file(write_predictions(tmp_path / "one.h5", single), dataset.path, tmp_path / "results")
+    (board,) = boards(stored(tmp_path / "results"))
+    (row,) = board.rows
+    assert row.label == "mine (external)"
+    assert row.num_seeds(SPLITS) == (3, 3) and len(row.by_split) == 4
+
+
+def test_one_split_may_stand_at_the_root_as_matlab_writes_attributes(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "matlab.h5"
+    with h5py.File(split_file) as splits, h5py.File(path, "w") as file:
+        split = splits["lofo-77GHz"]
+        file["pas"] = noisy_maps(None, split["test_carrier_hz"]).astype(np.float64)
+        file.attrs["split_sha256"] = np.array([split.attrs["split_sha256"]])
+        file.attrs["method"] = np.bytes_(b"mine")
+        file.attrs["seed"] = np.array([[2.0]])
+    scored = score_file(path, dataset.path, tmp_path / "results")
+    (record,) = scored.records
+    assert (record.job.split, record.job.method, record.job.seed) == ("lofo-77GHz", "mine", 2)
+    assert scored.missing == ("lofo-2.4GHz", "lofo-24.25GHz")
+    assert not scored.is_data_known
+
+
+def test_attributes_of_the_root_hold_for_groups_that_say_nothing_else(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    with h5py.File(predictions, "r+") as file:
+        file.attrs["seed"] = 5
+        file["lofo-77GHz"].attrs["seed"] = 6
+    records = score_file(predictions, dataset.path, tmp_path / "results").records
+    assert [record.job.seed for record in records] == [5, 5, 6]
+
+
+def test_a_name_can_be_given_anew(dataset: PasDataset, predictions: Path, tmp_path: Path) -> None:
+    records = score_file(predictions, dataset.path, tmp_path / "results", method="yours").records
+    assert {record.job.method for record in records} == {"yours"}
+
+
+def test_predictions_named_as_a_built_in_method_stay_a_row_of_their_own_and_count_as_no_baseline(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "results"
+    score_file(predictions, dataset.path, results, method="nearest")
+    for split in SPLITS:
+        run_job(Job(str(dataset.path), "nearest", "lofo", split), results)
+    (board,) = boards(stored(results))
+    assert {row.label: row.is_trivial for row in board.rows} == {"nearest": True, "nearest (external)": False}
+
+
+# ---- what is refused
+
+
+def spoil_maps(path: Path, values) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["lofo-77GHz/pas"]
+        file["lofo-77GHz/pas"] = values
+
+
+def one_value(value: float):
+    def spoil(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            file["lofo-77GHz/pas"][3, 20, 7] = value
+
+    return spoil
+
+
+def attribute(name: str, value):
+    def spoil(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            if value is None:
+                del file["lofo-77GHz"].attrs[name]
+            else:
+                file["lofo-77GHz"].attrs[name] = value
+
+    return spoil
+
+
+def maps(make):
+    return lambda path: spoil_maps(path, make(noisy_maps(None, range(5))))
+
+
+def edited(edit):
+    def spoil(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            edit(file)
+
+    return spoil
+
+
+def link_elsewhere(path: Path) -> None:
+    other = path.with_name("other.h5")
+    other.write_bytes(path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        del file["lofo-77GHz/pas"]
+        file["lofo-77GHz/pas"] = h5py.ExternalLink("other.h5", "lofo-77GHz/pas")
+
+
+def virtual(path: Path) -> None:
+    other = path.with_name("other.h5")
+    other.write_bytes(path.read_bytes())
+    layout = h5py.VirtualLayout((5, 90, 360), "f4")
+    layout[...] = h5py.VirtualSource(other, "lofo-77GHz/pas", (5, 90, 360))
+    with h5py.File(path, "r+") as file:
+        del file["lofo-77GHz/pas"]
+        file["lofo-77GHz"].create_virtual_dataset("pas", layout)
+
+
+def replace_pas_with_group(file) -> None:
+    del file["lofo-77GHz/pas"]
+    file.create_group("lofo-77GHz/pas")
+
+
+REFUSED = {
+    "text": (lambda path: path.write_text("pas"), "not HDF5"),
+    "cut": (lambda path: path.write_bytes(path.read_bytes()[:5000]), "not written to its end"),
+    "absent": (lambda path: path.unlink(), "There is no file"),
+    "empty": (edited(lambda file: [file.pop(name) for name in SPLITS]), "is empty"),
+    "group": (edited(lambda file: file.move("lofo-77GHz", "lofo-77")), r"Did you mean 'lofo-77GHz'"),
+    "no group": (edited(lambda file: file.create_dataset("lofo-37GHz", data=[1])), "is no group"),
+    "soft link": (
+        edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})),
+        "is no group",
+    ),
+    "root too": (edited(lambda file: file.create_dataset("pas", data=[1])), "at its root and group"),
+    "no maps": (edited(lambda file: file.move("lofo-77GHz/pas", "lofo-77GHz/PAS")), "it holds PAS"),
+    "maps a group": (edited(replace_pas_with_group), "'pas' is a group"),
+    "link": (link_elsewhere, "link to data elsewhere"),
+    "virtual": (virtual, "link to data elsewhere"),
+    "backwards": (maps(lambda each: each.T), r"\(360, 90, 5\).*permute\(pas, \[3 2 1\]\)"),
+    "rows": (maps(lambda each: each[:4]), r"shape \(4, 90, 360\), but 5 test rows need \(5, 90, 360\)"),
+    "scalar": (maps(lambda each: 1.0), r"shape \(\)"),
+    "complex": (maps(lambda each: each.astype(complex)), "real numbers"),
+    "texts": (maps(lambda each: np.full(each.shape, b"1")), "real numbers"),
+    "bool": (maps(lambda each: each > 0.5), "real numbers"),
+    "bytes": (maps(lambda each: (255 * each).astype(np.uint8)), r"map 0 .* at \[0, 0\]; maps are finite"),
+    "nan": (one_value(np.nan), r"map 3 \(row 3\d\) has nan at \[20, 7\]"),
+    "infinite": (one_value(np.inf), r"map 3 \(row \d+\) has inf at \[20, 7\]"),
+    "negative": (one_value(-0.5), r"map 3 \(row \d+\) has -0\.5 at \[20, 7\]"),
+    "peak": (maps(lambda each: each / 2), r"map 0 \(row \d+\) has its peak at 0\.5\. Divide"),
+    "split": (attribute("split_sha256", "0" * 64), "is not that of lofo-77GHz of data.h5 under version 1"),
+    "no split": (attribute("split_sha256", None), "'split_sha256': Field required. Copy it"),
+    "data": (attribute("dataset_sha256", "0" * 64), "made for the data set with sha256 000"),
+    "no method": (attribute("method", None), "'method': Field required.*--method"),
+    "two lines": (attribute("method", "mine\nyours"), "'method': .*one line"),
+    "nobody": (attribute("method", " "), "'method'"),
+    "time": (attribute("fit_seconds", -1.0), "'fit_seconds': .*greater than or equal to 0"),
+    "endless": (attribute("predict_ms_per_map", np.inf), "'predict_ms_per_map': .*finite"),
+    "half": (attribute("parameters", 1.5), "'parameters': .*integer"),
+    "several": (attribute("seed", [1, 2]), "'seed': .*integer"),
+    "script": (attribute("url", "javascript:alert(1)"), "'url': .*https://"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_file_with_a_fault_is_refused_in_words_before_anything_is_scored(
+    dataset: PasDataset, predictions: Path, tmp_path: Path, case: str
+) -> None:
+    spoil, words = REFUSED[case]
+    spoil(predictions)
+    with pytest.raises((DataError, UnknownNameError), match=words):
+        score_file(predictions, dataset.path, tmp_path / "results")
+    assert not list(tmp_path.glob("results/**/*.*"))
+
+
+def test_predictions_for_another_data_set_are_refused(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    other = write_dataset(tmp_path / "other.h5", 5, (2.4, 24.25, 77.0), maps=False)
+    with pytest.raises(DataError, match="made for the data set with sha256"):
+        score_file(predictions, other.path, tmp_path / "results")
+
+
+def test_rounding_at_both_ends_of_the_range_is_allowed(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    with h5py.File(predictions, "r+") as file:
+        file["lofo-77GHz/pas"][3, 20, 7:9] = -5e-5, 1.00005  # of a division in single precision
+    assert len(score_file(predictions, dataset.path, tmp_path / "results").records) == 3
+
+
+TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
+VALUES = st.one_of(
+    TEXT, st.binary(min_size=1), st.floats(), st.integers(-(2**63), 2**63 - 1), st.lists(st.floats())
+)
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(name=st.sampled_from(list(external_file.Declaration.model_fields)), value=VALUES)
+def test_whatever_an_attribute_holds_it_is_read_or_refused_in_words(
+    dataset: PasDataset, noise: Path, tmp_path: Path, name: str, value
+) -> None:
+    path = tmp_path / "predictions.h5"
+    path.write_bytes(noise.read_bytes())
+    attribute(name, np.bytes_(value) if isinstance(value, bytes) else value)(path)
+    try:
+        parts = external_file.read_parts(path, dataset)
+    except XFreqBenchError:
+        return
+    assert [part.split.name for part in parts] == SPLITS
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(values=st.lists(st.floats(width=32), min_size=1, max_size=20), kind=st.sampled_from(["<f4", "<f8"]))
+def test_maps_are_accepted_where_every_value_is_and_never_otherwise(values: list[float], kind: str) -> None:
+    part = np.ones((1, 1, len(values) + 1), kind)
+    part[0, 0, 1:] = values
+    is_allowed = all(-1e-4 <= value <= 1.0001 for value in np.asarray(values, kind).tolist())
+    assert (external_file._fault_of(part) is None) == is_allowed
+
+
+# ---- kills
+
+
+def killed(action) -> None:
+    process = multiprocessing.get_context("fork").Process(target=action)
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+
+
+def test_a_split_file_killed_in_the_middle_is_not_there_and_is_written_by_the_next_try(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    handout = Handout(dataset, make_splits(dataset, "lofo", [77e9]), maps=True)
+    path = tmp_path / "split.h5"
+    killed(lambda: write_handout(handout, path, lambda done, total: os.kill(os.getpid(), signal.SIGKILL)))
+    assert not path.exists() and list(tmp_path.iterdir())
+    assert write_handout(handout, path)
+    verify_sealed(path, SCHEMA)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_adds_the_others(
+    dataset: PasDataset, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results, calls, original = tmp_path / "results", [], external.scored_fields
+
+    def killed_at_the_second(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return original(*arguments)
+
+    monkeypatch.setattr(external, "scored_fields", killed_at_the_second)
+    killed(lambda: score_file(predictions, dataset.path, results))
+    monkeypatch.undo()
+    (first,) = stored(results)
+    records = score_file(predictions, dataset.path, results).records
+    assert records[0] == first
+    assert stored(results) == records and len(records) == 3
+
+
+# ---- the commands
+
+
+def test_the_commands_hand_out_score_and_say_what_is_missing(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    split_file = tmp_path / "split.h5"
+    exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", maps=True)
+    exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", maps=True)
+    path = write_predictions(tmp_path / "predictions.h5", split_file, hardware="a cluster")
+    exchange.score(path, data=Path(dataset.path), results=tmp_path / "results")
+    shown = capsys.readouterr().out
+    assert "lofo-24.25GHz" in shown and f"{split_file} already holds these splits" in shown
+    assert f"not in {path}: lofo-2.4GHz, lofo-77GHz" in shown
+    assert "mine (external): a cluster" in shown
+    assert "without dataset_sha256" not in shown

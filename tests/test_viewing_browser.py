@@ -1,0 +1,126 @@
+"""The page of `xfreqbench view` in a real browser: headless Chromium, driven by Playwright, without a network."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import make_header, transmitters, write_dataset
+
+from xfreqbench.dataset import PasWriter
+from xfreqbench.generate import generate, plan_generation
+from xfreqbench.scene import load_scene
+from xfreqbench.tracing import TraceSettings
+from xfreqbench.view_report import write_view
+from xfreqbench.viewing import plan_view
+
+sync_api = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
+)
+CHROMIUM = shutil.which("chromium")
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
+KINDS = ("generated", "imported")
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium to open the page with")
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("view")
+    settings = TraceSettings(rays=20_000, max_depth=2)
+    plan = plan_generation(load_scene("two_rooms"), [2.4e9, 10e9, 77e9], settings, num_transmitters=12)
+    data = {"generated": generate(plan, folder / "rooms.h5"), "imported": _imported(folder)}
+    return {kind: write_view(plan_view(str(data[kind])).with_rays(), folder / kind)[0] for kind in KINDS}
+
+
+def _imported(folder: Path) -> Path:
+    told = {"imported_from": "somebody", "convention": {"rows": "polar angle 0 to 90 degrees, " * 6}}
+    header = replace(make_header(num_tx=3, pas_kind="amplitude"), channels=False, settings=told)
+    maps = write_dataset(folder / "channels.h5", num_tx=3).pas()
+    with PasWriter(folder / "maps.h5", header) as writer:
+        writer.append_maps(transmitters(3), np.ones(3, bool), maps.reshape(3, 3, *maps.shape[1:]))
+    return folder / "maps.h5"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(params=KINDS)
+def page(browser, pages: dict[str, Path], request: pytest.FixtureRequest) -> Iterator[object]:
+    """Each page in a fresh tab; whatever it complains of, or asks for besides itself, fails the test."""
+    file = pages[request.param]
+    tab = browser.new_page(viewport=dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
+    tab.set_default_timeout(20_000)  # milliseconds; a broken page would else take minutes to fail
+    complaints: list[str] = []
+    tab.on("console", lambda message: complaints.append(message.text))
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.on(
+        "request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None
+    )
+    tab.goto(file.as_uri())
+    yield tab
+    tab.close()
+    assert complaints == []
+
+
+def _is_foreign(url: str, file: Path) -> bool:
+    return url != file.as_uri() and not url.startswith("data:")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("device", WIDTHS)
+def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> None:
+    width, height = WIDTHS[device]
+    page.set_viewport_size({"width": width, "height": height})
+    page.emulate_media(color_scheme=scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+    assert dark == (scheme == "dark")
+
+
+def test_every_picture_is_loaded_and_described(page) -> None:
+    decode = "async image => { await image.decode(); return [image.naturalWidth, image.alt.length]; }"
+    pictures = [picture.evaluate(decode) for picture in page.locator("img").all()]
+    assert len(pictures) == 3
+    assert all(width > 400 and letters > 20 for width, letters in pictures)
+
+
+def test_the_model_is_linked_and_there(page) -> None:
+    link = page.locator("a").evaluate("link => link.href")
+    assert Path(link.removeprefix("file://")).read_bytes()[:4] == b"glTF"
+
+
+def test_on_paper_no_figure_is_cut_and_no_table_wider_than_the_sheet(page) -> None:
+    page.set_viewport_size({"width": 703, "height": 1000})  # A4 upright, without its margins
+    page.emulate_media(media="print")
+    widest = "elements => Math.max(...elements.map(element => element.scrollWidth))"
+    assert page.locator("table, img").evaluate_all(widest) <= 703
+
+
+def test_headings_say_what_the_page_holds(page) -> None:
+    titles = page.locator("h2").all_inner_texts()
+    assert titles[0] == "Scene" and titles[1].startswith("Maps of transmitter ")
+    assert titles[2:] == [
+        "From carrier to carrier",
+        "Protocols it can serve",
+        "Load it",
+        "Where it comes from",
+    ]

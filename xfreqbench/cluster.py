@@ -1,0 +1,229 @@
+"""Workers of a Dask cluster, which may come, go and die. The only module that imports `distributed`."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager
+from functools import cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeVar
+
+from xfreqbench.errors import ClusterError
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+SCHEME = "dask://"
+CONNECT_S = 10.0  # to wait for a scheduler
+FIRST_WORKER_S = 30.0  # and then for a worker, which imports some libraries first
+_LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
+
+
+class DaskWorkers:
+    """The workers behind a scheduler, one call at a time on each; see `xfreqbench.parallel.Workers`.
+
+    A call whose worker dies is made again on another; one that loses more workers than the scheduler's
+    `distributed.scheduler.allowed-failures` ends with `ClusterError`, and so do calls that the scheduler
+    takes with it.
+    """
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client = client
+        self._address = address
+        self._executor = client.get_executor(pure=False)
+        self._sent: tuple[Any, Any] = (None, None)
+
+    @property
+    def num_places(self) -> int:
+        """Workers at this moment."""
+        return len(self._client.nthreads())
+
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Have a worker make a call; what is bound to it by `partial` travels to every worker once."""
+        found = self._executor.submit(_call_alike, self._sent_once(call), argument, fingerprint())
+        return _in_words(found, self._address)
+
+    def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
+        """The answer of every worker by its address; raises `ClusterError` where one fails to answer."""
+        answers = self._client.run(question, *arguments, on_error="return")
+        for worker, answer in answers.items():
+            if isinstance(answer, Exception):
+                raise ClusterError(
+                    f"Worker {worker} of {self._address} cannot work: {type(answer).__name__}: {answer}. Start "
+                    "it in an environment like this one."
+                )
+        return answers
+
+    def _sent_once(self, call: Callable[[Argument], Result]) -> Any:
+        """A task that gives the call itself: one that can be made again, should every worker that has it die."""
+        if self._sent[0] is not call:
+            self._sent = call, self._client.submit(_itself, call, pure=False)
+        return self._sent[1]
+
+
+@contextmanager
+def dask_workers(address: str) -> Iterator[DaskWorkers]:
+    """The workers of the scheduler at `dask://host:port`, once they are known to be like this process.
+
+    Raises `ClusterError` without `distributed`, a scheduler or a worker, for a worker of several threads,
+    and for one with other versions or another xfreqbench.
+    """
+    distributed = _imported()
+    scheduler = "tcp://" + address.removeprefix(SCHEME)
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # what ends our work is said in our words
+    try:
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ClusterError(
+            f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
+        ) from error
+    with client:
+        workers = DaskWorkers(client, address)
+        _require_workers(client, address)
+        _require_alike(workers)
+        yield workers
+
+
+def is_installed() -> bool:
+    """Whether the extra is there."""
+    return find_spec("distributed") is not None
+
+
+@contextmanager
+def local_cluster(num_workers: int) -> Iterator[str]:
+    """A cluster on this machine, one thread a worker, that ends with the block; its `dask://` address."""
+    distributed = _imported()
+    one_thread = {"NUMBA_NUM_THREADS": "1"}  # those of OpenMP and BLAS are one by Dask's own defaults
+    options = {"threads_per_worker": 1, "dashboard_address": ":0", "env": one_thread}
+    with distributed.LocalCluster(num_workers, **options) as cluster:
+        yield SCHEME + cluster.scheduler_address.removeprefix("tcp://")
+
+
+@cache
+def fingerprint() -> Mapping[str, str]:
+    """What has to be alike wherever a call is made: Python, libraries, and the source of this package."""
+    versions = {name: _version(name) for name in _LIBRARIES}
+    return {"python": platform.python_version(), "xfreqbench": _source_sha256()} | versions
+
+
+def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
+    """Names with both values, where they differ, in words."""
+    names = [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]
+    return ", ".join(
+        f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names)
+    )
+
+
+def _imported() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise ClusterError(
+            'A Dask cluster needs the extra "cluster". Run: pip install "xfreqbench[cluster]"'
+        ) from error
+    return distributed
+
+
+def _require_workers(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+    except TimeoutError as error:
+        host = address.removeprefix(SCHEME)
+        raise ClusterError(
+            f"The scheduler at {address} has no worker. Start some: dask worker {host} --nthreads 1 --nworkers N"
+        ) from error
+    several = sorted(worker for worker, number in client.nthreads().items() if number > 1)
+    if several:
+        raise ClusterError(
+            f"{len(several)} workers of {address} make several calls at a time ({several[0]}), which the solvers "
+            "are not made for. Start them with --nthreads 1, and --nworkers for as many as there are cores."
+        )
+
+
+def _require_alike(workers: DaskWorkers) -> None:
+    for worker, found in workers.ask(fingerprint).items():
+        _require_equal(found, f"Worker {worker}")
+
+
+def _require_equal(found: Mapping[str, str], whose: str) -> None:
+    differing = differences(fingerprint(), found)
+    if differing:
+        raise ClusterError(
+            f"{whose} has other software: {differing}. Its results could differ; install the same versions "
+            "on both, as with `pip install -c constraints.txt`."
+        )
+
+
+def lost_workers(number: int, where: str = "") -> str:
+    """What is said of a call that workers die of."""
+    return (
+        f"{number} workers died of it{where}. Most often memory is what ran out: look into the worker's log, and "
+        "give each worker more of it."
+    )
+
+
+def _itself(call: Callable[[Argument], Result]) -> Callable[[Argument], Result]:
+    return call
+
+
+def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Result:
+    """On the worker: a call, unless this worker came late and differs from the driver."""
+    differing = differences(drivers, fingerprint())
+    if differing:
+        raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
+    return call(argument)
+
+
+def _in_words(found: Future[Result], address: str) -> Future[Result]:
+    """A future with the same outcome, but for what becomes of calls whose workers or scheduler died."""
+    worded: Future[Result] = Future()
+    worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
+    found.add_done_callback(partial(_pass_on, worded, address))
+    return worded
+
+
+def _pass_on(worded: Future[Result], address: str, found: Future[Result]) -> None:
+    if not worded.set_running_or_notify_cancel():
+        return
+    try:
+        worded.set_result(found.result())
+    except CancelledError:
+        worded.set_exception(
+            ClusterError(
+                f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same "
+                "command goes on where it stopped."
+            )
+        )
+    except Exception as error:
+        worded.set_exception(_killed(error) or error)
+
+
+def _killed(error: Any) -> ClusterError | None:
+    from distributed.scheduler import KilledWorker
+
+    if not isinstance(error, KilledWorker):
+        return None
+    return ClusterError(
+        lost_workers(error.allowed_failures + 1, f", the last at {error.last_worker.address}")
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
+
+def _source_sha256() -> str:
+    """Version and digest of the package's own Python files: an edited checkout keeps its version."""
+    folder = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return f"{_version('xfreqbench')} ({digest.hexdigest()[:12]})"

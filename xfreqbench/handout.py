@@ -1,0 +1,170 @@
+"""Split files (schema `xfreqbench/split/1`): what a method elsewhere may know, without any map that it is tested on.
+
+A file has a group for every split, named as the split:
+
+    train_row, test_row                          rows of the data set, (n,) and (N,)
+    train_tx_position_m, test_tx_position_m      transmitter positions in the world, (n, 3) and (N, 3)
+    train_carrier_hz, test_carrier_hz            carriers, (n,) and (N,)
+    elevation_deg, azimuth_deg                   directions of the maps, (E,) and (A,)
+    rx_position_m, element_position_wavelengths, frame_rotation      the receiver
+    train_pas                                    where maps are asked for: training maps (n, E, A), float32, peak 1
+
+and, as attributes, the kind of map, the receiver in words, the protocol with its version, and the sha256 of data
+set and split. `xfreqbench.external` says what a file of predictions copies from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xfreqbench.dataset import PasDataset, geometry
+from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, StorageError
+from xfreqbench.hdf5 import SealedWriter, Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.protocols import Split
+from xfreqbench.scoring import BATCH_SIZE
+
+SCHEMA = "xfreqbench/split/1"
+MAPS = "train_pas"
+ProgressCallback = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Handout:
+    """Splits of one protocol of a data set, with their training maps or without."""
+
+    dataset: PasDataset
+    splits: Sequence[Split]
+    maps: bool = False
+
+    def __post_init__(self) -> None:
+        if self.maps:
+            _require_untold(self.splits)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of what determines the file."""
+        content = [SCHEMA, self.dataset.sha256, [split.sha256 for split in self.splits], self.maps]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    @property
+    def num_maps(self) -> int:
+        """Training maps to be written."""
+        return sum(len(split.train) for split in self.splits) if self.maps else 0
+
+
+def write_handout(handout: Handout, path: Path, progress: ProgressCallback | None = None) -> bool:
+    """Write a split file; False where `path` holds it already. `progress` is told maps done and in all.
+
+    Maps are read and written some at a time. Raises `OutputExistsError` for a file that holds something
+    else, `StorageError`, and `DataError` where a map cannot be read.
+    """
+    if _is_there(path, handout.sha256):
+        return False
+    variables = [variable for split in handout.splits for variable in _variables(handout, split)]
+    groups = {split.name: _attributes(handout.dataset, split) for split in handout.splits}
+    header = {"schema": SCHEMA, "content_sha256": handout.sha256}
+    done = 0
+    with create_sealed(path, variables, header, groups) as writer:
+        for split in handout.splits:
+            _append_known(writer, handout.dataset, split)
+        for name, maps in _training_maps(handout):
+            writer.append(name, maps)
+            done += len(maps)
+            if progress:
+                progress(done, handout.num_maps)
+    return True
+
+
+def _require_untold(splits: Sequence[Split]) -> None:
+    """Raise `ProtocolError` where the training maps of one split are the test maps of another."""
+    for split in splits:
+        for other in splits:
+            if np.isin(split.train, other.test).any():
+                raise ProtocolError(
+                    f"With its training maps, split {split.name!r} hands out maps that {other.name!r} tests. "
+                    "Choose one of them with --targets, leave --maps out, or take a protocol that trains on no "
+                    "map that it tests elsewhere: sparse, held-out-tx or lofo-unseen-tx."
+                )
+
+
+def _is_there(path: Path, sha256: str) -> bool:
+    if not path.exists():
+        return False
+    if not path.is_file():
+        raise StorageError(f"{path} is not a file that splits can be written to. Choose another with -o.")
+    try:
+        verify_sealed(path, SCHEMA)
+        with open_sealed(path, SCHEMA) as file:
+            found = text_attributes(file)["content_sha256"]
+    except DataError as error:
+        raise OutputExistsError(
+            f"{path} exists, but holds no splits that can be read: {error} Delete it, or choose another output "
+            "with -o."
+        ) from error
+    if found != sha256:
+        raise OutputExistsError(
+            f"{path} exists and holds other splits, or those of another data set. Choose another output with "
+            "-o, or delete that file."
+        )
+    return True
+
+
+def _attributes(dataset: PasDataset, split: Split) -> dict[str, str]:
+    header = dataset.header.attributes()
+    return {
+        "split_sha256": split.sha256,
+        "dataset_sha256": dataset.sha256,
+        "protocol": split.protocol,
+        "protocol_version": split.version,
+        **{name: header[name] for name in ("scene_name", "pas_kind", "receiver_json")},
+    }
+
+
+def _variables(handout: Handout, split: Split) -> list[Variable]:
+    E, A = handout.dataset.grid.shape
+    variables = [variable for variable, _ in geometry(handout.dataset)]
+    for part, rows in (("train", split.train), ("test", split.test)):
+        row, shape = f"{part}_row", (len(rows),)
+        variables += [
+            Variable(row, "<i8", shape, (row,), "1", "row of the data set: tx · F + carrier"),
+            Variable(f"{part}_tx_position_m", "<f8", (*shape, 3), (row, "axis"), "m", "transmitter position"),
+            Variable(f"{part}_carrier_hz", "<f8", shape, (row,), "Hz", "carrier frequency"),
+        ]
+    if handout.maps:
+        axes = ("train_row", "elevation_deg", "azimuth_deg")
+        long_name = f"power angular spectrum ({handout.dataset.header.pas_kind}), peak 1"
+        maps = Variable(MAPS, "<f4", (len(split.train), E, A), axes, "1", long_name, chunk=(1, E, A))
+        variables.append(maps)
+    return [_within(split.name, variable) for variable in variables]
+
+
+def _within(group: str, variable: Variable) -> Variable:
+    axes = tuple(f"{group}/{axis}" for axis in variable.axes)
+    return replace(variable, name=f"{group}/{variable.name}", axes=axes)
+
+
+def _append_known(writer: SealedWriter, dataset: PasDataset, split: Split) -> None:
+    """Everything but maps."""
+    values: dict[str, NDArray[Any]] = {variable.name: known for variable, known in geometry(dataset)}
+    for part, rows in (("train", split.train), ("test", split.test)):
+        samples = dataset.subset(rows)
+        values[f"{part}_row"] = rows
+        values[f"{part}_tx_position_m"] = samples.tx_position_m
+        values[f"{part}_carrier_hz"] = samples.carrier_hz
+    for name, known in values.items():
+        writer.append(f"{split.name}/{name}", known)
+
+
+def _training_maps(handout: Handout) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    for split in handout.splits if handout.maps else ():
+        for start in range(0, len(split.train), BATCH_SIZE):
+            rows = split.train[start : start + BATCH_SIZE]
+            yield f"{split.name}/{MAPS}", handout.dataset.pas(rows)

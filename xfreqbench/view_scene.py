@@ -1,0 +1,126 @@
+"""What a picture of a scene shows: surfaces, receiver, transmitters and the strongest rays of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from xfreqbench.angles import FloatArray
+from xfreqbench.mesh import SurfaceMesh, distance_to_surfaces
+from xfreqbench.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
+from xfreqbench.scene import ReceiverArray
+
+RAY_RANGE_DB = 30.0  # below the strongest: the range of the maps' pictures
+MAX_RAYS = 40
+LINE_OF_SIGHT = "line of sight"
+_VERBS = {
+    SPECULAR: "reflected by",
+    REFRACTION: "through",
+    DIFFUSE: "scattered by",
+    DIFFRACTION: "diffracted by",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """A path, `points_m` from the transmitter to the array centre.
+
+    `level_db` is its power at one carrier over the strongest path's, 0 or less; `events` say what it meets,
+    in turn, as in `reflected by ceiling`.
+    """
+
+    points_m: Float[FloatArray, "n 3"]
+    level_db: float
+    delay_s: float
+    events: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """What it meets, in words."""
+        return "; ".join(self.events) or LINE_OF_SIGHT
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Positions in metres in world axes. `in_sight` is None where nobody told; rays are those of transmitter `tx`.
+
+    `lowest_hz` is the carrier at which the array is drawn: the one where it is widest.
+    """
+
+    receiver: ReceiverArray
+    lowest_hz: float
+    tx_position_m: Float[FloatArray, "T 3"]
+    in_sight: Bool[NDArray[np.bool_], "T"] | None
+    tx: int
+    meshes: Sequence[SurfaceMesh]
+    rays: Sequence[Ray]
+
+    @property
+    def tx_m(self) -> Float[FloatArray, "3"]:
+        """Where the transmitter of the rays stands."""
+        return self.tx_position_m[self.tx]
+
+    @property
+    def receiver_m(self) -> Float[FloatArray, "3"]:
+        """The array centre."""
+        return np.array(self.receiver.position_m, dtype=np.float64)
+
+    @property
+    def boresight(self) -> Float[FloatArray, "3"]:
+        """Unit vector of the hemisphere's pole; the array looks along it where it lies in the equator."""
+        return self.receiver.rotation[:, 2]
+
+    def groups(self) -> dict[str, Float[FloatArray, "N 3"]]:
+        """Positions of all transmitters by what is known of their sight of the receiver."""
+        if self.in_sight is None:
+            return {"transmitters": self.tx_position_m}
+        lit, shadowed = self.tx_position_m[self.in_sight], self.tx_position_m[~self.in_sight]
+        return {"transmitters in sight": lit, "transmitters in shadow": shadowed}
+
+
+def strongest_rays(
+    paths: Paths,
+    carrier_index: int,
+    tx_m: Float[FloatArray, "3"],
+    receiver_m: Float[FloatArray, "3"],
+    meshes: Sequence[SurfaceMesh],
+) -> list[Ray]:
+    """At most `MAX_RAYS` paths within `RAY_RANGE_DB` of the strongest at one carrier, the strongest first."""
+    power = np.abs(paths.gain[carrier_index]) ** 2
+    if not power.any():
+        return []
+    kept = np.flatnonzero(power >= power.max() * 10 ** (-RAY_RANGE_DB / 10))
+    order = kept[np.argsort(-power[kept], kind="stable")][:MAX_RAYS]
+    return [_ray(paths, p, float(power[p] / power.max()), tx_m, receiver_m, meshes) for p in order.tolist()]
+
+
+def _ray(
+    paths: Paths,
+    index: int,
+    share: float,
+    tx_m: Float[FloatArray, "3"],
+    receiver_m: Float[FloatArray, "3"],
+    meshes: Sequence[SurfaceMesh],
+) -> Ray:
+    codes = paths.interactions[index]
+    met = codes != NO_INTERACTION
+    points_m = paths.vertices_m[index][met]
+    names = _nearest_names(points_m, meshes)
+    return Ray(
+        points_m=np.vstack([tx_m, points_m, receiver_m]),
+        level_db=10 * float(np.log10(share)),
+        delay_s=float(paths.delay_s[index]),
+        events=tuple(f"{_VERBS[code]} {name}" for code, name in zip(codes[met].tolist(), names, strict=True)),
+    )
+
+
+def _nearest_names(points_m: Float[FloatArray, "n 3"], meshes: Sequence[SurfaceMesh]) -> list[str]:
+    """Name of the surface that each point lies on."""
+    if not len(points_m):
+        return []
+    distance_m = [distance_to_surfaces([mesh], points_m) for mesh in meshes]
+    return [meshes[nearest].name for nearest in np.argmin(distance_m, axis=0).tolist()]
