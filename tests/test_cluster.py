@@ -33,6 +33,7 @@ from xfreqbench.tracing import TraceSettings
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.timeout(600),  # a dozen interpreters start here, which on a busy machine takes minutes
     # sockets to a worker that was killed are closed by the garbage collector
     pytest.mark.filterwarnings("ignore:unclosed .*:ResourceWarning"),
 ]
@@ -53,6 +54,7 @@ class Started:
     """A cluster of processes, seen by a client of the tests' own."""
 
     address: str
+    scheduler: subprocess.Popen[bytes] = field(repr=False)
     client: Any = field(repr=False)
 
     def wait_for(self, num_workers: int) -> None:
@@ -82,14 +84,15 @@ def started(folder: Path, num_workers: int) -> Iterator[Started]:
     file = folder / "scheduler.json"
     scheduler = ["scheduler", "--port", "0", "--host", "127.0.0.1", "--no-dashboard"]
     with ExitStack() as stack:
-        stack.enter_context(_process([*scheduler, "--scheduler-file", str(file)], folder / "scheduler.log"))
+        command = [*scheduler, "--scheduler-file", str(file)]
+        process = stack.enter_context(_process(command, folder / "scheduler.log"))
         _wait(file.exists)
         if num_workers:
             options = f"--nthreads 1 --nworkers {num_workers} --no-dashboard --scheduler-file {file}".split()
             stack.enter_context(_process(["worker", *options], folder / "worker.log"))
         address = json.loads(file.read_text())["address"].removeprefix("tcp://")
         client = stack.enter_context(distributed.Client(f"tcp://{address}", set_as_default=False))
-        running = Started(f"dask://{address}", client)
+        running = Started(f"dask://{address}", process, client)
         running.wait_for(num_workers)
         yield running
 
@@ -309,6 +312,21 @@ def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
     no_answer = r"No Dask scheduler answers at dask://127\.0\.0\.1:1"
     with pytest.raises(ClusterError, match=no_answer), dask_workers("dask://127.0.0.1:1"):
         pass
+
+
+def test_a_scheduler_that_dies_ends_the_driver_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "rooms.h5"
+    with started(tmp_path, 1) as lonely:
+        command = f"generate two_rooms --tx 640 --rays 20000 --quiet --executor {lonely.address} -o {path}"
+        with _driver(command, tmp_path) as driver:
+            _wait(lambda: bool(list(tmp_path.glob("rooms.h5.parts/*.npz"))) or driver.poll() is not None)
+            lonely.scheduler.kill()
+            _, message = driver.communicate()
+    assert driver.returncode == 2
+    assert "The scheduler at dask://127.0.0.1:" in message
+    assert "the same command goes on" in message
+    assert "Traceback" not in message
+    assert list(tmp_path.glob("rooms.h5.parts/*.npz"))
 
 
 def test_without_the_extra_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

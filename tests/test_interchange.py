@@ -81,6 +81,16 @@ def test_samples_are_sorted_by_transmitter_and_carrier(tmp_path: Path) -> None:
     verify(dataset.path)
 
 
+def test_a_receiver_may_stand_in_any_spelling_of_yaml(tmp_path: Path) -> None:
+    """As PyYAML writes a nested list by default, which publishers' builders do."""
+    folder = write_folder(tmp_path / "small")
+    known = read(folder).receiver
+    (folder / "gateway_info.yml").write_text(
+        "gateway1:\n  position:\n  - 2.0\n  - 1\n  - -0.5\n  orientation:\n  - 0.0\n  - 0.0\n  - 0.0\n  - 1.0\n"
+    )
+    assert read(folder).receiver == known
+
+
 def test_row_0_is_the_zenith_and_column_0_looks_to_minus_x(tmp_path: Path) -> None:
     dataset = imported(write_folder(tmp_path / "small"), tmp_path / "data.h5")
     brightest = np.unravel_index(
@@ -217,7 +227,10 @@ def turn_two_receivers(folder: Path) -> None:
         (write("train_index.txt", "00001\n00005"), r"train_index\.txt, line 2,.*numbered 1 to 4"),
         (write("test_index.txt", "00001\n\nfour"), r"test_index\.txt, line 2,.*numbered 1 to 4"),
         (rename("spectrum/00002.png", "spectrum/2.png"), r"no .*00002\.png.*2\.png is there"),
-        (turn_two_receivers, r"must hold one line"),
+        (turn_two_receivers, r"describes 2 receivers"),
+        (replace_line("gateway_info.yml", 3, "  position: [2,1"), r"gateway_info\.yml is no YAML: .*line 4"),
+        (replace_line("gateway_info.yml", 2, "gateway1: none"), r"gateway_info\.yml is no YAML: .*line 3"),
+        (replace_line("gateway_info.yml", 3, "  place: [2,1,0]"), r"gateway_info\.yml describes 0 receivers"),
         (draw("00002.png", levels(1)[1:]), r"00002\.png has \(90, 361\).*\(91, 361\)"),
         (draw("00002.png", np.zeros((91, 361, 3), np.uint8)), r"00002\.png.*mode RGB"),
         (lambda folder: (folder / "spectrum" / "00002.png").write_text("no"), r"00002\.png cannot be read"),

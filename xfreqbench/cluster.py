@@ -75,7 +75,8 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     """
     distributed = _imported()
     scheduler = "tcp://" + address.removeprefix(SCHEME)
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # what ends our work is said in our words
+    for name in ("distributed", "distributed.client"):  # what ends our work is said in our words
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -15,11 +15,12 @@ that were lost, or of another convention.
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -164,9 +165,11 @@ def _carrier_hz(place: str, text: str) -> float:
 
 
 def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
-    """The receiver from the two lines of YAML that the layout has."""
-    text = "\n".join(_lines(path))
-    published, position_m = _list_of(path, text, "orientation", 4), _list_of(path, text, "position", 3)
+    """The receiver that the layout's YAML describes."""
+    gateway = _gateway(path)
+    published, position_m = (
+        _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
+    )
     quaternion = convention.quaternion_xyzw(published)
     if not np.linalg.norm(quaternion) > 1e-6:
         raise DataError(
@@ -191,13 +194,31 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
         raise DataError(f"{path} describes no receiver: {place}: {fault['msg']}.") from error
 
 
-def _list_of(path: Path, text: str, key: str, count: int) -> tuple[float, ...]:
-    """The one `key: [numbers]` of a YAML file."""
-    found = re.findall(rf"^\s*{key}\s*:\s*\[([^\]]*)\]\s*(?:#.*)?$", text, re.MULTILINE)
-    numbers = _numbers(found[0], count) if len(found) == 1 else None
+def _gateway(path: Path) -> dict[Any, Any]:
+    """The one receiver of a YAML file: a mapping with a position and an orientation."""
+    try:
+        content = yaml.safe_load("\n".join(_lines(path)))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
+    found = [content, *content.values()] if isinstance(content, dict) else []
+    gateways = [
+        each for each in found if isinstance(each, dict) and {"position", "orientation"} <= each.keys()
+    ]
+    if len(gateways) != 1:
+        raise DataError(
+            f"{path} describes {len(gateways)} receivers; it must describe one, as in 'gateway1: {{position: "
+            "[x, y, z], orientation: [x, y, z, w]}'."
+        )
+    return gateways[0]
+
+
+def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
+    """The numbers under a key of a receiver."""
+    listed = gateway[key] if isinstance(gateway[key], list) else []
+    numbers = _numbers(",".join(map(str, listed)), count)
     if numbers is None:
         raise DataError(
-            f"{path} must hold one line like '{key}: {list(range(count))}', of {count} finite numbers."
+            f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}."
         )
     return numbers
 

@@ -28,10 +28,10 @@ from xfreqbench.materials import material_bands
 FAR_M = 1e7  # as far as the coordinates of any map go
 MAX_CANDIDATES = 100_000  # of a transmitter grid: ten carriers of them are 65 GB, and their placement minutes
 
-Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M)]
+Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]
 Quaternion = tuple[Metres, Metres, Metres, Metres]
-PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M)]
+PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 _STRICT = ConfigDict(extra="forbid")
 
