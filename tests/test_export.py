@@ -193,6 +193,18 @@ def maps_alone(folder: Path) -> Path:
     return imported(folder / "first", folder / "first.h5", CONVENTIONS["wideband3dgs"]).path
 
 
+def test_a_folder_that_tells_how_it_was_drawn_is_not_read_otherwise(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    drawn = convention_named("wideband3dgs", ["plane=xy", "array_rows=2", "array_cols=2"])
+    export_png_folder(tmp_path / "data.h5", tmp_path / "out", drawn)
+    assert read_png_folder(tmp_path / "out", drawn).receiver.plane == "xy"
+    with pytest.raises(
+        DataError,
+        match=r"gateway_info\.yml says .* in plane, array_rows.* Give --set plane=xy --set array_rows=2",
+    ):
+        read_png_folder(tmp_path / "out", CONVENTIONS["wideband3dgs"])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -8,7 +8,7 @@ frame, whose +z is the hemisphere's pole; the folder's quaternion turns that fra
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 Degrees = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1, le=64)]
 Pixels = Annotated[int, Field(ge=2, le=4096)]
+_NOT_OF_MAPS = ("read_in", "index", "num_rows", "num_columns")
 Values = Literal["amplitude", "power", "phase-only-amplitude"]
 
 
@@ -65,6 +66,10 @@ class Convention:
     def last_column_repeats_the_first(self) -> bool:
         """Whether both ends of the azimuths are one direction."""
         return bool(np.isclose(abs(self.last_column_deg - self.first_column_deg), 360))
+
+    def of_maps(self) -> dict[str, Any]:
+        """What has to be alike for maps to be read as they were drawn, by field."""
+        return {name: value for name, value in asdict(self).items() if name not in _NOT_OF_MAPS}
 
     @property
     def pas_kind(self) -> PasKind:

@@ -29,7 +29,7 @@ from xfreqbench.dataset import DatasetHeader, IntArray, PasDataset, PasWriter, o
 from xfreqbench.errors import DataError
 from xfreqbench.generate import job_sha256, require_same_job
 from xfreqbench.pas import BartlettBeam
-from xfreqbench.png_folder import CARRIERS, MAPS, POSITIONS, RECEIVER, PngFolder, map_path
+from xfreqbench.png_folder import CARRIERS, CONVENTION, MAPS, POSITIONS, RECEIVER, PngFolder, map_path
 from xfreqbench.png_maps import BRIGHTEST, write_levels
 from xfreqbench.storage import atomic_folder, require_empty, storage_errors
 
@@ -160,10 +160,9 @@ def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> N
 
 
 def _receiver_yaml(header: DatasetHeader, convention: Convention) -> str:
-    drawn = "".join(f"# {name}: {json.dumps(value)}\n" for name, value in asdict(convention).items())
     quaternion = convention.published_quaternion(header.receiver.quaternion_xyzw)
     return (
-        f"# Written by xfreqbench. How the maps are drawn:\n{drawn}"
+        f"{CONVENTION}: {json.dumps(convention.of_maps())}  # how xfreqbench drew the maps\n"
         f"dataset_name: {json.dumps(header.scene_name)}\n"
         "gateway1:\n"
         f"  position: {list(header.receiver.position_m)}\n"

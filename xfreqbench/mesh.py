@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.angles import FloatArray
 from xfreqbench.errors import SceneError
 from xfreqbench.materials import material_bands
-from xfreqbench.scene import Scene, Surface
+from xfreqbench.scene import FAR_M, Scene, Surface
 
 DEFAULT_THICKNESS_M = 0.1  # what Sionna RT gives a material that states none
 SLIVER = 1e-9  # a triangle whose doubled area is no more of its longest edge squared has no plane
@@ -69,10 +69,11 @@ def _surface_mesh(name: str, material: str, thickness_m: float, shape: trimesh.T
 
 
 def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_], "K"]:
-    edges_m = np.roll(corners_m, -1, axis=1) - corners_m
-    doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
-    longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
-    return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
+    with np.errstate(over="ignore", invalid="ignore"):  # of vertices that are refused once a mesh is read
+        edges_m = np.roll(corners_m, -1, axis=1) - corners_m
+        doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
+        longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
+        return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
 
 
 def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
@@ -144,8 +145,10 @@ def _imported_mesh(
 
 
 def _check_triangles(mesh: SurfaceMesh, ply: Path, xml: Path) -> None:
-    if not np.isfinite(mesh.vertices_m).all():
-        raise SceneError(f"{xml}: the mesh {ply} of shape {mesh.name!r} has vertices that are not finite.")
+    if not (np.abs(mesh.vertices_m) <= FAR_M).all():
+        raise SceneError(
+            f"{xml}: the mesh {ply} of shape {mesh.name!r} has vertices that are not finite, or beyond {FAR_M:g} m."
+        )
     if len(mesh.triangles) == 0:
         raise SceneError(
             f"{xml}: the mesh {ply} of shape {mesh.name!r} has no face of any area. "

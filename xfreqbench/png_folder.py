@@ -7,9 +7,9 @@ A folder of the layout holds, for its samples n = 1, 2, …:
     freq.txt             its carrier in GHz on line n; absent where all have one
     gateway_info.yml     the receiver: position in metres, orientation as a quaternion, frame to world
 
-How the maps are drawn, no file says: see `conventions`. `train_index.txt` and `test_index.txt` are not used,
-as protocols make the splits here; they are checked, since a sample of theirs that is not there tells of files
-that were lost, or of another convention.
+How the maps are drawn, no file of a publisher says: see `conventions`. Exports of ours do, in `gateway_info.yml`.
+`train_index.txt` and `test_index.txt` are not used, as protocols make the splits here; they are checked, since a
+sample of theirs that is not there tells of files that were lost, or of another convention.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from xfreqbench.scene import ReceiverArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
+CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports tell it
 IGNORED = ("train_index.txt", "test_index.txt")
 _MAX_GHZ = 1e6  # beyond the visible
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
@@ -166,7 +167,9 @@ def _carrier_hz(place: str, text: str) -> float:
 
 def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
     """The receiver that the layout's YAML describes."""
-    gateway = _gateway(path)
+    content = _yaml(path)
+    _check_told(path, content, convention)
+    gateway = _gateway(path, content)
     published, position_m = (
         _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
     )
@@ -194,13 +197,30 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
         raise DataError(f"{path} describes no receiver: {place}: {fault['msg']}.") from error
 
 
-def _gateway(path: Path) -> dict[Any, Any]:
-    """The one receiver of a YAML file: a mapping with a position and an orientation."""
+def _yaml(path: Path) -> dict[Any, Any]:
+    """What a YAML file maps; nothing where it is no mapping."""
     try:
         content = yaml.safe_load("\n".join(_lines(path)))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
-    found = [content, *content.values()] if isinstance(content, dict) else []
+    return content if isinstance(content, dict) else {}
+
+
+def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> None:
+    """Where a folder tells how its maps are drawn, as those that we write do, it must be read so."""
+    told, stated = content.get(CONVENTION), convention.of_maps()
+    told = told if isinstance(told, dict) else {}
+    differing = [name for name, value in stated.items() if told.get(name, value) != value]
+    if differing:
+        raise DataError(
+            f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
+            f"Give {' '.join(f'--set {name}={told[name]}' for name in differing)} too."
+        )
+
+
+def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
+    """The one receiver of a YAML file: a mapping with a position and an orientation."""
+    found = [content, *content.values()]
     gateways = [
         each for each in found if isinstance(each, dict) and {"position", "orientation"} <= each.keys()
     ]

@@ -1,0 +1,82 @@
+"""A room as a few plane waves, whose strengths a small network gives: a method to copy and to change."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import normalize
+
+from xfreqbench.dataset import PasDataset
+from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, TrainingConfig
+from xfreqbench.splatting.view import Beams, View
+
+
+@dataclass(frozen=True)
+class PlaneWavesConfig(TrainingConfig):
+    """What `--set` can change: these, and every field of `TrainingConfig`."""
+
+    waves: Count = 24  # directions that all transmitters and carriers share
+    modes: Count = 4  # channels whose powers add up: nobody knows the phases at a carrier not trained on
+    width: Count = 64
+    octaves: Count = 3
+
+
+class PlaneWaveField(ChannelField):
+    """Channel h = Σ_k s_k(transmitter, carrier) a(d_k): d_0 points to the transmitter, the others are learned."""
+
+    def __init__(self, config: PlaneWavesConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.scaling = Scaling()  # box and band of the training data, saved with the field
+        self.direction = nn.Parameter(torch.zeros(config.waves, 3))
+        self.network = nn.Sequential(
+            nn.Linear(encoded_size(3, config.octaves) + 1, config.width),
+            nn.ReLU(),
+            nn.Linear(config.width, config.width),
+            nn.ReLU(),
+            nn.Linear(config.width, 2 * config.modes * (1 + config.waves)),
+        )
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Take scales from the training rows; spread the directions over the room."""
+        self.scaling.adapt(train)
+        with torch.no_grad():
+            self.direction.copy_(self.scaling.random_positions(self.config.waves, generator))
+
+    def power(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+    ) -> Float[Tensor, "B E A"]:
+        """Bartlett map of the sum of all waves, at the directions in view."""
+        tx_m = self.scaling.in_frame(tx_position_m)
+        cfr = self.strength(tx_m, carrier_hz) @ self.response(tx_m, beams)  # (B, modes, M)
+        return beams.power(cfr.movedim(1, 0), view)
+
+    def strength(self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]) -> Tensor:
+        """Complex s_k of every mode, (B, modes, 1 + waves)."""
+        place = positional_encoding(self.scaling.unit_position(tx_m), self.config.octaves)
+        outputs = self.network(torch.cat([place, self.scaling.unit_carrier(carrier_hz)], dim=-1))
+        return torch.view_as_complex(outputs.unflatten(-1, (self.config.modes, -1, 2)))
+
+    def response(self, tx_m: Float[Tensor, "B 3"], beams: Beams) -> Tensor:
+        """Steering vectors a(d_k) = exp(+j2π r_n·d_k / λ), (B, 1 + waves, M), r_n in wavelengths."""
+        learned = self.direction.expand(len(tx_m), -1, -1)
+        direction = normalize(torch.cat([tx_m[:, None], learned], dim=1), dim=-1)
+        element = torch.as_tensor(beams.element_position_wavelengths).to(tx_m)  # (M, 3)
+        phase = 2 * math.pi * direction @ element.T
+        return torch.polar(torch.ones_like(phase), phase)
+
+
+class PlaneWaves(LearnedMethod):
+    """Plane waves from shared directions, their strengths a network of place and carrier."""
+
+    Config: type[Any] = PlaneWavesConfig
+
+    def field(self) -> PlaneWaveField:
+        """The field that the config asks for, before training."""
+        return PlaneWaveField(self.config)
