@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from math import isnan
 from pathlib import Path
 
 import pytest
+from chromium import WIDTHS, launched, needs_chromium, opened
 from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
 from test_boards import external
 from test_records import make_record
@@ -16,23 +16,9 @@ from test_records import make_record
 from xfreqbench.page import write_page
 from xfreqbench.records import append
 
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
-)
-CHROMIUM = shutil.which("chromium")
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 LEARNED_NAMES = [name for name, *_ in LEARNED]
-WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium to open the page with")
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
@@ -43,32 +29,14 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[object]:
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield opened
-        opened.close()
+    with launched() as browser:
+        yield browser
 
 
 @pytest.fixture
 def page(browser, file: Path) -> Iterator[object]:
-    """The page in a fresh tab; whatever it complains of, or asks for besides itself, fails the test."""
-    tab = browser.new_page(viewport=dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
-    tab.set_default_timeout(20_000)  # milliseconds; a broken page would else take minutes to fail
-    complaints: list[str] = []
-    tab.on("console", lambda message: complaints.append(message.text))
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
-    tab.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}") or dialog.dismiss())
-    tab.on(
-        "request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None
-    )
-    tab.goto(file.as_uri())
-    yield tab
-    tab.close()
-    assert complaints == []
-
-
-def _is_foreign(url: str, file: Path) -> bool:
-    return url != file.as_uri() and not url.startswith("data:")
+    with opened(browser, file) as tab:
+        yield tab
 
 
 def shown_labels(page) -> list[str]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from chromium import WIDTHS, launched, needs_chromium, opened
 from synthetic import make_header, transmitters, write_dataset
 
 from xfreqbench.dataset import PasWriter
@@ -18,23 +18,9 @@ from xfreqbench.tracing import TraceSettings
 from xfreqbench.view_report import write_view
 from xfreqbench.viewing import plan_view
 
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
-)
-CHROMIUM = shutil.which("chromium")
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 KINDS = ("generated", "imported")
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium to open the page with")
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
@@ -57,32 +43,14 @@ def _imported(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[object]:
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield opened
-        opened.close()
+    with launched() as browser:
+        yield browser
 
 
 @pytest.fixture(params=KINDS)
 def page(browser, pages: dict[str, Path], request: pytest.FixtureRequest) -> Iterator[object]:
-    """Each page in a fresh tab; whatever it complains of, or asks for besides itself, fails the test."""
-    file = pages[request.param]
-    tab = browser.new_page(viewport=dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
-    tab.set_default_timeout(20_000)  # milliseconds; a broken page would else take minutes to fail
-    complaints: list[str] = []
-    tab.on("console", lambda message: complaints.append(message.text))
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
-    tab.on(
-        "request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None
-    )
-    tab.goto(file.as_uri())
-    yield tab
-    tab.close()
-    assert complaints == []
-
-
-def _is_foreign(url: str, file: Path) -> bool:
-    return url != file.as_uri() and not url.startswith("data:")
+    with opened(browser, pages[request.param]) as tab:
+        yield tab
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -69,11 +69,10 @@ def _surface_mesh(name: str, material: str, thickness_m: float, shape: trimesh.T
 
 
 def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_], "K"]:
-    with np.errstate(over="ignore", invalid="ignore"):  # of vertices that are refused once a mesh is read
-        edges_m = np.roll(corners_m, -1, axis=1) - corners_m
-        doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
-        longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
-        return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
+    edges_m = np.roll(corners_m, -1, axis=1) - corners_m
+    doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
+    longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
+    return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
 
 
 def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
@@ -136,8 +135,9 @@ def _imported_mesh(
     filename = shape.find("./string[@name='filename']")
     ply = xml.parent / (filename.get("value", "") if filename is not None else "")
     try:
-        loaded = trimesh.load_mesh(ply, process=False)
-        mesh = _surface_mesh(name, material, thickness_m, loaded)
+        with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
+            loaded = trimesh.load_mesh(ply, process=False)
+            mesh = _surface_mesh(name, material, thickness_m, loaded)
     except Exception as error:  # trimesh raises whatever its parsers do
         raise SceneError(f"{xml}: the mesh {ply} of shape {name!r} cannot be read: {error}.") from error
     _check_triangles(mesh, ply, xml)

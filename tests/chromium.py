@@ -1,0 +1,58 @@
+"""Headless Chromium, driven by Playwright: what the tests of our pages open them with, without a network."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sync_api = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
+)
+_CHROMIUM = shutil.which("chromium")
+_FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
+needs_chromium = pytest.mark.skipif(_CHROMIUM is None, reason="there is no chromium to open the page with")
+
+
+@contextmanager
+def launched() -> Iterator[Any]:
+    """A browser, closed at the end."""
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=_CHROMIUM, args=_FLAGS)
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def opened(browser: Any, file: Path) -> Iterator[Any]:
+    """A page in a fresh tab; whatever it complains of, or asks for besides itself, fails the test."""
+    tab = browser.new_page(viewport=dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
+    tab.set_default_timeout(20_000)  # milliseconds; a broken page would else take minutes to fail
+    complaints: list[str] = []
+    tab.on("console", lambda message: complaints.append(message.text))
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}") or dialog.dismiss())
+    tab.on(
+        "request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None
+    )
+    tab.goto(file.as_uri())
+    yield tab
+    tab.close()
+    assert complaints == []
+
+
+def _is_foreign(url: str, file: Path) -> bool:
+    return url != file.as_uri() and not url.startswith("data:")
