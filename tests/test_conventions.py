@@ -198,3 +198,30 @@ def test_only_the_numbering_and_the_source_differ_among_those_who_draw_nerf2_s_m
         assert same == nerf2
     assert not nerf2.last_column_repeats_the_first
     assert CONVENTIONS["xfreq-gs"].last_column_repeats_the_first
+
+
+@pytest.mark.sionna
+def test_maps_of_xfreq_gs_are_stretched_by_its_builder() -> None:
+    """As its caveat says: it solves at 3.5 GHz and takes the carrier for an offset, here 1 GHz."""
+    from xfreqbench.llvm import ensure_llvm
+
+    ensure_llvm()
+    import sionna.rt as rt
+
+    scene = rt.load_scene()
+    one, four = {"num_rows": 1, "num_cols": 1}, {"num_rows": 4, "num_cols": 4}
+    scene.tx_array, scene.rx_array = (
+        rt.PlanarArray(**size, pattern="iso", polarization="V") for size in (one, four)
+    )
+    source = np.array([3.0, 0.4, -0.5])
+    scene.add(rt.Transmitter("tx", position=source.tolist()))
+    scene.add(rt.Receiver("rx", position=[0.0, 0.0, 0.0]))
+    paths = rt.PathSolver()(scene, max_depth=0, synthetic_array=False, samples_per_src=1000)
+    cfr = np.asarray(paths.cfr(1e9, normalize=True, out_type="numpy")).ravel()
+    element = scene.rx_array.positions(1.0).numpy().T  # in wavelengths
+    grid = CONVENTIONS["xfreq-gs"].grid(90, 360)
+    drawn = np.abs((np.exp(-2j * np.pi * grid.directions @ element.T) * np.exp(-1j * np.angle(cfr))).sum(-1))
+    row, column = np.unravel_index(drawn.argmax(), drawn.shape)
+    opposite = -source / np.linalg.norm(source)
+    stretched = (1 + 1 / 3.5) * opposite[1:]
+    np.testing.assert_allclose(grid.directions[row, column][1:], stretched, atol=0.02)  # a degree a pixel

@@ -205,10 +205,21 @@ def test_a_folder_that_tells_how_it_was_drawn_is_not_read_otherwise(tmp_path: Pa
         read_png_folder(tmp_path / "out", CONVENTIONS["wideband3dgs"])
 
 
+def test_a_small_number_that_a_folder_tells_is_that_number(tmp_path: Path) -> None:
+    """JSON writes 1e-05, which YAML takes for a text."""
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    drawn = convention_named(
+        "wideband3dgs", ["plane=xy", "array_rows=2", "array_cols=2", "first_row_deg=1e-5"]
+    )
+    export_png_folder(tmp_path / "data.h5", tmp_path / "out", drawn)
+    assert read_png_folder(tmp_path / "out", drawn).convention == drawn
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (["values=power"], "of amplitude; .* cannot be drawn as power"),
+        (["values=power"], "values are amplitude; .* cannot be drawn as power"),
+        (["darkest=minimum"], "darkest are zero; .* cannot be drawn as minimum"),
         (["first_row_deg=1"], "elevations from 0 to 90 degrees; .* from 0 to 89"),
         (["first_column_deg=0"], "azimuths from -180 to 180 degrees; .* from 0 to 180"),
     ],

@@ -91,6 +91,15 @@ def test_a_receiver_may_stand_in_any_spelling_of_yaml(tmp_path: Path) -> None:
     assert read(folder).receiver == known
 
 
+def test_a_byte_order_mark_is_no_part_of_a_line(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "small")
+    known = read(folder)
+    for name in ("tx_pos.csv", "freq.txt"):
+        (folder / name).write_text((folder / name).read_text(), "utf-8-sig")
+    np.testing.assert_array_equal(read(folder).tx_position_m, known.tx_position_m)
+    np.testing.assert_array_equal(read(folder).carrier_hz, known.carrier_hz)
+
+
 def test_row_0_is_the_zenith_and_column_0_looks_to_minus_x(tmp_path: Path) -> None:
     dataset = imported(write_folder(tmp_path / "small"), tmp_path / "data.h5")
     brightest = np.unravel_index(
@@ -228,6 +237,10 @@ def turn_two_receivers(folder: Path) -> None:
         (write("test_index.txt", "00001\n\nfour"), r"test_index\.txt, line 2,.*numbered 1 to 4"),
         (rename("spectrum/00002.png", "spectrum/2.png"), r"no .*00002\.png.*2\.png is there"),
         (turn_two_receivers, r"describes 2 receivers"),
+        (
+            replace_line("gateway_info.yml", 1, "convention: {rows: [1]}"),
+            r"has \{'rows': \[1\]\}.*Remove that line",
+        ),
         (replace_line("gateway_info.yml", 3, "  position: [2,1"), r"gateway_info\.yml is no YAML: .*line 4"),
         (replace_line("gateway_info.yml", 2, "gateway1: none"), r"gateway_info\.yml is no YAML: .*line 3"),
         (replace_line("gateway_info.yml", 3, "  place: [2,1,0]"), r"gateway_info\.yml describes 0 receivers"),

@@ -166,7 +166,7 @@ def test_leaving_early_cancels_what_waits() -> None:
     assert [future.cancelled() for future in workers.futures] == [False, True, True]
 
 
-@pytest.mark.parametrize("text", ["", "0", "-1", "two", "tcp://host:1", "Serial"])
+@pytest.mark.parametrize("text", ["", "0", "-1", "two", "tcp://host:1", "dask://host", "Serial"])
 def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
     with pytest.raises(XFreqBenchError, match="serial, a number of processes, or dask://"):
         open_workers(text)

@@ -179,6 +179,12 @@ def test_one_transmitter_alone_cannot_be_held_out(tmp_path: Path) -> None:
         make_splits(dataset, "held-out-tx")
 
 
+def test_a_target_named_twice_is_one(dataset: PasDataset) -> None:
+    (once,) = make_splits(dataset, "lofo", [2.4e9])
+    (twice,) = make_splits(dataset, "lofo", [2.4e9, 2.4e9])
+    assert once.sha256 == twice.sha256
+
+
 def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
     with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
         make_splits(dataset, "held-out-tx", [10e9])

@@ -26,7 +26,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 Degrees = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1, le=64)]
 Pixels = Annotated[int, Field(ge=2, le=4096)]
-_NOT_OF_MAPS = ("read_in", "index", "num_rows", "num_columns")
+_NOT_OF_MAPS = ("read_in", "caveat", "index", "num_rows", "num_columns")
 Values = Literal["amplitude", "power", "phase-only-amplitude"]
 
 
@@ -51,6 +51,7 @@ class Convention:
     last_column_deg: Degrees
     values: Values
     read_in: str
+    caveat: str = ""  # what is wrong with the maps themselves, which no field can mend
     darkest: Literal["zero", "minimum"] = "zero"
     peak: Literal["source", "opposite"] = "source"
     quaternion: Literal["xyzw", "wxyz"] = "xyzw"
@@ -152,6 +153,10 @@ CONVENTIONS = {
         index="zero-based",
         read_in="KINGAZ1019/XFreq-GS, dataset/scene_builder: utils.py subtracts the channel's phase, exp(+jkr·d), from "
         "-kr·d, so that a lone wave peaks opposite to its source",
+        caveat="Its build_dataset.py leaves the scene at Sionna RT's 3.5 GHz and gives the carrier f to cfr() as an "
+        "offset: directions are stretched by 1 + f/3.5 GHz, aliased from a few GHz on. Whatever steers an array at "
+        "them (line-of-sight, aperture-gs, virtual-source) goes astray on such maps. Shown with its recipe, not with "
+        "its PNGs.",
     ),
     "nerf2": _NERF2,
     "wrf-gs": replace(
@@ -198,7 +203,7 @@ def _check_angles(convention: Convention) -> None:
 
 def convention_rows() -> list[tuple[str, ...]]:
     """The table to print: a row a field, its name first, then its value in every convention; sources left out."""
-    shown = [field.name for field in fields(Convention) if field.name != "read_in"]
+    shown = [field.name for field in fields(Convention) if field.name not in ("read_in", "caveat")]
     rows = [(name, *(_text(getattr(each, name)) for each in CONVENTIONS.values())) for name in shown]
     repeats = ("yes" if each.last_column_repeats_the_first else "no" for each in CONVENTIONS.values())
     return [*rows, ("last column repeats first", *repeats)]

@@ -33,7 +33,7 @@ from xfreqbench.hdf5 import (
     verify_sealed,
 )
 from xfreqbench.pas import BartlettBeam, PasKind
-from xfreqbench.scene import ReceiverArray
+from xfreqbench.scene import FAR_M, ReceiverArray
 
 SCHEMA = "xfreqbench/pas/1"
 IntArray = NDArray[np.int64]
@@ -322,15 +322,19 @@ def open_dataset(path: str | Path) -> PasDataset:
         beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}
-        _require_finite({_CARRIER: header.carrier_hz, **angles, **elements, **tables})
+        _require_meaning({_CARRIER: header.carrier_hz, **angles, **elements, **tables})
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
         return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows)
 
 
-def _require_finite(tables: Mapping[str, NDArray[Any]]) -> None:
+def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
     for name, values in tables.items():
         if not np.isfinite(values).all():
             raise ValueError(f"dataset {name!r} holds numbers that are not finite")
+    if not (np.diff(tables[_CARRIER], prepend=0) > 0).all():
+        raise ValueError(f"dataset {_CARRIER!r} holds {tables[_CARRIER]}; carriers ascend from above 0")
+    if (np.abs(tables["tx_position_m"]) > FAR_M).any():
+        raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
 
 
 def reopen(path: str, sha256: str, rows: Rows) -> PasDataset:

@@ -106,8 +106,7 @@ def _is_there(path: Path, sha256: str) -> bool:
             found = text_attributes(file)["content_sha256"]
     except DataError as error:
         raise OutputExistsError(
-            f"{path} exists, but holds no splits that can be read: {error} Delete it, or choose another output "
-            "with -o."
+            f"{path} exists, but holds no splits that can be read: {error} Choose another output with -o."
         ) from error
     if found != sha256:
         raise OutputExistsError(

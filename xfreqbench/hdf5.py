@@ -262,7 +262,9 @@ def _set_texts(owner: Any, texts: Mapping[str, str]) -> None:
 
 def _text(owner: Any, name: str) -> str:
     value = owner.attrs[name]
-    return value.decode() if isinstance(value, bytes) else str(value)
+    text = value.decode() if isinstance(value, bytes) else str(value)
+    text.encode()  # h5py lets bytes pass that are no UTF-8; `ValueError` here, and not where they are written
+    return text
 
 
 def _create(file: Any, variable: Variable) -> None:

@@ -198,15 +198,23 @@ def _check_transmitters(dataset: PasDataset) -> None:
         )
 
 
+def _drawn(dataset: PasDataset) -> dict[str, str]:
+    """How imported maps were drawn, as far as the data set tells."""
+    told = dataset.header.settings.get("convention", {})
+    return {name: told[name] for name in ("values", "darkest") if name in told}
+
+
 def _check_maps(dataset: PasDataset, convention: Convention) -> None:
     """Maps alone can be copied, and not drawn anew."""
     kinds = {"amplitude": "amplitude", "power": "power", "phase-only": "phase-only power"}
-    drawn = dataset.header.settings.get("convention", {}).get("values", kinds[dataset.header.pas_kind])
-    if drawn != convention.values:
-        raise DataError(
-            f"{dataset.path} holds maps alone, of {drawn}; without channels they cannot be drawn as "
-            f"{convention.values}. Export them under the convention by which they came, or give --set values={drawn}."
-        )
+    known = {"values": kinds[dataset.header.pas_kind], "darkest": "zero"} | _drawn(dataset)
+    for name in ("values", "darkest"):
+        drawn, expected = known[name], getattr(convention, name)
+        if drawn != expected:
+            raise DataError(
+                f"{dataset.path} holds maps alone, whose {name} are {drawn}; without channels they cannot be drawn "
+                f"as {expected}. Export them under the convention by which they came, or give --set {name}={drawn}."
+            )
     grid = convention.grid(*dataset.grid.shape)
     for name in ("elevation_rad", "azimuth_rad"):
         has_deg, expected_deg = np.degrees(getattr(dataset.grid, name)), np.degrees(getattr(grid, name))

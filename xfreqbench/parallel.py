@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -56,7 +57,7 @@ def open_workers(executor: str, *, is_fresh: bool = False) -> AbstractContextMan
         return nullcontext(HERE)
     if executor.isdecimal() and len(executor) < 5 and int(executor) > 0:
         return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh)
-    if executor.startswith(SCHEME):
+    if re.fullmatch(rf"{SCHEME}[^\s/]+:\d{{1,5}}", executor):
         return dask_workers(executor)
     raise XFreqBenchError(
         f"--executor takes serial, a number of processes, or {SCHEME}host:port of a scheduler, but got {executor!r}."

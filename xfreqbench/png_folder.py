@@ -30,7 +30,7 @@ from xfreqbench.array import quaternion_rotation
 from xfreqbench.conventions import Convention
 from xfreqbench.errors import DataError
 from xfreqbench.png_maps import BRIGHTEST, read_levels, shape_of
-from xfreqbench.scene import ReceiverArray
+from xfreqbench.scene import FAR_M, ReceiverArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
@@ -111,7 +111,7 @@ def map_path(folder: Path, number: int) -> Path:
 def _lines(path: Path) -> list[str]:
     """Lines of a text file without blank ones at its end."""
     try:
-        return path.read_text().rstrip().splitlines()
+        return path.read_text("utf-8-sig").rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(
@@ -138,7 +138,7 @@ def _read_positions(path: Path) -> list[tuple[float, ...]]:
 
 def _position(path: Path, number: int, line: str) -> tuple[float, ...]:
     position_m = _numbers(line, 3)
-    if position_m is None:
+    if position_m is None or max(map(abs, position_m)) > FAR_M:
         raise DataError(
             f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres."
         )
@@ -174,10 +174,10 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
         _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
     )
     quaternion = convention.quaternion_xyzw(published)
-    if not np.linalg.norm(quaternion) > 1e-6:
+    if not 1e-6 < max(map(abs, quaternion)) < 1e6:
         raise DataError(
-            f"{path} has the orientation {list(published)}, a quaternion of no length; [0, 0, 0, 1], in the order x, "
-            "y, z, w, is no turn."
+            f"{path} has the orientation {list(published)}, a quaternion of no length near 1; [0, 0, 0, 1], in the "
+            "order x, y, z, w, is no turn."
         )
     is_turned = quaternion != _NO_TURN
     boresight = quaternion_rotation(quaternion)[:, 2].tolist() if is_turned else (0.0, 0.0, 1.0)
@@ -210,12 +210,26 @@ def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> 
     """Where a folder tells how its maps are drawn, as those that we write do, it must be read so."""
     told, stated = content.get(CONVENTION), convention.of_maps()
     told = told if isinstance(told, dict) else {}
-    differing = [name for name, value in stated.items() if told.get(name, value) != value]
+    differing = [name for name, value in stated.items() if not _is_alike(told.get(name, value), value)]
+    if any(not isinstance(told[name], str | int | float) for name in differing):
+        raise DataError(
+            f"{path} has {told} for a {CONVENTION!r}. Remove that line, and give what it meant by --set."
+        )
     if differing:
         raise DataError(
             f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
             f"Give {' '.join(f'--set {name}={told[name]}' for name in differing)} too."
         )
+
+
+def _is_alike(told: object, stated: object) -> bool:
+    """Numbers by their values: YAML takes some of JSON's for texts."""
+    if isinstance(stated, str) or not isinstance(told, str | int | float):
+        return told == stated
+    try:
+        return float(told) == stated
+    except ValueError:
+        return False
 
 
 def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
@@ -258,7 +272,8 @@ def _check_index_files(folder: Path, convention: Convention, num_samples: int) -
     for path in (folder / name for name in IGNORED if (folder / name).exists()):
         for number, line in enumerate(_lines(path), start=1):
             text = line.strip()
-            if not text.isdecimal() or not first <= int(text) < first + num_samples:
+            is_number = text.isdecimal() and len(text) < 19
+            if not is_number or not first <= int(text) < first + num_samples:
                 raise DataError(
                     f"{path}, line {number}, is {line!r}; {num_samples} samples are numbered {first} to "
                     f"{first + num_samples - 1} (--set index=…). Splits are made here, so that this file may "

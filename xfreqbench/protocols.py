@@ -108,7 +108,8 @@ def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) 
     """
     if protocol in _BY_TARGET:
         heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
-        return _BY_TARGET[protocol](dataset, heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ)
+        chosen = heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ
+        return _BY_TARGET[protocol](dataset, list(dict.fromkeys(chosen)))
     if protocol not in _WHOLE:
         raise UnknownNameError("protocol", protocol, PROTOCOLS)
     if targets_hz is not None:

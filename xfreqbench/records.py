@@ -49,7 +49,7 @@ class Summary(BaseModel):
     p10: float
     interval: tuple[float, float]
     quantiles: Quantiles
-    median_by_carrier_hz: dict[str, float]
+    median_by_carrier_hz: dict[Annotated[str, Field(pattern=r"^\d{1,18}$")], float]
 
 
 class CurvePoint(BaseModel):

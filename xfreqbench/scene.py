@@ -26,7 +26,9 @@ from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.materials import material_bands
 
 FAR_M = 1e7  # as far as the coordinates of any map go
-MAX_CANDIDATES = 100_000  # of a transmitter grid: ten carriers of them are 65 GB, and their placement minutes
+MAX_CANDIDATES = (
+    2_000_000  # of a transmitter grid: their placement takes minutes, their maps at ten carriers 1.3 TB
+)
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]
@@ -92,7 +94,7 @@ class ReceiverArray:
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ReceiverArray:
-        if not any(self.boresight):
+        if max(map(abs, self.boresight)) < 1e-6:
             raise ValueError("the receiver's boresight is the zero vector; give a direction like [0, 0, -1]")
         return self
 

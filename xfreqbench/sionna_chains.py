@@ -9,6 +9,7 @@ targets. The tree of chains here loses none, and does not depend on either.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -117,7 +118,7 @@ def _absorption_db(mesh: SurfaceMesh, carrier_hz: float, policy: MaterialPolicy)
     """Loss of one straight passage through the slab."""
     index = np.sqrt(complex_permittivity(mesh.material, carrier_hz, policy))
     neper = -index.imag * 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * mesh.thickness_m
-    return float(20 * np.log10(np.e) * neper)
+    return float(20 * np.log10(math.e) * neper)
 
 
 def shoot(

@@ -24,7 +24,7 @@ def conventions() -> None:
 
     print_table("", ("field", *CONVENTIONS), convention_rows())
     for name, convention in CONVENTIONS.items():
-        print(f"{name}: {convention.read_in}")
+        print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
 
 
 @app.command(name="import")
@@ -51,6 +51,8 @@ def import_(
     from xfreqbench.png_folder import read_png_folder
 
     source = read_png_folder(folder, convention_named(convention, set_), freq)
+    if source.convention.caveat:
+        say(source.convention.caveat, quiet)
     if source.ignored:
         say(f"{' and '.join(source.ignored)} ignored: protocols make the splits", quiet)
     with progress_bars("transmitters", ["importing"], quiet) as (progress,):
