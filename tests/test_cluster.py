@@ -322,7 +322,7 @@ def test_a_scheduler_that_dies_ends_the_driver_in_words(tmp_path: Path) -> None:
             _wait(lambda: bool(list(tmp_path.glob("rooms.h5.parts/*.npz"))) or driver.poll() is not None)
             lonely.scheduler.kill()
             _, message = driver.communicate()
-    assert driver.returncode == 2
+    assert driver.returncode == 2, message
     assert "The scheduler at dask://127.0.0.1:" in message
     assert "the same command goes on" in message
     assert "Traceback" not in message

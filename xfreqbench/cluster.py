@@ -41,16 +41,19 @@ class DaskWorkers:
     @property
     def num_places(self) -> int:
         """Workers at this moment."""
-        return len(self._client.nthreads())
+        with _losses_in_words(self._address):
+            return len(self._client.nthreads())
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have a worker make a call; what is bound to it by `partial` travels to every worker once."""
-        found = self._executor.submit(_call_alike, self._sent_once(call), argument, fingerprint())
+        with _losses_in_words(self._address):
+            found = self._executor.submit(_call_alike, self._sent_once(call), argument, fingerprint())
         return _in_words(found, self._address)
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker by its address; raises `ClusterError` where one fails to answer."""
-        answers = self._client.run(question, *arguments, on_error="return")
+        with _losses_in_words(self._address):
+            answers = self._client.run(question, *arguments, on_error="return")
         for worker, answer in answers.items():
             if isinstance(answer, Exception):
                 raise ClusterError(
@@ -188,18 +191,31 @@ def _in_words(found: Future[Result], address: str) -> Future[Result]:
     return worded
 
 
+@contextmanager
+def _losses_in_words(address: str) -> Iterator[None]:
+    """Whatever a client raises that has lost its scheduler, as one error."""
+    from distributed.client import ClosedClientError
+
+    try:
+        yield
+    except (OSError, ClosedClientError) as error:
+        raise _gone(address) from error
+
+
+def _gone(address: str) -> ClusterError:
+    return ClusterError(
+        f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same command goes "
+        "on where it stopped."
+    )
+
+
 def _pass_on(worded: Future[Result], address: str, found: Future[Result]) -> None:
     if not worded.set_running_or_notify_cancel():
         return
     try:
         worded.set_result(found.result())
     except CancelledError:
-        worded.set_exception(
-            ClusterError(
-                f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same "
-                "command goes on where it stopped."
-            )
-        )
+        worded.set_exception(_gone(address))
     except Exception as error:
         worded.set_exception(_killed(error) or error)
 
