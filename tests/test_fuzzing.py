@@ -263,7 +263,7 @@ def read_all_ways(content: bytes, command: str) -> None:
         }
         with untouched(folder, folder / "new"):
             outcome = xfreqbench(*words[command])
-        check_clean(outcome, str(path))
+        check_clean(outcome, str(path), "held-out-tx")
 
 
 COMMANDS = st.sampled_from(["info", "info", "plot", "run"])

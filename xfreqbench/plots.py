@@ -23,6 +23,7 @@ from xfreqbench.records import BenchFigure, BenchPoint
 from xfreqbench.storage import atomic_path, storage_errors
 
 _MAX_COLUMNS = 3
+_SOFTWARE = "xfreqbench"  # in the PNGs that we write, and may write over
 _MAX_DISCS = 5  # maps side by side
 _DISPLAY_RANGE_DB = 30.0
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
@@ -300,9 +301,16 @@ def _draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: Angu
     return image
 
 
+def is_own_png(path: Path) -> bool:
+    """Whether a file is a PNG that `save_figure` wrote; raises `StorageError` where it cannot be read."""
+    with storage_errors(path), path.open("rb") as file:
+        head = file.read(256)  # the text chunk stands behind the size
+    return head.startswith(b"\x89PNG") and b"Software\0" + _SOFTWARE.encode() in head
+
+
 def save_figure(figure: Figure, path: Path, kind: str) -> None:
     """Write a figure as `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
-    metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+    metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": _SOFTWARE}
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
     with mpl.rc_context(fixed), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

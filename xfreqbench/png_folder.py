@@ -213,7 +213,8 @@ def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> 
     differing = [name for name, value in stated.items() if not _is_alike(told.get(name, value), value)]
     if any(not isinstance(told[name], str | int | float) for name in differing):
         raise DataError(
-            f"{path} has {told} for a {CONVENTION!r}. Remove that line, and give what it meant by --set."
+            f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
+            "meant by --set."
         )
     if differing:
         raise DataError(
@@ -249,6 +250,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
     """The numbers under a key of a receiver."""
     listed = gateway[key] if isinstance(gateway[key], list) else []
+    listed = listed if all(isinstance(each, str | int | float) for each in listed) else []
     numbers = _numbers(",".join(map(str, listed)), count)
     if numbers is None:
         raise DataError(

@@ -86,7 +86,19 @@ def _read(results: Path) -> StoredRecords:
     stored = read(path)
     if not (stored.records or stored.benches):
         raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
+    require_scores(path, stored.records)
     return stored
+
+
+def require_scores(path: Path, records: Iterable[RunRecord]) -> None:
+    """Raise `DataError` for the first record that lacks a metric, as no run leaves it."""
+    for record in records:
+        missing = METRICS.keys() - record.scores.keys()
+        if missing:
+            raise DataError(
+                f"{path}: the record {record.id} has no {', '.join(sorted(missing))}. Delete its line; the run it "
+                "stood for is then run again."
+            )
 
 
 def _markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord], *, with_figures: bool) -> str:

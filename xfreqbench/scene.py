@@ -26,9 +26,7 @@ from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.materials import material_bands
 
 FAR_M = 1e7  # as far as the coordinates of any map go
-MAX_CANDIDATES = (
-    2_000_000  # of a transmitter grid: their placement takes minutes, their maps at ten carriers 1.3 TB
-)
+MAX_CANDIDATES = 1_000_000  # of a transmitter grid: placed in minutes; ten carriers of them are 650 GB
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]

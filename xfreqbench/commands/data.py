@@ -171,13 +171,13 @@ def plot(
 
     from xfreqbench.dataset import open_dataset
     from xfreqbench.pas import power_of
-    from xfreqbench.plots import plot_pas_maps
+    from xfreqbench.plots import is_own_png, plot_pas_maps
     from xfreqbench.units import format_ghz
 
     if output.suffix != ".png":
         raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
-    if output.exists():
-        raise OutputExistsError(f"{output} exists. Delete it, or choose another figure with -o.")
+    if output.exists() and not is_own_png(output):
+        raise OutputExistsError(f"{output} exists, and is no figure of ours. Choose another with -o.")
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
         raise XFreqBenchError(

@@ -17,7 +17,7 @@ from xfreqbench.page.content import board_content, figure_content
 from xfreqbench.page.gallery import Gallery, gallery, scales
 from xfreqbench.page.tables import bench_sections, board_section, header
 from xfreqbench.records import RECORDS_FILE, BenchRecord, read
-from xfreqbench.report import latest_benches
+from xfreqbench.report import latest_benches, require_scores
 from xfreqbench.storage import require_space, storage_errors, write_text
 
 __all__ = ["write_page"]
@@ -37,6 +37,7 @@ def write_page(results: Path, output_html: Path) -> Path:
     stored = read(path)
     if not stored.records:
         raise DataError(f"{path} holds no runs. Run `xfreqbench run` first, or mend the path.")
+    require_scores(path, stored.records)
     ranked = boards(stored.records)
     galleries = [gallery(board, path.parent) for board in ranked]
     write_text(output_html, _page(ranked, galleries, latest_benches(stored.benches)))
