@@ -54,5 +54,19 @@ def opened(browser: Any, file: Path) -> Iterator[Any]:
     assert complaints == []
 
 
+def check_screen(page: Any, device: str, scheme: str) -> None:
+    """Fails where a page is wider than a device's screen, or not in the colours asked for."""
+    width, _ = WIDTHS[device]
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+    assert dark == (scheme == "dark")
+
+
+def set_screen(page: Any, device: str, scheme: str) -> None:
+    """The screen of a device, and light or dark colours."""
+    page.set_viewport_size(dict(zip(("width", "height"), WIDTHS[device], strict=True)))
+    page.emulate_media(color_scheme=scheme)
+
+
 def _is_foreign(url: str, file: Path) -> bool:
     return url != file.as_uri() and not url.startswith("data:")

@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 
 import pytest
-from chromium import WIDTHS, launched, needs_chromium, opened
+from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
 from test_boards import external
 from test_records import make_record
@@ -177,13 +177,9 @@ def test_measurements_are_drawn_when_they_are_opened(page) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("device", WIDTHS)
 def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> None:
-    width, height = WIDTHS[device]
-    page.set_viewport_size({"width": width, "height": height})
-    page.emulate_media(color_scheme=scheme)
+    set_screen(page, device, scheme)
     page.locator("#benches summary").click()
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    dark = page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
-    assert dark == (scheme == "dark")
+    check_screen(page, device, scheme)
 
 
 def test_on_paper_every_board_has_its_whole_table_and_no_controls(page) -> None:

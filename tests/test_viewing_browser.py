@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import WIDTHS, launched, needs_chromium, opened
+from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from synthetic import make_header, transmitters, write_dataset
 
 from xfreqbench.dataset import PasWriter
@@ -56,12 +56,8 @@ def page(browser, pages: dict[str, Path], request: pytest.FixtureRequest) -> Ite
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("device", WIDTHS)
 def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> None:
-    width, height = WIDTHS[device]
-    page.set_viewport_size({"width": width, "height": height})
-    page.emulate_media(color_scheme=scheme)
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    dark = page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
-    assert dark == (scheme == "dark")
+    set_screen(page, device, scheme)
+    check_screen(page, device, scheme)
 
 
 def test_every_picture_is_loaded_and_described(page) -> None:

@@ -87,6 +87,12 @@ def say(text: str, quiet: bool = False) -> None:
         print(text, flush=True)
 
 
+def say_written(output: Path, is_new: bool, quiet: bool) -> None:
+    """Name a data set that was written, with its size, or that was there already."""
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    say(f"wrote {output} ({size})" if is_new else f"{output} already holds this data set", quiet)
+
+
 def print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     """Print rows under their header, as wide as the terminal."""
     from rich.console import Console

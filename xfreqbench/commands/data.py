@@ -7,7 +7,17 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.commands import Executor, Freqs, Output, Quiet, app, parse_carriers_hz, progress_bars, say
+from xfreqbench.commands import (
+    Executor,
+    Freqs,
+    Output,
+    Quiet,
+    app,
+    parse_carriers_hz,
+    progress_bars,
+    say,
+    say_written,
+)
 from xfreqbench.errors import OutputExistsError, XFreqBenchError
 
 Solver = Annotated[
@@ -110,14 +120,13 @@ def generate(
     if dry_run:
         print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
         return
-    is_there = output.exists()
+    is_new = not output.exists()
     with (
         open_workers(executor) as workers,
         progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing),
     ):
         run_plan(plan, output, tracing, writing, workers)
-    size = f"{output.stat().st_size / 1e6:.1f} MB"
-    say(f"{output} already holds this data set" if is_there else f"wrote {output} ({size})", quiet)
+    say_written(output, is_new, quiet)
 
 
 def _interactions(names: str) -> tuple[Literal["specular", "refraction", "diffraction", "diffuse"], ...]:

@@ -7,7 +7,16 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from xfreqbench.commands import Output, Quiet, app, print_table, progress_bars, say, target_carriers_hz
+from xfreqbench.commands import (
+    Output,
+    Quiet,
+    app,
+    print_table,
+    progress_bars,
+    say,
+    say_written,
+    target_carriers_hz,
+)
 
 Convention = Annotated[
     str, Parameter(help="Whose angles, values and array: a name from `xfreqbench conventions`.")
@@ -57,8 +66,7 @@ def import_(
         say(f"{' and '.join(source.ignored)} ignored: protocols make the splits", quiet)
     with progress_bars("transmitters", ["importing"], quiet) as (progress,):
         is_new = import_png_folder(source, output, progress)
-    size = f"{output.stat().st_size / 1e6:.1f} MB"
-    say(f"wrote {output} ({size})" if is_new else f"{output} already holds this data set", quiet)
+    say_written(output, is_new, quiet)
 
 
 @app.command
