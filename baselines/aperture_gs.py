@@ -1,17 +1,17 @@
-"""Ours: RF Gaussians accumulated at the array's elements, the map formed from their sum."""
+"""This project's method `aperture-gs`: Gaussians add up at the array's elements, and maps are formed from the sum."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xfreqbench.splatting.aperture import ApertureField
-from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, TrainingConfig
-from xfreqbench.splatting.network import NetworkConfig
+from xfreqbench.methods.learning.aperture import ApertureField
+from xfreqbench.methods.learning.network import NetworkConfig
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, TrainingConfig
 
 
 @dataclass(frozen=True)
 class ApertureGSConfig(NetworkConfig, TrainingConfig):
-    """Fewer Gaussians than a renderer of pixels needs."""
+    """Options. There are fewer Gaussians than a renderer of pixels needs."""
 
     num_gaussians: Count = 128
     modes: Count = 4  # channels whose powers add up
@@ -23,5 +23,5 @@ class ApertureGS(LearnedMethod):
     Config = ApertureGSConfig
 
     def field(self) -> ChannelField:
-        """Gaussians of which the receiver sees directions and spreads."""
+        """The field for the options, before training."""
         return ApertureField(self.config.num_gaussians, self.config.modes, self.config)

@@ -1,4 +1,4 @@
-"""Reduced baseline: Gaussians that know transmitter and place but not the carrier (family of WRF-GS+, GSRF)."""
+"""Reduced baseline: attributes depend on transmitter and place, not on the carrier (as in WRF-GS+ and GSRF)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 @dataclass(frozen=True)
 class FixedFrequencyGSConfig(XFreqGSConfig):
-    """No carrier in, no latent, and footprints that no carrier widens."""
+    """Options: no carrier as input, no latent, and no spread of footprints by the carrier."""
 
     sees_carrier: bool = False
     latent: int = 0

@@ -1,4 +1,4 @@
-"""Reduced baseline: the carrier is one more encoded input of one network (family of Wideband3DGS)."""
+"""Reduced baseline: the carrier is one more encoded input of the network (as in Wideband3DGS)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 @dataclass(frozen=True)
 class FrequencyEmbeddedGSConfig(XFreqGSConfig):
-    """The carrier goes in, but there is no latent and no carrier widens a footprint."""
+    """Options: the carrier is an input, but there is no latent and no spread of footprints by the carrier."""
 
     latent: int = 0
     max_spread: float = 1.0

@@ -1,4 +1,4 @@
-"""GSRF, reduced: static complex Gaussians, each radiating a Fourier–Legendre series of directions; no network."""
+"""GSRF, reduced: static complex Gaussians that radiate a Fourier–Legendre series of directions each; no network."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from xfreqbench.dataset import PasDataset
-from xfreqbench.splatting.encoding import Scaling
-from xfreqbench.splatting.gaussians import RFGaussians
-from xfreqbench.splatting.learned import (
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.learning.encoding import Scaling
+from xfreqbench.methods.learning.network import Attributes
+from xfreqbench.methods.learning.training import (
     ChannelField,
     Count,
     Fraction,
@@ -24,21 +24,21 @@ from xfreqbench.splatting.learned import (
     Positive,
     TrainingConfig,
 )
-from xfreqbench.splatting.network import Attributes
-from xfreqbench.splatting.splat import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.gaussians import RFGaussians
 
-_ATTENUATION = 0.1  # of every Gaussian, to start with
-_COEFFICIENT = 0.1  # deviation of real and imaginary parts, to start with
+_ATTENUATION = 0.1  # of each Gaussian at the start
+_COEFFICIENT = 0.1  # standard deviation of real and imaginary parts at the start
 
 
 @dataclass(frozen=True)
 class GSRFConfig(GaussianConfig, TrainingConfig):
-    """Theirs: 10,000 Gaussians at most to start with, degree 3."""
+    """Options. The paper has at most 10,000 Gaussians at the start, and degree 3."""
 
-    num_gaussians: Count = 512  # at most: as many as a regular grid in the box has
+    num_gaussians: Count = 512  # at most; as many as a regular grid in the box has
     max_gaussians: Count = 768
     degree: Annotated[int, Limits(ge=0, le=8)] = 3
-    degree_until: Fraction = 0.5  # of the training: by then degrees were added one by one
+    degree_until: Fraction = 0.5  # share of the budget until which degrees are added one by one
     learning_rate: Positive = 5e-3
     carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
 
@@ -46,8 +46,8 @@ class GSRFConfig(GaussianConfig, TrainingConfig):
 class FourierLegendre(nn.Module):
     """B_lm(d) = N_lm P_l^|m|(cos θ) e^{jmα}, in the order l² + l + m: spherical harmonics up to a degree.
 
-    Signs are those of `scipy.special.sph_harm_y`. (sin θ)^|m| e^{jmα} is (x ± jy)^|m|, so that the poles are
-    like any other direction. `degree` says how far the series goes at present.
+    Signs are those of `scipy.special.sph_harm_y`. (sin θ)^|m| e^{jmα} is computed as (x ± jy)^|m|, which holds at the
+    poles too. `degree` is the highest degree that the series has at present.
     """
 
     degree: Tensor
@@ -64,7 +64,7 @@ class FourierLegendre(nn.Module):
         self.register_buffer("degree", torch.tensor(0))
 
     def forward(self, direction: Float[Tensor, "... 3"]) -> Complex[Tensor, "... C"]:
-        """Every function at unit vectors; those beyond the present degree are zero."""
+        """All C functions at unit vectors; those beyond the present degree are zero."""
         x, y, z = direction.unbind(-1)
         powers, turns = [torch.ones_like(z)], [torch.complex(torch.ones_like(x), torch.zeros_like(y))]
         for _ in range(self.max_degree):
@@ -76,7 +76,7 @@ class FourierLegendre(nn.Module):
 
 
 def _in_powers_of_z(degree: int, order: int, max_degree: int) -> list[float]:
-    """N_lm d^|m| P_l / dz^|m|, with the sign of Condon and Shortley."""
+    """Coefficients of N_lm d^|m| P_l / dz^|m| in powers of z, with the sign of Condon and Shortley."""
     turns = abs(order)
     ratio = math.factorial(degree - turns) / math.factorial(degree + turns)
     norm = math.sqrt((2 * degree + 1) / (4 * math.pi) * ratio) * (-1) ** max(order, 0)
@@ -85,7 +85,7 @@ def _in_powers_of_z(degree: int, order: int, max_degree: int) -> list[float]:
 
 
 class RadiatingGaussians(RFGaussians):
-    """Gaussians that hold a series and an attenuation each."""
+    """Gaussians with the coefficients of a series and an attenuation each."""
 
     def __init__(self, num_gaussians: int, num_functions: int) -> None:
         super().__init__(num_gaussians)
@@ -96,7 +96,7 @@ class RadiatingGaussians(RFGaussians):
 
     @torch.no_grad()
     def settle(self, position_m: Float[Tensor, "N 3"], spacing_m: float, generator: torch.Generator) -> None:
-        """Stand at these points, each as large as they are apart, with a random series."""
+        """Move the Gaussians to these points, as large as the spacing, with random coefficients."""
         self.position_m.copy_(position_m)
         self.quaternion[:, 0] = 1.0
         self.log_scale.fill_(math.log(spacing_m))
@@ -104,7 +104,7 @@ class RadiatingGaussians(RFGaussians):
 
 
 def regular_grid(scaling: Scaling, most: int) -> tuple[Float[Tensor, "N 3"], float]:
-    """Points of a regular grid in the box of the data, `most` of them or fewer, and their least distance in metres."""
+    """Points of a regular grid in the box of the data, at most `most`, and their smallest distance in metres."""
     size_m = 2 * scaling.half_size_m
     spacing_m = (size_m.prod() / most) ** (1 / 3)
     while (counts := (size_m / spacing_m).floor().clamp_min(1)).prod() > most:
@@ -125,11 +125,11 @@ class GSRFField(GaussianField):
         super().__init__(config, Scaling(), FourierLegendre(config.degree))
 
     def new_gaussians(self, number: int) -> RadiatingGaussians:
-        """With as many coefficients as the series has."""
+        """New Gaussians with as many coefficients as the series has functions."""
         return RadiatingGaussians(number, (self.config.degree + 1) ** 2)
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
-        """A regular grid in the box of the data."""
+        """Place the Gaussians on a regular grid in the box of the training data."""
         self.scaling.adapt(train)
         position_m, spacing_m = regular_grid(self.scaling, self.config.num_gaussians)
         self.gaussians = self.new_gaussians(len(position_m))
@@ -138,7 +138,7 @@ class GSRFField(GaussianField):
     def attributes(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
     ) -> Attributes:
-        """What some of the Gaussians send to the receiver, whatever the carrier."""
+        """Signal and attenuation of the Gaussians `seen`, the same at every carrier."""
         tx_m = self.scaling.in_frame(tx_position_m)
         direction = normalize(self.gaussians.position_m[seen] - tx_m[:, None], dim=-1)
         coefficient = torch.view_as_complex(self.gaussians.coefficient[seen])
@@ -148,7 +148,7 @@ class GSRFField(GaussianField):
         return Attributes((attenuation * signal)[None], transmitted, torch.ones_like(attenuation))
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
-        """Densify and prune; go one degree further when it is time."""
+        """Divide and drop Gaussians; raise the degree of the series when it is time."""
         super().after_step(optimizer, step, share)
         reached = share / self.config.degree_until if self.config.degree_until else 1.0
         self.network.degree.fill_(int(min(reached, 1.0) * self.config.degree))
@@ -160,13 +160,13 @@ class GSRF(LearnedMethod):
     Kept: complex Gaussians without a network, real attenuation from 0.1, a complex series of degree 3 in the
     direction from transmitter to Gaussian, its degree raised one by one, a start on a regular grid.
     Left out: 10,000 Gaussians (here hundreds); the loss of Fourier coefficients, and hours of training.
-    Changed: the sphere stands at the receiver, where the map is measured (theirs: at the transmitter); footprints
-    are projected with their Jacobian; the grid's spacing follows from the number of points (theirs: from the
+    Changed: the sphere is at the receiver, where the map is measured (paper: at the transmitter); footprints are
+    projected with their Jacobian; the grid's spacing follows from the number of points (paper: from the
     wavelength); Gaussians are divided and dropped as in `xfreq-gs`; the loss is Eq. 12.
     """
 
     Config = GSRFConfig
 
     def field(self) -> ChannelField:
-        """Radiating Gaussians on the sphere of directions."""
+        """The field for the options, before training."""
         return GSRFField(self.config)

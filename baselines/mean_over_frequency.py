@@ -10,29 +10,29 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from pydantic import Field
 
-from xfreqbench.angles import FloatArray
-from xfreqbench.transmitters import TransmitterLookup
+from xfreqbench.methods.lookup import TransmitterLookup
+from xfreqbench.types import FloatArray
 
 
 @dataclass(frozen=True)
 class MeanOverFrequencyConfig:
-    """How many of the nearest transmitters stand in for one that was not trained on."""
+    """Options: the number of nearest transmitters that replace one that is not in the training rows."""
 
     num_nearest: Annotated[int, Field(ge=1)] = 6
 
 
 class MeanOverFrequency(TransmitterLookup):
-    """Averages maps of all training carriers and ignores the carrier that is asked for."""
+    """Averages the maps of all training carriers and ignores the carrier of the query."""
 
     Config = MeanOverFrequencyConfig
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[NDArray[np.float32], "B E A"]:
-        """One mean a query, scaled to peak 1."""
-        return np.stack([self._map(position_m) for position_m in tx_position_m])
-
-    def _map(self, tx_position_m: Float[FloatArray, "3"]) -> Float[NDArray[np.float32], "E A"]:
-        nearest = self.transmitters.nearest(tx_position_m, self.config.num_nearest)
-        rows = self.transmitters.rows(nearest)
-        return self.transmitters.blend(rows, np.ones(len(rows)))
+        """For each query, the mean map, scaled to peak 1."""
+        maps = []
+        for position_m in tx_position_m:
+            nearest = self.transmitters.nearest(position_m, self.config.num_nearest)
+            rows = self.transmitters.rows(nearest)
+            maps.append(self.transmitters.blend(rows, np.ones(len(rows))))
+        return np.stack(maps)

@@ -1,4 +1,4 @@
-"""Ours: planes found in the maps, transmitters mirrored in them, and phases that hold at every carrier."""
+"""This project's method `virtual-source`: transmitters mirrored in planes that are found in the maps."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xfreqbench.dataset import IntArray, PasDataset
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
-from xfreqbench.method import Budget, Progress
-from xfreqbench.splatting.learned import Count, LearnedMethod, Positive, Training, TrainingConfig
-from xfreqbench.splatting.network import NetworkConfig
-from xfreqbench.splatting.view import Targets, View
-from xfreqbench.virtual_source.config import SourceConfig
-from xfreqbench.virtual_source.field import VirtualSourceField
-from xfreqbench.virtual_source.line_of_sight import Explained
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.learning.network import NetworkConfig
+from xfreqbench.methods.learning.targets import GridView, Targets
+from xfreqbench.methods.learning.training import Count, LearnedMethod, Positive, Training, TrainingConfig
+from xfreqbench.methods.virtual_source.config import SourceConfig
+from xfreqbench.methods.virtual_source.field import TracedPairs, VirtualSourceField
+from xfreqbench.methods.virtual_source.search.cross_terms import Explained
+from xfreqbench.types import IntArray
 
 _TX_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
 class VirtualSourceConfig(SourceConfig, NetworkConfig, TrainingConfig):
-    """A step looks at all carriers of a few transmitters, whose paths are then traced once."""
+    """Options. A training step uses all carriers of a few transmitters, so that each one's paths serve many rows."""
 
     batch_size: Count = 8  # transmitters
     learning_rate: Positive = 3e-3
@@ -49,42 +50,36 @@ class VirtualSource(LearnedMethod):
         self._train: PasDataset | None = None
 
     def field(self) -> VirtualSourceField:
-        """No planes yet."""
+        """The field without planes, before training."""
         return VirtualSourceField(self.config, self.config)
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
-        """Search planes, then minimise Eq. 12 by Adam, looking for more planes on the way."""
+        """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way."""
         self._train = train
         yield from super().fit(train, budget, seed)
 
     def batch_loss(self, training: Training, targets: Targets) -> Tensor:
-        """Eq. 12 of all rows of some transmitters, and a little for what stands in the room."""
+        """Eq. 12 for all rows of some transmitters, plus a small weight on the contents of the cells."""
         field, generator = _field(training), training.generator
         rows = self._rows_of(training, targets)
         chosen = torch.randint(rows.num_tx, (self.config.batch_size,), generator=generator)
-        view = View.draw(self.config.stride, generator)
+        view = GridView.draw(self.config.stride, generator)
         nth, of_tx, of_carrier = rows.of(chosen)
         _, blurred_hz = targets.queries(nth, self.config.carrier_blur, generator)
-        power = field.power_of(
-            rows.offset_m[chosen],
-            rows.traces[chosen],
-            rows.carrier_hz,
-            of_tx,
-            of_carrier,
-            view,
-            training.beams,
-            blurred_hz,
+        pairs = TracedPairs(
+            rows.offset_m[chosen], rows.traces[chosen], rows.carrier_hz, of_tx, of_carrier, blurred_hz
         )
+        power = field.power_of(pairs, view, training.beams)
         loss = self.loss_of(power, targets.maps(nth, view), training)
         return loss + self.config.sparsity * field.room.clutter()
 
     def findings(self) -> dict[str, Any]:
-        """Planes with their materials and uncertainties, and images: see `Room.findings`."""
+        """Planes with materials and uncertainties, and images, as `LearnedRoom.findings` describes them."""
         field = _field(self._trained())
         return field.room.findings(field.array_m)
 
     def _rows_of(self, training: Training, targets: Targets) -> _TransmitterRows:
-        """Paths of the training transmitters, after another look for planes where it is time for one."""
+        """The training rows with traced paths, after another search for planes where it is time for one."""
         field = _field(training)
         if self._rows is None or not self._rows.are_of(field, targets):
             self._rows = _TransmitterRows(field, targets)
@@ -104,7 +99,7 @@ def _field(training: Training) -> VirtualSourceField:
 
 
 class _TransmitterRows:
-    """Training rows by transmitter, and the paths of each, traced once."""
+    """The training rows sorted by transmitter, with the paths of each transmitter traced once."""
 
     def __init__(self, field: VirtualSourceField, targets: Targets) -> None:
         self._targets, self._sequence = targets, field.room.sequence
@@ -121,7 +116,7 @@ class _TransmitterRows:
         self._row = torch.as_tensor(table)
 
     def channels(self, field: VirtualSourceField, element: Float[Tensor, "M 3"]) -> Explained:
-        """What the field says of the channels of rows of the training data, Q that do not interfere."""
+        """A function that returns the field's channels of rows of the training data: Q that do not interfere."""
         carriers, parts = self.carrier_hz, []
         with torch.no_grad():
             for some in torch.arange(self.num_tx).split(_TX_AT_ONCE):
@@ -140,11 +135,11 @@ class _TransmitterRows:
         return explained
 
     def are_of(self, field: VirtualSourceField, targets: Targets) -> bool:
-        """Whether nothing has changed."""
+        """Whether these rows are still those of the field's images and the targets."""
         return targets is self._targets and field.room.sequence is self._sequence
 
     def of(self, chosen: Int[Tensor, "t"]) -> tuple[Int[Tensor, "B"], Int[Tensor, "B"], Int[Tensor, "B"]]:
-        """Rows of some transmitters, which of these each belongs to, and its carrier."""
+        """For all rows of the chosen transmitters: the row, and the indices of its transmitter and its carrier."""
         rows = self._row[chosen]
         of_tx, of_carrier = (rows >= 0).nonzero(as_tuple=True)
         return rows[of_tx, of_carrier], of_tx, of_carrier

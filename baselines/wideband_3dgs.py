@@ -1,4 +1,4 @@
-"""Wideband3DGS, reduced: Gaussians with an electromagnetic feature network told the carrier on a raw axis."""
+"""Wideband3DGS, reduced: Gaussians with an electromagnetic feature network, which sees carriers on a linear axis."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
-from xfreqbench.dataset import PasDataset
-from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
-from xfreqbench.splatting.gaussians import RFGaussians
-from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
-from xfreqbench.splatting.network import Attributes, PairwiseMLP, Precision
-from xfreqbench.splatting.splat import GaussianConfig, GaussianField
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.methods.learning.network import Attributes, PairwiseMLP, Precision
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.gaussians import RFGaussians
 
-_HIGHEST_HZ = 94e9  # scaled to 1 on a linear axis
-_NEAREST_M = 0.1  # signals of Gaussians closer to the receiver are not divided by less
-_OPACITY = 0.1  # of every Gaussian, to start with
+_HIGHEST_HZ = 94e9  # carrier that is scaled to 1 on a linear axis
+_NEAREST_M = 0.1  # smallest distance to the receiver by which signals are divided
+_OPACITY = 0.1  # of each Gaussian at the start
 
 
 @dataclass(frozen=True)
 class Wideband3DGSConfig(GaussianConfig, TrainingConfig):
-    """Theirs: 8 layers of 128 for the attenuation, 128 and 64 for the signal, 10 octaves of everything."""
+    """Options. The paper has 8 layers of 128 for the attenuation, 128 and 64 for the signal, and 10 octaves."""
 
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # one deviation, to start with
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # of one deviation, at the start
     width: Annotated[int, Limits(ge=2)] = 64
     layers: Count = 4
     octaves: Annotated[int, Limits(ge=0)] = 4
@@ -40,7 +40,7 @@ class Wideband3DGSConfig(GaussianConfig, TrainingConfig):
 
 
 class FeatureNetwork(nn.Module):
-    """Attenuation δ from place and carrier alone; signal S from what that leaves, transmitter and view."""
+    """Attenuation δ from place and carrier alone; signal S from their features, the transmitter and the view."""
 
     def __init__(self, config: Wideband3DGSConfig, scaling: Scaling) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class FeatureNetwork(nn.Module):
         self.gate = nn.Linear(carrier, place)
         sizes = [place, *[config.width] * config.layers]
         self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(sizes))
-        self.skip = nn.Linear(place, config.width, bias=False)  # into the layer in the middle
+        self.skip = nn.Linear(place, config.width, bias=False)  # to the layer in the middle
         self.attenuation = nn.Linear(config.width, 2)
         hidden = [config.width, config.width // 2]
         self.radiance = PairwiseMLP(place + carrier, 0, place + config.width, hidden, 2, config.precision)
@@ -57,7 +57,7 @@ class FeatureNetwork(nn.Module):
     def forward(
         self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
     ) -> tuple[Float[Tensor, "B V 2"], Float[Tensor, "B V 2"]]:
-        """Amplitude and phase, unbounded, of attenuation and signal; positions in the receiver's frame."""
+        """Attenuation and signal, each as amplitude and phase without bounds; positions in the receiver's frame."""
         of_carrier, feature = self.features(carrier_hz, position_m)
         unit_tx, place = self.scaling.unit_position(tx_m), self.scaling.unit_position(position_m)
         query = torch.cat([positional_encoding(unit_tx, self.config.octaves), of_carrier], dim=-1)
@@ -68,7 +68,7 @@ class FeatureNetwork(nn.Module):
     def features(
         self, carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
     ) -> tuple[Float[Tensor, "B C"], Float[Tensor, "B V W"]]:
-        """Encoded carriers, and the features of places at each; computed once for rows of one carrier."""
+        """Encoded carriers, and the features of places at each carrier, computed once for rows with equal carriers."""
         each_hz, of_row = carrier_hz.unique(return_inverse=True)
         carrier = positional_encoding((each_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
         place = positional_encoding(self.scaling.unit_position(position_m), self.config.octaves)
@@ -81,7 +81,7 @@ class FeatureNetwork(nn.Module):
 
 
 class OpaqueGaussians(RFGaussians):
-    """Gaussians that hold an opacity each."""
+    """Gaussians with an opacity each."""
 
     def __init__(self, num_gaussians: int) -> None:
         super().__init__(num_gaussians)
@@ -89,7 +89,7 @@ class OpaqueGaussians(RFGaussians):
 
 
 class Wideband3DGSField(GaussianField):
-    """R_k = Σ_i o_i G_i S_i / d_i Π_{m<i} (1 − o_m G_m (1 − δ_m)), d_i the distance to the receiver."""
+    """R_k = Σ_i o_i G_i S_i / d_i Π_{m<i} (1 − o_m G_m (1 − δ_m)), with d_i the distance to the receiver."""
 
     config: Wideband3DGSConfig
     network: FeatureNetwork
@@ -100,18 +100,18 @@ class Wideband3DGSField(GaussianField):
         super().__init__(config, scaling, FeatureNetwork(config, scaling))
 
     def new_gaussians(self, number: int) -> OpaqueGaussians:
-        """Of one opacity."""
+        """New Gaussians, all with the same opacity."""
         return OpaqueGaussians(number)
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
-        """Random points in the box of the data."""
+        """Place the Gaussians at random points in the box of the training data."""
         self.scaling.adapt(train)
         self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
 
     def attributes(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
     ) -> Attributes:
-        """The network's answer for some of the Gaussians, with their opacity and path loss."""
+        """The network's outputs for the Gaussians `seen`, with their opacity and path loss."""
         position_m = self.gaussians.position_m.detach()[seen]
         opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]
         tx_m = self.scaling.in_frame(tx_position_m)
@@ -139,5 +139,5 @@ class Wideband3DGS(LearnedMethod):
     Config = Wideband3DGSConfig
 
     def field(self) -> ChannelField:
-        """Gaussians with a feature network."""
+        """The field for the options, before training."""
         return Wideband3DGSField(self.config)

@@ -11,39 +11,41 @@ from jaxtyping import Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 
-from xfreqbench.dataset import PasDataset
-from xfreqbench.splatting.composite import composite
-from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
-from xfreqbench.splatting.footprints import bin_each, squared_distance, stacked
-from xfreqbench.splatting.gaussians import RFGaussians, covariance
-from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
-from xfreqbench.splatting.network import PairwiseMLP, Precision
-from xfreqbench.splatting.projection import Projection, project
-from xfreqbench.splatting.splat import GaussianConfig, GaussianField
-from xfreqbench.splatting.view import Beams, View
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.methods.learning.network import PairwiseMLP, Precision
+from xfreqbench.methods.learning.targets import Beams, GridView
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.methods.splatting.composite import composite
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.footprints import bin_each, squared_distance, stacked
+from xfreqbench.methods.splatting.gaussians import RFGaussians, covariance
+from xfreqbench.methods.splatting.projection import Projection, project
 
-_SIGNAL = 0.5  # of every Gaussian, to start with
-_OPACITY = 0.1
+_SIGNAL, _OPACITY = 0.5, 0.1  # of each Gaussian at the start
 _PARTS = (3, 4, 3, 2)  # of a deformation: position, quaternion, log-scale, signal (real and imaginary part)
 
 
 @dataclass(frozen=True)
 class WRFGSPlusConfig(GaussianConfig, TrainingConfig):
-    """Theirs: 8 layers of 256 with a skip, 10 octaves of positions and 6 of transmitters, 10,000s of Gaussians."""
+    """Options. The paper has 8 layers of 256 with a skip, 10 octaves of positions and 6 of transmitters.
 
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 4.0  # one deviation, to start with
+    It has tens of thousands of Gaussians.
+    """
+
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 4.0  # of one deviation, at the start
     width: Count = 64
     layers: Count = 4
     position_octaves: Annotated[int, Limits(ge=0)] = 4
     tx_octaves: Annotated[int, Limits(ge=0)] = 6
     precision: Precision = "auto"
-    batch_size: Count = 16  # each map has footprints of its own
+    batch_size: Count = 16  # each map has its own footprints
     learning_rate: Positive = 5e-3
     carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
 
 
 class DeformationNetwork(nn.Module):
-    """What each transmitter changes of each Gaussian: one network of E(μ) and E(p_tx)."""
+    """Changes of each Gaussian for each transmitter: one network with inputs E(μ) and E(p_tx)."""
 
     def __init__(self, config: WRFGSPlusConfig, scaling: Scaling) -> None:
         super().__init__()
@@ -57,7 +59,7 @@ class DeformationNetwork(nn.Module):
     ) -> tuple[
         Float[Tensor, "B N 3"], Float[Tensor, "B N 4"], Float[Tensor, "B N 3"], Float[Tensor, "B N 2"]
     ]:
-        """Metres, quaternion, log-scale and complex signal to be added, all in the receiver's frame."""
+        """Position (m), quaternion, log-scale and complex signal to add, in the receiver's frame."""
         query = positional_encoding(self.scaling.unit_position(tx_m), self.config.tx_octaves)
         gaussian = positional_encoding(self.scaling.unit_position(position_m), self.config.position_octaves)
         outputs = self.mlp(query, gaussian, query.new_zeros(len(query), len(gaussian), 0))
@@ -66,7 +68,7 @@ class DeformationNetwork(nn.Module):
 
 
 class BrightGaussians(RFGaussians):
-    """Gaussians that hold a real signal and an opacity each."""
+    """Gaussians with a real signal and an opacity each."""
 
     def __init__(self, num_gaussians: int) -> None:
         super().__init__(num_gaussians)
@@ -75,7 +77,7 @@ class BrightGaussians(RFGaussians):
 
 
 class WRFGSPlusField(GaussianField):
-    """R_k = Σ_i o_i G_i s_i Π_{m<i} (1 − o_m G_m) of Gaussians as they stand for one transmitter; all of it real."""
+    """R_k = Σ_i o_i G_i s_i Π_{m<i} (1 − o_m G_m), all real, with Gaussians that are deformed for each transmitter."""
 
     config: WRFGSPlusConfig
     network: DeformationNetwork
@@ -86,18 +88,22 @@ class WRFGSPlusField(GaussianField):
         super().__init__(config, scaling, DeformationNetwork(config, scaling))
 
     def new_gaussians(self, number: int) -> BrightGaussians:
-        """Of one brightness."""
+        """New Gaussians, all with the same signal and opacity."""
         return BrightGaussians(number)
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
-        """Random points in the box of the data."""
+        """Place the Gaussians at random points in the box of the training data."""
         self.scaling.adapt(train)
         self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
 
     def power(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
     ) -> Float[Tensor, "B E A"]:
-        """R_k² of every direction in view; each transmitter has its own footprints."""
+        """Power R_k² from each direction in view; each transmitter has its own footprints."""
         num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
         projection, amplitude = self.deformed(tx_position_m)
         lists = bin_each(projection, num_maps, grid, self._support)
@@ -111,7 +117,7 @@ class WRFGSPlusField(GaussianField):
         return field.real.square().reshape(num_maps, *grid.shape)
 
     def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Projection, Float[Tensor, "N B"]]:
-        """Footprints of all Gaussians for one transmitter after another, and their amplitudes."""
+        """Footprints of all Gaussians, for one transmitter after another, and the amplitudes of their signals."""
         gaussians, tx_m = self.gaussians, self.scaling.in_frame(tx_position_m)
         moved_m, turned, scaled, signal = self.network(tx_m, gaussians.position_m.detach())
         of_all = covariance(
@@ -122,6 +128,7 @@ class WRFGSPlusField(GaussianField):
 
 
 def _one_map_after_another(attribute: Complex[Tensor, "N B"]) -> Complex[Tensor, "NB 1"]:
+    """The attributes of all Gaussians for the first map, then for the second, and so on."""
     return attribute.T.reshape(-1, 1)
 
 
@@ -139,5 +146,5 @@ class WRFGSPlus(LearnedMethod):
     Config = WRFGSPlusConfig
 
     def field(self) -> ChannelField:
-        """Gaussians deformed for each transmitter."""
+        """The field for the options, before training."""
         return WRFGSPlusField(self.config)

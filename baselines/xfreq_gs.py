@@ -1,17 +1,17 @@
-"""XFreq-GS: 3-D RF Gaussians, geometry shared by all carriers, attributes from a network told the carrier."""
+"""XFreq-GS: 3-D RF Gaussians with the same geometry at all carriers; a network that sees the carrier gives the rest."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xfreqbench.splatting.learned import ChannelField, LearnedMethod, Positive, TrainingConfig
-from xfreqbench.splatting.network import NetworkConfig
-from xfreqbench.splatting.splat import SplatConfig, SplatField
+from xfreqbench.methods.learning.network import NetworkConfig
+from xfreqbench.methods.learning.training import ChannelField, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.methods.splatting.field import SplatConfig, SplatField
 
 
 @dataclass(frozen=True)
 class XFreqGSConfig(SplatConfig, NetworkConfig, TrainingConfig):
-    """Smaller than the paper's, to be trained on a processor in minutes."""
+    """Options. Sizes are smaller than the paper's, to train on a processor in minutes."""
 
     learning_rate: Positive = 5e-3
 
@@ -22,5 +22,5 @@ class XFreqGS(LearnedMethod):
     Config = XFreqGSConfig
 
     def field(self) -> ChannelField:
-        """Gaussians splatted on the sphere of directions."""
+        """The field for the options, before training."""
         return SplatField(self.config, self.config)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from jaxtyping import install_import_hook
 
-sys.path.insert(0, str(Path(__file__).parent))  # `typechecking` and `reference` are modules of the tests
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
-    "xfreqbench.image_kernels",
-    "xfreqbench.splatting.composite_kernels",
-    "xfreqbench.splatting.footprint_kernels",
+    "xfreqbench.tracing.image.kernels",
+    "xfreqbench.methods.splatting.composite_kernels",
+    "xfreqbench.methods.splatting.footprint_kernels",
 }
 PACKAGE = Path(__file__).parents[1] / "xfreqbench"
 SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]

@@ -1,1 +1,9 @@
-"""Benchmark of radiance-field methods that predict wireless channels at unseen carriers."""
+"""Benchmark of radiance-field methods that predict wireless channels at unseen carriers.
+
+The names of `__init__.pyi` are the public interface, described in docs/api.md; each is imported when it is first
+used. Everything else may change.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,18 +1,18 @@
-"""Every error a user can mend, as one tree.
+"""All errors that a user can do something about, as one tree.
 
-XFreqBenchError
-├── UnknownNameError       a scene, method, material, option or protocol that does not exist
-├── SceneError             a scene file that cannot be read or describes no valid scene
-│   ├── MaterialBandError  a carrier outside the band in which a used material is defined
-│   └── PlacementError     a receiver or transmitter inside, or on, an object
-├── OutputExistsError      an output file that holds something else than what is asked for
-├── DataError              a data set, split or record that is damaged or of another schema
-├── ProtocolError          a protocol that the data set cannot serve
-├── MethodError            a method that breaks its contract
-│   └── DivergenceError    a fit whose loss, gradients or parameters are no longer finite
-├── StorageError           no space, or no permission, where the output goes
-├── ClusterError           workers that cannot be reached, are unlike this process, or die of their work
-└── MissingLLVMError       no LLVM library that Dr.Jit can use
+XFreqBenchError            any of these; its message says what was given, what is allowed and what to do
+├── UnknownNameError       there is no scene, method, material, option or protocol of that name
+├── SceneError             a scene file cannot be read, or describes no valid scene
+│   ├── MaterialBandError  a carrier is outside the band in which a material of the scene is defined
+│   └── PlacementError     the receiver or a transmitter is inside an object, on a surface, or too near to one
+├── OutputExistsError      the output exists already and holds something else, which is not overwritten
+├── DataError              a stored file (data set, split, predictions, records) is missing, damaged or of another kind
+├── ProtocolError          the data set lacks carriers or transmitters that the protocol needs
+├── MethodError            a method cannot be imported, or breaks the `Method` contract
+│   └── DivergenceError    while a method was fitted, its loss, gradients or parameters became infinite or NaN
+├── StorageError           the output cannot be written: no space, no permission, or a folder in its place
+├── ClusterError           workers cannot be reached, differ from this process, or end while they work
+└── MissingLLVMError       there is no LLVM library that Dr.Jit can use
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from typing import Any
 
 
 class XFreqBenchError(Exception):
-    """Something a user can mend; the message says what was given, what is allowed and what to do."""
+    """Something a user can do something about; the message says what was given, what is allowed and what to do."""
 
 
 class UnknownNameError(XFreqBenchError):
-    """A name that is not in its list of choices."""
+    """There is no such `kind` of thing as `given`; the message names the nearest of `choices`, and all of them."""
 
     def __init__(self, kind: str, given: str, choices: Iterable[str]) -> None:
         known = sorted(choices)
@@ -37,39 +37,39 @@ class UnknownNameError(XFreqBenchError):
         self._arguments = kind, given, known
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments  # or another process could not tell of it
+        return type(self), self._arguments  # so that it can be pickled and raised in another process
 
 
 class SceneError(XFreqBenchError):
-    """A scene that cannot be read or is not valid."""
+    """A scene file cannot be read, or describes no valid scene."""
 
 
 class MaterialBandError(SceneError):
-    """A carrier outside the band in which a used material is defined."""
+    """A carrier is outside the band in which a material of the scene is defined."""
 
 
 class PlacementError(SceneError):
-    """A receiver or transmitter where none can stand."""
+    """The receiver or a transmitter is inside an object, on a surface, or too near to one."""
 
 
 class OutputExistsError(XFreqBenchError):
-    """An output that exists and holds something else."""
+    """The output exists already and holds something else, which is not overwritten."""
 
 
 class DataError(XFreqBenchError):
-    """Stored data that are damaged or of another schema."""
+    """A stored file is missing, damaged or of another kind."""
 
 
 class ProtocolError(XFreqBenchError):
-    """A protocol that the data set cannot serve."""
+    """The data set lacks carriers or transmitters that the protocol needs."""
 
 
 class MethodError(XFreqBenchError):
-    """A method that breaks the `Method` contract."""
+    """A method cannot be imported, or breaks the `Method` contract."""
 
 
 class DivergenceError(MethodError):
-    """A fit that left the finite numbers at `step`; `tensor` names the loss, a gradient or a parameter."""
+    """At `step` of a fit, `tensor` (the loss, a gradient or a parameter, by name) became infinite or NaN."""
 
     def __init__(self, step: int, tensor: str, context: str = "Lower the learning rate.") -> None:
         super().__init__(f"{tensor} is not finite at step {step}. {context}")
@@ -82,12 +82,12 @@ class DivergenceError(MethodError):
 
 
 class StorageError(XFreqBenchError):
-    """An output that cannot be written."""
+    """The output cannot be written: no space, no permission, or a folder in its place."""
 
 
 class ClusterError(XFreqBenchError):
-    """Workers that cannot be reached, are unlike this process, or die of their work."""
+    """Workers cannot be reached, differ from this process, or end while they work."""
 
 
 class MissingLLVMError(XFreqBenchError):
-    """No LLVM library that Dr.Jit's CPU backend can use."""
+    """There is no LLVM library that Dr.Jit can use."""

@@ -1,4 +1,4 @@
-"""What any method owes, and what this one should do."""
+"""Tests of the method: the contract that all methods keep, and what this one should do."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import numpy as np
 import torch
 from plane_waves import PlaneWaveField, PlaneWavesConfig
 
-from xfreqbench.angles import AngularGrid
-from xfreqbench.array import planar_array
-from xfreqbench.pas import BartlettBeam
-from xfreqbench.splatting.view import Beams, View
-from xfreqbench.testing import check_method
+from xfreqbench import AngularGrid, BartlettBeam, check_method
+from xfreqbench.methods.learning.targets import Beams, GridView
+from xfreqbench.scene.array import planar_array
 
 
 def test_it_keeps_the_contract() -> None:
@@ -29,5 +27,5 @@ def test_the_direct_wave_alone_peaks_at_the_transmitter() -> None:
         last.bias.copy_(torch.tensor([1.0, 0.0, 0.0, 0.0]))  # the direct wave is 1, the learned one 0
         towards = torch.as_tensor(grid.directions[40, 250], dtype=torch.float32)
         beams = Beams(BartlettBeam(planar_array(4, 4, 0.5), grid), torch.device("cpu"))
-        power = field.power(2.5 * towards[None], torch.tensor([5e9]), View(), beams)
+        power = field.power(2.5 * towards[None], torch.tensor([5e9]), GridView(), beams)
     assert np.unravel_index(int(power[0].argmax()), grid.shape) == (40, 250)

@@ -1,4 +1,4 @@
-"""A room as a few plane waves, whose strengths a small network gives: a method to copy and to change."""
+"""A method to copy and to change: a room as a few plane waves, whose strengths a small network gives."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from xfreqbench.dataset import PasDataset
-from xfreqbench.splatting.encoding import Scaling, encoded_size, positional_encoding
-from xfreqbench.splatting.learned import ChannelField, Count, LearnedMethod, TrainingConfig
-from xfreqbench.splatting.view import Beams, View
+from xfreqbench import LearnedMethod, PasDataset
+from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
+from xfreqbench.methods.learning.targets import Beams, GridView
+from xfreqbench.methods.learning.training import ChannelField, Count, TrainingConfig
 
 
 @dataclass(frozen=True)
 class PlaneWavesConfig(TrainingConfig):
-    """What `--set` can change: these, and every field of `TrainingConfig`."""
+    """Options that `--set` can change: these, and all fields of `TrainingConfig`."""
 
     waves: Count = 24  # directions that all transmitters and carriers share
-    modes: Count = 4  # channels whose powers add up: nobody knows the phases at a carrier not trained on
+    modes: Count = 4  # channels whose powers add up, because the phases at an unseen carrier are unknown
     width: Count = 64
     octaves: Count = 3
 
 
 class PlaneWaveField(ChannelField):
-    """Channel h = Σ_k s_k(transmitter, carrier) a(d_k): d_0 points to the transmitter, the others are learned."""
+    """Channel h = Σ_k s_k(transmitter, carrier) a(d_k); d_0 points to the transmitter, the others are learned."""
 
     def __init__(self, config: PlaneWavesConfig) -> None:
         super().__init__()
@@ -50,15 +50,19 @@ class PlaneWaveField(ChannelField):
             self.direction.copy_(self.scaling.random_positions(self.config.waves, generator))
 
     def power(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: View, beams: Beams
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
     ) -> Float[Tensor, "B E A"]:
-        """Bartlett map of the sum of all waves, at the directions in view."""
+        """Bartlett maps of the sums of all waves, at the directions in view."""
         tx_m = self.scaling.in_frame(tx_position_m)
         cfr = self.strength(tx_m, carrier_hz) @ self.response(tx_m, beams)  # (B, modes, M)
         return beams.power(cfr.movedim(1, 0), view)
 
     def strength(self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]) -> Tensor:
-        """Complex s_k of every mode, (B, modes, 1 + waves)."""
+        """Complex strengths s_k of each mode, (B, modes, 1 + waves)."""
         place = positional_encoding(self.scaling.unit_position(tx_m), self.config.octaves)
         outputs = self.network(torch.cat([place, self.scaling.unit_carrier(carrier_hz)], dim=-1))
         return torch.view_as_complex(outputs.unflatten(-1, (self.config.modes, -1, 2)))
@@ -78,5 +82,5 @@ class PlaneWaves(LearnedMethod):
     Config: type[Any] = PlaneWavesConfig
 
     def field(self) -> PlaneWaveField:
-        """The field that the config asks for, before training."""
+        """The field for the options, before training."""
         return PlaneWaveField(self.config)

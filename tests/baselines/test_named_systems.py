@@ -1,0 +1,268 @@
+"""Reduced GSRF, WRF-GS+ and Wideband3DGS: what sets each apart holds, and each learns, stops and goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import sph_harm_y
+from synthetic import write_dataset
+from torch.nn.functional import normalize
+from training import DIVIDING, predicted, reloaded, trained
+from xfreqbench.baselines.gsrf import GSRF, FourierLegendre, GSRFField, regular_grid
+from xfreqbench.baselines.wideband_3dgs import Wideband3DGS, Wideband3DGSField
+from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus, WRFGSPlusField
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.learning.encoding import Scaling
+from xfreqbench.methods.learning.targets import Beams, GridView
+from xfreqbench.methods.learning.training import LearnedMethod
+from xfreqbench.methods.splatting.composite import composite
+from xfreqbench.methods.splatting.field import GaussianField
+from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.methods.splatting.projection import angular_centre
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
+from xfreqbench.report.leaderboard.tables import ranking_table
+from xfreqbench.runs.run import Job, run_job
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+NAMED = [GSRF, WRFGSPlus, Wideband3DGS]
+SMALL = {"num_gaussians": 30, "batch_size": 8, "stride": 15}
+NETWORK = {"width": 8, "layers": 2, "precision": "float32"}
+every_system = pytest.mark.parametrize("method", NAMED)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
+
+
+def small(method: type[LearnedMethod], **options: Any) -> LearnedMethod:
+    network = {} if method is GSRF else NETWORK
+    return method(method.Config(**{**SMALL, **network, **options}))
+
+
+def started(method: type[LearnedMethod], dataset: PasDataset, **options: Any) -> tuple[GaussianField, Beams]:
+    training = small(method, **options).started(dataset, seed=0)
+    assert isinstance(training.field, GaussianField)
+    return training.field, training.beams
+
+
+def power(field: GaussianField, beams: Beams, tx_position_m: torch.Tensor, carrier_hz: float) -> torch.Tensor:
+    carriers_hz = torch.full((len(tx_position_m),), carrier_hz, dtype=torch.float64)
+    with torch.no_grad():
+        return field.power(tx_position_m, carriers_hz, GridView(2), beams)
+
+
+def transmitters(dataset: PasDataset, number: int = 3) -> torch.Tensor:
+    return torch.as_tensor(np.unique(dataset.tx_position_m, axis=0)[:number], dtype=torch.float32)
+
+
+@every_system
+def test_sixty_steps_lower_the_loss(method: type[LearnedMethod], dataset: PasDataset) -> None:
+    model = small(method, ssim_weight=0.0, learning_rate=0.01)
+    losses = [point.loss for point in trained(model, dataset, 60)]
+    assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])
+
+
+@every_system
+def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
+    method: type[LearnedMethod], dataset: PasDataset, tmp_path: Path
+) -> None:
+    unbroken, broken = small(method, **DIVIDING), small(method, **DIVIDING)
+    points = trained(unbroken, dataset, 20)
+    before = trained(broken, dataset, 11, end=20)
+    resumed = reloaded(broken, tmp_path / "saved")
+    assert resumed.config == broken.config
+    assert np.array_equal(predicted(resumed, dataset), predicted(broken, dataset))
+    assert [*before, *trained(resumed, dataset, 20)] == points
+    assert np.array_equal(predicted(resumed, dataset), predicted(unbroken, dataset))
+    assert points[0].counts["gaussians"] < points[-1].counts["gaussians"]
+
+
+@every_system
+def test_what_a_gaussian_holds_is_divided_and_dropped_with_it(
+    method: type[LearnedMethod], dataset: PasDataset
+) -> None:
+    model = small(method, **DIVIDING)
+    first, *_ = trained(model, dataset, 12)
+    assert model._training is not None
+    gaussians = model._training.field.gaussians
+    number = len(gaussians)
+    assert number > first.counts["gaussians"]
+    assert {len(parameter) for parameter in gaussians.parameters()} == {number}
+    optimised = {id(each) for group in model._training.optimizer.param_groups for each in group["params"]}
+    assert {id(parameter) for parameter in gaussians.parameters()} <= optimised
+
+
+@pytest.mark.parametrize(
+    ("method", "sees_carrier"), [(GSRF, False), (WRFGSPlus, False), (Wideband3DGS, True)]
+)
+def test_only_wideband_3dgs_tells_carriers_apart(
+    method: type[LearnedMethod], sees_carrier: bool, dataset: PasDataset
+) -> None:
+    field, beams = started(method, dataset)
+    tx_position_m = transmitters(dataset)
+    assert torch.equal(*(power(field, beams, tx_position_m, hz) for hz in (1e9, 37e9))) != sees_carrier
+
+
+def test_the_series_is_scipys_spherical_harmonics() -> None:
+    direction = normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), dim=-1).double()
+    direction = torch.cat([direction, torch.eye(3).double(), -torch.eye(3).double()])
+    series = FourierLegendre(4).double()
+    series.degree.fill_(4)
+    polar_rad = np.arccos(direction[:, 2].numpy())
+    azimuth_rad = np.arctan2(direction[:, 1].numpy(), direction[:, 0].numpy())
+    expected = [sph_harm_y(degree, order, polar_rad, azimuth_rad) for degree, order in series.terms]
+    found = series(direction).numpy()
+    # the polynomials' coefficients are float32
+    np.testing.assert_allclose(found, np.stack(expected, axis=-1), rtol=0, atol=1e-6)
+
+
+def test_functions_beyond_the_present_degree_are_silent() -> None:
+    series = FourierLegendre(3)
+    for degree in range(4):
+        series.degree.fill_(degree)
+        values = series(normalize(torch.tensor([[1.0, 2.0, 3.0]]), dim=-1))[0]
+        assert int((values != 0).sum()) == (degree + 1) ** 2
+
+
+def test_degrees_are_added_one_by_one_until_half_of_the_training(dataset: PasDataset) -> None:
+    model = small(GSRF)
+    fit, degrees = model.fit(dataset, Budget(max_steps=13), 0), []
+    next(fit)
+    for step in range(1, 13):
+        fit.send(step / 12)
+        assert model._training is not None
+        degrees.append(int(model._training.field.network.degree))
+    assert degrees == [0, 1, 1, 2, 2, 3, 3, 3, 3, 3, 3, 3]
+
+
+def test_a_gaussian_of_gsrf_sends_a_transmitter_what_its_direction_says_whatever_the_distance(
+    dataset: PasDataset,
+) -> None:
+    field, _ = started(GSRF, dataset)
+    assert isinstance(field, GSRFField)
+    field.network.degree.fill_(3)
+    scaling, seen = field.scaling, torch.arange(len(field.gaussians)) == 4
+    away = torch.tensor([[1.0, 0.5, -0.2], [2.0, 1.0, -0.4], [1.0, -0.5, -0.2]])
+    tx_position_m = (field.gaussians.position_m[4].detach() + away) @ scaling.rotation.T + scaling.receiver_m
+    signal = field.attributes(tx_position_m, torch.ones(3).double(), seen).signal[0, 0]
+    # float32 positions of metres, differences of one
+    torch.testing.assert_close(signal[0], signal[1], rtol=1e-5, atol=1e-6)
+    assert float((signal[2] - signal[0]).detach().abs()) > 1e-3
+
+
+@pytest.mark.parametrize("size_m", [(8.0, 6.0, 2.8), (8.0, 6.0, 0.1), (1.0, 1.0, 1.0), (100.0, 0.1, 0.1)])
+def test_gsrf_starts_on_a_grid_of_the_box_that_holds_no_more_than_is_asked_for(
+    size_m: tuple[float, float, float],
+) -> None:
+    scaling = Scaling()
+    scaling.half_size_m.copy_(torch.tensor(size_m) / 2)
+    scaling.center_m.fill_(5.0)
+    position_m, spacing_m = regular_grid(scaling, 100)
+    assert 25 <= len(position_m) <= 100
+    assert bool(((position_m - 5).abs() < scaling.half_size_m).all())
+    along = torch.pdist(position_m)
+    assert float(along.min()) == pytest.approx(spacing_m, rel=1e-4) or spacing_m < float(along.min())
+
+
+def test_without_deformation_every_transmitter_has_one_map(dataset: PasDataset) -> None:
+    field, beams = started(WRFGSPlus, dataset)
+    tx_position_m = transmitters(dataset)
+    deformed = power(field, beams, tx_position_m, 1e9)
+    assert not torch.equal(deformed[0], deformed[1])
+    for parameter in field.network.mlp.head.parameters():
+        parameter.data.zero_()
+    one, *others = power(field, beams, tx_position_m, 1e9)
+    assert float(one.max()) > 0
+    for other in others:
+        assert torch.equal(one, other)
+
+
+def test_a_deformation_moves_a_footprint_to_where_it_says(dataset: PasDataset) -> None:
+    field, beams = started(WRFGSPlus, dataset, num_gaussians=1)
+    head = field.network.mlp.head
+    head.weight.data.zero_()
+    head.bias.data.zero_()
+    field.gaussians.position_m.data.copy_(torch.tensor([[2.0, 0.0, 1.0]]))
+    grid = GridView(2).of_grid(beams.grid)
+    for shift_m in ((0.0, 0.0, 0.0), (0.0, 1.5, 0.0), (0.0, 0.0, 1.0)):
+        head.bias.data[:3] = torch.tensor(shift_m)
+        row, column = divmod(
+            int(power(field, beams, transmitters(dataset, 1), 1e9)[0].argmax()), grid.shape[1]
+        )
+        azimuth_rad, elevation_rad, _ = angular_centre(
+            torch.tensor([[2.0, 0.0, 1.0]]) + torch.tensor(shift_m)
+        )
+        turn_rad = (grid.azimuth_rad[column] - float(azimuth_rad) + np.pi) % (2 * np.pi) - np.pi
+        assert abs(turn_rad) <= np.radians(1.01)  # every second degree is looked at
+        assert abs(grid.elevation_rad[row] - float(elevation_rad)) <= np.radians(1.01)
+
+
+def test_footprints_of_each_transmitter_are_accumulated_as_shared_ones_are(dataset: PasDataset) -> None:
+    field, beams = started(WRFGSPlus, dataset)
+    assert isinstance(field, WRFGSPlusField)
+    for parameter in field.network.mlp.head.parameters():
+        parameter.data.zero_()
+    grid = GridView(2).of_grid(beams.grid)
+    with torch.no_grad():
+        projection = field.projection()
+        lists = bin_footprints(projection, grid, field._support)
+        opacity = torch.sigmoid(field.gaussians.opacity_logit)[:, None]
+        shared = composite(
+            lists,
+            squared_distance(projection, lists, grid),
+            torch.ones_like(opacity),
+            (opacity * field.gaussians.signal[:, None]).to(torch.complex64),
+            (1 - opacity).to(torch.complex64),
+            backend="torch",
+        )
+    for one in power(field, beams, transmitters(dataset), 1e9):
+        torch.testing.assert_close(one.flatten(), shared[0].real.square(), rtol=1e-4, atol=1e-6)
+
+
+def test_what_attenuates_does_not_depend_on_the_transmitter_and_what_is_sent_does(
+    dataset: PasDataset,
+) -> None:
+    field, _ = started(Wideband3DGS, dataset)
+    assert isinstance(field, Wideband3DGSField)
+    everyone = torch.ones(len(field.gaussians), dtype=torch.bool)
+    carrier_hz = torch.tensor([1e9, 1e9, 37e9], dtype=torch.float64)
+    attributes = field.attributes(transmitters(dataset), carrier_hz, everyone)
+    attenuation, signal = attributes.attenuation.detach(), attributes.signal[0].detach()
+    assert torch.equal(attenuation[:, 0], attenuation[:, 1])
+    assert not torch.allclose(attenuation[:, 0], attenuation[:, 2], rtol=1e-4)
+    assert not torch.allclose(signal[:, 0], signal[:, 1], rtol=1e-4)
+    assert bool((attenuation.abs() <= 1).all())
+
+
+def test_a_gaussian_twice_as_far_sends_half(dataset: PasDataset) -> None:
+    field, _ = started(Wideband3DGS, dataset)
+    for parameter in field.network.radiance.parameters():
+        parameter.data.zero_()
+    field.gaussians.position_m.data[:2] = torch.tensor([[1.0, 0.0, 1.0], [2.0, 0.0, 2.0]])
+    everyone = torch.ones(len(field.gaussians), dtype=torch.bool)
+    near, far, *_ = (
+        field.attributes(transmitters(dataset, 1), torch.ones(1).double(), everyone).signal[0].detach()
+    )
+    torch.testing.assert_close(near, 2 * far)
+
+
+def test_a_table_says_what_is_reduced_of_the_systems_it_names(dataset: PasDataset, tmp_path: Path) -> None:
+    overrides = tuple(f"{name}={value}" for name, value in SMALL.items())
+    jobs = [
+        Job(str(dataset.path), method, "lofo", "lofo-10GHz", overrides=options, budget=Budget(max_steps=1))
+        for method, options in (("gsrf", overrides), ("nearest", ()))
+    ]
+    (board,) = boards([run_job(job, tmp_path) for job in jobs])
+    text = ranking_table(Comparison(board, board.splits, Resampling()))
+    assert "not the authors' programs" in text
+    assert "gsrf for GSRF: " in text
+    assert "wrf-gs-plus" not in text

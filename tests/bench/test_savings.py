@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xfreqbench.bench import savings as efficiency
+from xfreqbench.bench.learning_savings import Saving
+from xfreqbench.bench.savings import Workload, channel_change, saving_cells
+from xfreqbench.bench.tables import Bench
+from xfreqbench.errors import DataError, StorageError
+from xfreqbench.report.leaderboard.plots import plot_cost
+from xfreqbench.runs.records import BenchFigure, BenchPoint, read
+from xfreqbench.tracing.image.tracer import ImageSavings
+
+ROUNDING = 1e-12  # the same paths in another order of the candidates, in double precision
+MAP_ROUNDING = 1e-5  # products in single precision
+INTERPOLATED_DB = 60  # of maps: the bar of the generator's defaults is 30 dB at the 5th percentile
+SHARED_DB = 40  # rays launched for other apertures or from other ends find other faint paths
+
+
+@pytest.fixture(scope="module")
+def work() -> Workload:
+    office = efficiency.office_workload("image", num_tx=2).few(2, 2)
+    return replace(office, settings=replace(office.settings, max_depth=3, rays=10_000))
+
+
+def moved(saving: Saving) -> tuple[float, float]:
+    """Relative error of the channels, and the worst PSNR of the maps in dB."""
+    if saving.change == "none":
+        return 0.0, math.inf
+    found = re.fullmatch(r"channels: (\S+); maps: worst (\S+) dB, median \S+ dB", saving.change)
+    assert found is not None
+    return float(found[1]), float(found[2])
+
+
+def test_each_saving_of_the_image_method_leaves_the_maps_where_they_were(work: Workload) -> None:
+    savings = list(efficiency.image_savings(work))
+    exact = {"candidates pruned", "visibility", "transmitters side", "plane sequences"}
+    for saving in savings:
+        error, worst_db = moved(saving)
+        if any(name in saving.name for name in exact):
+            assert error <= ROUNDING, saving.name
+        assert worst_db >= (INTERPOLATED_DB if "field" in saving.name else SHARED_DB), saving.name
+    assert {name for name in exact for saving in savings if name in saving.name} == exact
+
+
+def test_each_row_takes_one_saving_away(work: Workload, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[ImageSavings] = []
+    monkeypatch.setattr(efficiency, "ImageTracer", lambda *asked: made.append(asked[-1]))
+    monkeypatch.setattr(Workload, "saving", lambda self, name, *timed: name)
+    names = [str(name) for name in islice(efficiency.image_savings(work), 4)]
+    for name, without, with_it in zip(names, made[::2], made[1::2], strict=True):
+        differing = [field for field, value in vars(with_it).items() if vars(without)[field] != value]
+        assert len(differing) == (3 if "together" in name else 1), name
+    assert len({*made[::2]}) == 4
+
+
+def test_a_time_is_the_least_of_warm_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([10.0, 13.0, 20.0, 22.0])  # the first run, which compiles, reads no clock
+    monkeypatch.setattr(efficiency.time, "perf_counter", lambda: next(clock))
+    runs: list[None] = []
+    assert efficiency.timed_s(lambda: runs.append(None)) == (2.0, None)
+    assert len(runs) == 3
+
+
+def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
+    kept, together = efficiency.map_savings(work.few(2, 1))
+    for saving in (kept, together):
+        assert float(saving.change.rpartition(" ")[2]) <= MAP_ROUNDING
+
+
+@pytest.mark.sionna
+def test_savings_of_sionna_leave_the_maps_where_they_were(work: Workload) -> None:
+    sionna = replace(work.few(2, 2), settings=replace(work.settings, solver="sionna"))
+    for saving in (
+        efficiency.side_by_side(sionna, "side by side"),
+        efficiency.one_shooting_for_all_transmitters(sionna, "once"),
+    ):
+        error, _ = moved(saving)
+        assert error == 0, saving.name  # the same seed, whichever other transmitters are asked for
+    _, worst_db = moved(efficiency.shooting_from_the_receiver(sionna.few(1, 1)))
+    assert worst_db >= SHARED_DB  # other rays find all but faint paths
+
+
+def test_a_change_of_channels_is_relative_to_the_samples_own_norm(work: Workload) -> None:
+    cfr = work.channel()
+    assert channel_change(work.scene, cfr, cfr) == "none"
+    doubled = cfr.copy()
+    doubled[0, 0] *= 2
+    expected = "channels: 1e+00; maps: worst inf dB, median inf dB"  # a map's peak is 1 whatever the scale
+    assert channel_change(work.scene, doubled, cfr) == expected
+
+
+def test_a_saving_is_shown_with_its_ratio() -> None:
+    saving = Saving("renderer", "kept", "maps", 3.0, 1.5, "none")
+    cells = dict(zip(efficiency.COLUMNS, saving_cells(saving), strict=True))
+    assert cells["off / on"] == "2.00"
+    assert cells["part"] == "renderer"
+
+
+def printed_rows(said: list[str]) -> list[tuple[str, ...]]:
+    lines = [line for text in said for line in text.splitlines() if line.startswith("| ")]
+    return [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in lines]
+
+
+def test_a_table_is_recorded_as_it_was_printed(tmp_path: Path) -> None:
+    said: list[str] = []
+    bench = Bench("render", "xfreqbench bench render", said.append, tmp_path / "new" / "records.jsonl")
+    bench.introduce()
+    figure = BenchFigure(x_label="ms", y_label="dB", log_x=True, points=())
+    with bench.table("Title", "A note.", ("setting", "ms"), {"sionna-rt": "2"}) as table:
+        table.add("one", "1.00")
+        assert said[-1] == "| one | 1.00 |"
+        table.add("two", "2.00")
+        table.figure = figure
+    (record,) = read(tmp_path / "new" / "records.jsonl").benches
+    assert [record.columns, *record.rows] == printed_rows(said)
+    assert (record.bench, record.title, record.note) == ("render", "Title", "A note.")
+    assert record.figure == figure
+    assert record.software["sionna-rt"] == "2"
+    assert record.hardware["processor"] in said[0]
+
+
+def test_a_table_that_broke_off_is_not_recorded(tmp_path: Path) -> None:
+    bench = Bench("render", "xfreqbench bench render", lambda text: None, tmp_path / "records.jsonl")
+    with pytest.raises(KeyboardInterrupt), bench.table("Title", "", ("setting",)) as table:
+        table.add("one")
+        raise KeyboardInterrupt
+    assert read(tmp_path / "records.jsonl").benches == ()
+
+
+def test_a_place_that_takes_no_records_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("no record\n")
+    with pytest.raises(DataError, match="line 1, is no"):
+        Bench("render", "", print, tmp_path / "text").introduce()
+    with pytest.raises(StorageError, match="cannot be written"):
+        Bench("render", "", print, tmp_path / "text" / "records.jsonl").introduce()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["generate", "my scene.toml", "--solvers", "image"],
+        ["generate", "office", "--against-plain", "--tx", "10", "--plain-tx", "4"],
+        ["render", "--gaussians", "20,60", "--batch", "1", "--no-step"],
+        ["savings"],
+    ],
+)
+def test_the_recorded_command_is_the_one_that_was_given(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import shlex
+
+    from xfreqbench.bench import rendering
+    from xfreqbench.bench import solvers as convergence
+    from xfreqbench.cli import main as cli
+
+    benches: list[Bench] = []
+    for module, name in (
+        (convergence, "bench_generate"),
+        (convergence, "bench_against_plain"),
+        (rendering, "bench_render"),
+        (efficiency, "bench_savings"),
+    ):
+        monkeypatch.setattr(module, name, lambda bench, *arguments: benches.append(bench))
+    output = tmp_path / "records.jsonl"
+    cli.app(["bench", *words, "--output", str(output)], result_action="return_value")
+    (bench,) = benches
+    assert shlex.split(bench.command) == ["xfreqbench", "bench", *words]
+    kind = "plain" if "--against-plain" in words else words[0]
+    assert (bench.name, bench.output) == (kind, output)
+
+
+def points(*places: tuple[float, float]) -> tuple[BenchPoint, ...]:
+    return tuple(
+        BenchPoint(series=f"series {index % 2}", label=f"{x:g} ms", x=x, y=y)
+        for index, (x, y) in enumerate(places)
+    )
+
+
+def test_equal_costs_are_drawn_in_equal_bytes(tmp_path: Path) -> None:
+    figure = BenchFigure(
+        x_label="ms", y_label="dB", log_x=True, points=points((1.0, 40.0), (10.0, 60.0), (10.5, 60.0))
+    )
+    for name in ("one.svg", "two.svg"):
+        plot_cost(figure, tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    drawn = (tmp_path / "one.svg").read_text()
+    for text in ("series 0", "series 1", "10.5 ms", "dB"):
+        assert text in drawn
+    other = figure.model_copy(update={"points": figure.points[:2]})
+    plot_cost(other, tmp_path / "one.svg")
+    assert "10.5 ms" not in (tmp_path / "one.svg").read_text()
+
+
+def test_labels_of_points_close_together_do_not_lie_on_each_other() -> None:
+    from matplotlib.figure import Figure
+
+    from xfreqbench.report.leaderboard import plots
+
+    near = points((1.0, 40.0), (1.01, 40.0), (1.02, 40.0))
+    canvas = Figure(figsize=(8, 5))
+    axis = canvas.subplots()
+    axis.set(xlim=(0, 2), ylim=(0, 80))
+    plots._write_labels(canvas, axis, near, ["series 0", "series 1"])
+    boxes = [super(type(text), text).get_window_extent() for text in axis.texts]
+    assert len(boxes) == 3
+    for index, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[index + 1 :])
+        assert np.isfinite(box.bounds).all()

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from synthetic import channel, make_header, transmitters, write_dataset
+
+from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import DataError
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+
+FLOAT16_STEP = 2.0**-11  # half the spacing of float16 just below 1
+
+
+def test_stored_channels_and_maps_are_those_of_the_plane_waves(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    expected = channel(transmitters(4)[2], 10e9)
+    row = 2 * 3 + 1
+    np.testing.assert_allclose(dataset.cfr[row], expected, rtol=1e-6)  # complex64
+    beam = BartlettBeam(dataset.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+    maps, peak_power = beam.maps(expected[None])
+    np.testing.assert_allclose(dataset.pas([row]), maps, atol=FLOAT16_STEP)
+    assert dataset.peak_power[row] == pytest.approx(peak_power[0], rel=1e-5)
+
+
+def test_rows_run_over_carriers_first(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    assert len(dataset) == 12
+    np.testing.assert_array_equal(dataset.tx_index, np.repeat(np.arange(4), 3))
+    np.testing.assert_array_equal(dataset.carrier_hz, np.tile([1e9, 10e9, 37e9], 4))
+    np.testing.assert_array_equal(dataset.tx_position_m, np.repeat(transmitters(4), 3, axis=0))
+    np.testing.assert_array_equal(dataset.line_of_sight, np.repeat([True, False, True, False], 3))
+    np.testing.assert_array_equal(dataset.num_paths, np.full(12, 3))
+
+
+def test_a_file_without_maps_derives_the_maps_that_another_stores(tmp_path: Path) -> None:
+    stored = write_dataset(tmp_path / "stored.h5")
+    derived = write_dataset(tmp_path / "derived.h5", maps=False)
+    np.testing.assert_allclose(derived.pas(), stored.pas(), atol=FLOAT16_STEP)
+    assert derived.path.stat().st_size < stored.path.stat().st_size / 10
+
+
+def test_the_grid_is_read_from_the_file(tmp_path: Path) -> None:
+    grid = write_dataset(tmp_path / "data.h5").grid
+    np.testing.assert_allclose(grid.directions, AngularGrid.hemisphere().directions, atol=1e-12)
+
+
+def test_a_subset_of_a_subset_keeps_its_maps(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    subset = dataset.subset([1, 5, 9]).subset([2, 0])
+    np.testing.assert_array_equal(subset.rows, [9, 1])
+    np.testing.assert_array_equal(subset.pas(), dataset.pas([9, 1]))
+    np.testing.assert_array_equal(subset.carrier_hz, dataset.carrier_hz[[9, 1]])
+
+
+def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    view = dataset.subset([1, 5]).isolated()
+    np.testing.assert_array_equal(view.cfr, dataset.cfr[[1, 5]])
+    np.testing.assert_array_equal(view.peak_power, dataset.peak_power[[1, 5]])
+    every = replace(view, rows=np.arange(len(dataset)))
+    assert np.flatnonzero(np.abs(every.cfr).sum(axis=1)).tolist() == [1, 5]
+    assert np.flatnonzero(every.peak_power).tolist() == [1, 5]
+
+
+def write_maps_alone(path: Path) -> tuple[PasDataset, np.ndarray]:
+    """Two transmitters × three carriers of random maps on a coarse grid, the one at (1, 2) of zeros."""
+    header = replace(make_header(num_tx=2), channels=False)
+    grid = AngularGrid.hemisphere(9, 36)
+    maps = np.random.default_rng(4).random((2, 3, *grid.shape), dtype=np.float32)
+    maps /= maps.max(axis=(2, 3), keepdims=True)
+    maps[1, 2] = 0
+    with PasWriter(path, header, grid) as writer:
+        for tx in range(2):
+            writer.append(transmitters(2)[[tx]], np.array([True]), SampleBlock.of_maps(maps[[tx]]))
+    return open_dataset(path), maps.reshape(-1, *grid.shape)
+
+
+def test_maps_that_came_without_channels_are_kept_on_their_grid(tmp_path: Path) -> None:
+    dataset, maps = write_maps_alone(tmp_path / "data.h5")
+    verify(dataset.path)
+    np.testing.assert_allclose(dataset.pas(), maps, atol=FLOAT16_STEP)
+    assert dataset.grid.shape == (9, 36)
+    np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
+    np.testing.assert_array_equal(dataset.num_paths, [-1, -1, -1, -1, -1, 0])
+    assert not dataset.header.channels
+
+
+def test_maps_that_came_without_channels_say_that_there_are_none(tmp_path: Path) -> None:
+    dataset, _ = write_maps_alone(tmp_path / "data.h5")
+    with pytest.raises(DataError, match="maps alone"):
+        _ = dataset.subset([1]).cfr
+
+
+def test_maps_that_came_without_channels_can_be_isolated_and_pickled(tmp_path: Path) -> None:
+    dataset, maps = write_maps_alone(tmp_path / "data.h5")
+    view = dataset.subset([1, 3]).isolated()
+    np.testing.assert_allclose(view.pas(), maps[[1, 3]], atol=FLOAT16_STEP)
+    assert np.flatnonzero(replace(view, rows=np.arange(6)).peak_power).tolist() == [1, 3]
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(view)).pas(), view.pas())
+
+
+def test_batches_cover_every_row_once(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5").subset(slice(0, 7))
+    batches = list(dataset.batches(3))
+    np.testing.assert_array_equal(np.concatenate([rows for rows, _ in batches]), np.arange(7))
+    np.testing.assert_array_equal(np.concatenate([maps for _, maps in batches]), dataset.pas())
+
+
+def test_a_data_set_pickles_as_path_and_rows(tmp_path: Path) -> None:
+    subset = write_dataset(tmp_path / "data.h5").subset([3, 4])
+    pickled = pickle.dumps(subset)
+    assert len(pickled) < 1000
+    np.testing.assert_array_equal(pickle.loads(pickled).pas(), subset.pas())
+
+
+def test_a_pickle_of_a_file_that_changed_is_refused(tmp_path: Path) -> None:
+    pickled = pickle.dumps(write_dataset(tmp_path / "data.h5"))
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    with pytest.raises(DataError, match="another data set"):
+        pickle.loads(pickled)
+
+
+def test_a_sample_without_any_path_is_flagged(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", silent=((1, 2),))
+    np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
+    assert not dataset.pas([5]).any()
+
+
+def test_xarray_shows_names_coordinates_and_units(tmp_path: Path) -> None:
+    path = write_dataset(tmp_path / "data.h5").path
+    with xarray.open_dataset(path, engine="h5netcdf") as shown:
+        assert shown.pas.dims == ("tx", "carrier_hz", "elevation_deg", "azimuth_deg")
+        assert shown.cfr.dims == ("tx", "carrier_hz", "element")
+        np.testing.assert_array_equal(shown.carrier_hz, [1e9, 10e9, 37e9])
+        assert shown.carrier_hz.attrs["units"] == "Hz"
+        assert shown.cfr.values.dtype == np.complex64
+        peak = shown.pas.isel(tx=0, carrier_hz=0).sel(elevation_deg=slice(0, 89)).max()
+        assert float(peak) == 1
+        assert shown.frame_rotation.dims == ("axis", "receiver_axis")

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from damage import data_offset, flip
+from synthetic import write_dataset
+
+from xfreqbench.data.dataset import open_dataset, verify
+from xfreqbench.errors import DataError
+
+
+def test_verify_accepts_what_was_written(tmp_path: Path) -> None:
+    verify(write_dataset(tmp_path / "data.h5").path)
+
+
+@pytest.mark.parametrize(
+    "name", ["carrier_hz", "cfr", "complete", "elevation_deg", "line_of_sight", "pas", "tx_position_m"]
+)
+def test_verify_names_the_dataset_in_which_one_bit_flipped(tmp_path: Path, name: str) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    flip(path, data_offset(path, name))
+    with pytest.raises(DataError, match=f"dataset '{name}'"):
+        verify(path)
+
+
+def test_verify_finds_a_flipped_bit_in_a_header_attribute(tmp_path: Path) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    content = path.read_bytes()
+    for text in (b"inside an object", b"max_depth", b"synthetic", b"carrier frequency"):
+        flip(path, content.index(text))
+        with pytest.raises(DataError, match="damaged"):
+            verify(path)
+        path.write_bytes(content)
+
+
+def test_a_flipped_bit_anywhere_is_found(tmp_path: Path) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0,), maps=False).path
+    content = path.read_bytes()
+    for offset in np.random.default_rng(1).choice(len(content), 300, replace=False):
+        flip(path, int(offset))
+        with pytest.raises(DataError):
+            verify(path)
+        path.write_bytes(content)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * share)])
+    with pytest.raises(DataError):
+        open_dataset(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no file .*absent\.h5"):
+        open_dataset(tmp_path / "absent.h5")
+
+
+def test_a_file_of_another_schema_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.attrs["schema"] = "other/1"
+    with pytest.raises(DataError, match="'other/1'"):
+        open_dataset(tmp_path / "other.h5")

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import pickle
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plans import CARRIERS_HZ, SETTINGS, small_plan
+
+from xfreqbench.data import plan as planning
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.errors import (
+    ClusterError,
+    MaterialBandError,
+    PlacementError,
+    UnknownNameError,
+    XFreqBenchError,
+)
+from xfreqbench.scene import facets
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.tracing.tracer import TraceSettings
+
+
+def test_bad_input_is_refused_before_any_ray() -> None:
+    office = load_scene("office")
+    for carriers, message in (([], "positive"), ([0.0], "positive"), ([1e9, 1e9], "once")):
+        with pytest.raises(XFreqBenchError, match=message):
+            plan_generation(office, carriers)
+    with pytest.raises(MaterialBandError, match="from 1 to 100 GHz"):
+        plan_generation(office, [0.9e9])
+    with pytest.raises(UnknownNameError, match="PAS kind"):
+        plan_generation(office, [1e9], pas_kind="powr")
+    with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
+        plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
+    with pytest.raises(XFreqBenchError, match="depth"):
+        plan_generation(office, [1e9], TraceSettings(max_depth=-1))
+
+
+def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: Counter[str] = Counter()
+
+    def counted(module: Any, name: str) -> None:
+        original = getattr(module, name)
+
+        def call(*arguments: Any) -> Any:
+            calls[name] += 1
+            return original(*arguments)
+
+        monkeypatch.setattr(module, name, call)
+
+    counted(planning, "surface_meshes")
+    counted(facets, "planar_facets")
+    generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
+    assert calls == {"surface_meshes": 1, "planar_facets": 1}
+
+
+def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
+    tracing = small_plan(num_transmitters=2).tracing
+    pickled = pickle.dumps(tracing)
+    told = pickle.loads(pickled)
+    assert told == tracing and hash(told) == hash(tracing)
+    assert told.known_geometry is None
+    assert len(pickled) < 10_000
+    for there, here in zip(told.geometry().meshes, tracing.geometry().meshes, strict=True):
+        np.testing.assert_array_equal(there.corners_m, here.corners_m)
+
+
+def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = pickle.loads(pickle.dumps(small_plan(num_transmitters=2).tracing))
+    original = planning.surface_meshes
+
+    def meshes_without_the_last(scene: Scene) -> list[Any]:
+        return original(scene)[:-1]
+
+    monkeypatch.setattr(planning, "surface_meshes", meshes_without_the_last)
+    with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
+        told.geometry()
+
+
+def test_a_plan_replaces_auto_and_orders_the_carriers() -> None:
+    plan = plan_generation(load_scene("two_rooms"), CARRIERS_HZ[::-1], SETTINGS, num_transmitters=2)
+    assert plan.tracing.carrier_hz == tuple(CARRIERS_HZ)
+    assert plan.settings.solver == plan.header.settings["solver"] == "image"

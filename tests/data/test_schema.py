@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from places import ROOT
+from synthetic import append_all, make_header, write_dataset
+
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.hdf5 import text_attributes
+from xfreqbench.data.schema import DatasetHeader
+from xfreqbench.data.writer import PasWriter
+from xfreqbench.errors import DataError
+from xfreqbench.scene.model import load_scene
+from xfreqbench.tracing.tracer import TraceSettings
+
+STORED_BEFORE = ROOT / "tests" / "stored" / "data.h5"
+
+
+def test_the_header_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    header, written = write_dataset(tmp_path / "data.h5").header, make_header()
+    np.testing.assert_array_equal(header.carrier_hz, written.carrier_hz)
+    assert header.attributes() == written.attributes()
+
+
+def test_the_header_of_a_file_of_version_0_1_comes_back_letter_for_letter() -> None:
+    with h5py.File(STORED_BEFORE) as file:
+        stored, carrier_hz = text_attributes(file), file["carrier_hz"][...]
+    assert DatasetHeader.from_attributes(stored, carrier_hz).attributes() == stored
+
+
+def test_attributes_are_written_in_the_order_that_gives_the_same_bytes() -> None:
+    expected = "schema scene_name scene_json scene_sha256 receiver_json num_tx pas_kind maps"
+    json_parts = "settings_json software_json rejected_json channels"
+    header = replace(make_header(), channels=False)
+    assert list(header.attributes()) == f"{expected} {json_parts}".split()
+
+
+def test_the_hash_of_a_data_set_with_channels_is_what_it_was_before_there_were_others() -> None:
+    assert "channels" not in make_header().attributes()
+    assert replace(make_header(), channels=False).attributes()["channels"] == "false"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("maps", "1"),
+        ("maps", "nan"),
+        ("channels", "null"),
+        ("num_tx", "0"),
+        ("num_tx", "1" * 5000),
+        ("pas_kind", "powr"),
+        ("receiver_json", "null"),
+        ("receiver_json", '{"position_m": [0, 0]}'),
+        ("settings_json", "[]"),
+        ("settings_json", "[" * 5000),
+        ("software_json", '{"numpy": 2}'),
+        ("rejected_json", "{"),
+    ],
+)
+def test_a_damaged_attribute_is_named(name: str, text: str) -> None:
+    header = make_header()
+    with pytest.raises(ValueError, match=f"header attribute '{name}'"):
+        DatasetHeader.from_attributes({**header.attributes(), name: text}, header.carrier_hz)
+
+
+def test_a_missing_attribute_is_named() -> None:
+    header = make_header()
+    attributes = header.attributes()
+    del attributes["scene_name"]
+    with pytest.raises(ValueError, match="header attribute 'scene_name': Field required"):
+        DatasetHeader.from_attributes(attributes, header.carrier_hz)
+
+
+def test_a_data_set_without_channels_stores_its_maps() -> None:
+    with pytest.raises(ValueError, match="without channels stores its maps"):
+        replace(make_header(maps=False), channels=False)
+
+
+def with_header(path: Path, **changes: object) -> PasDataset:
+    header = replace(make_header(), **changes)  # type: ignore[arg-type]
+    with PasWriter(path, header) as writer:
+        append_all(writer, header)
+    return open_dataset(path)
+
+
+def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays() -> None:
+    dataset = open_dataset(STORED_BEFORE)
+    assert replace(dataset.scene, folder=load_scene("empty").folder) == load_scene("empty")
+    assert dataset.trace_settings == TraceSettings(solver="image")
+
+
+def test_data_that_do_not_say_their_scene_are_refused_by_name(tmp_path: Path) -> None:
+    dataset = with_header(tmp_path / "imported.h5", scene_json='{"name": "hall"}')
+    with pytest.raises(DataError, match=r"imported\.h5 does not say which scene"):
+        _ = dataset.scene
+
+
+@pytest.mark.parametrize("settings", [{}, {"max_depth": 2}, {"max_depth": "deep"}])
+def test_data_that_do_not_say_how_they_were_traced_are_refused_by_name(
+    tmp_path: Path, settings: dict[str, object]
+) -> None:
+    dataset = with_header(tmp_path / "imported.h5", settings=settings)
+    with pytest.raises(DataError, match=r"imported\.h5 does not say how it was traced"):
+        _ = dataset.trace_settings

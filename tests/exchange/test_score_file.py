@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predictions
+
+from xfreqbench.cli import exchange
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import make_splits
+from xfreqbench.exchange import score_file as external
+from xfreqbench.exchange.score_file import score_file
+from xfreqbench.maps import metrics
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.fitting import fit_within
+from xfreqbench.methods.registry import build_method
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.runs.records import Job, RunRecord, read
+from xfreqbench.runs.run import run_job
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals of a single run take most of its scoring, and nothing here asks for them."""
+    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
+
+
+def stored(results: Path) -> tuple[RunRecord, ...]:
+    return read(results / "records.jsonl").records
+
+
+def fitted(name: str, dataset: PasDataset, split):
+    method = build_method(name)
+    fit_within(method, dataset.subset(split.train).isolated(), Budget(), seed=0)
+    return method
+
+
+@pytest.mark.parametrize("method", ["nearest", "log-frequency"])
+def test_predictions_of_a_built_in_method_score_exactly_as_its_run_does(
+    dataset: PasDataset, split_file: Path, tmp_path: Path, method: str
+) -> None:
+    splits = {split.test.tobytes(): split for split in make_splits(dataset, "lofo")}
+    by_carrier = {dataset.carrier_hz[split.test[0]]: split for split in splits.values()}
+    path = write_predictions(
+        tmp_path / "predictions.h5",
+        split_file,
+        lambda tx, carrier: fitted(method, dataset, by_carrier[carrier[0]]).predict(tx, carrier),
+    )
+    scored = score_file(path, dataset.path, tmp_path / "results").records
+    for record in scored:
+        ran = run_job(Job(str(dataset.path), method, "lofo", record.job.split), tmp_path / "run")
+        same = ("dataset_sha256", "split_sha256", "scores", "ssim_by_tx", "num_test", "nearest_trained_m")
+        assert {name: getattr(record, name) for name in same} == {name: getattr(ran, name) for name in same}
+        assert record.id != ran.id
+    assert [record.job.split for record in scored] == SPLITS
+    assert stored(tmp_path / "results") == scored
+
+
+def test_a_record_says_what_was_declared_and_that_nothing_was_measured(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    declared = {
+        "fit_seconds": 12.5,
+        "parameters": 7,
+        "hardware": "4 × H200",
+        "url": "https://a.org/x",
+        "seed": 3,
+    }
+    path = write_predictions(tmp_path / "told.h5", split_file, **declared)
+    record = score_file(path, dataset.path, tmp_path / "results").records[0]
+    assert (record.fit_seconds, record.parameters, record.job.seed) == (12.5, 7, 3)
+    assert record.external is not None
+    assert (record.external.hardware, record.external.url) == ("4 × H200", "https://a.org/x")
+    assert (record.predict_ms_per_map, record.peak_memory_mib, record.hardware) == (None, None, {})
+    assert read(tmp_path / "results" / "records.jsonl").records[0].external == record.external
+
+
+def test_scoring_a_file_again_gives_its_records_and_adds_none(
+    dataset: PasDataset, split_file: Path, predictions: Path, tmp_path: Path
+) -> None:
+    first = score_file(predictions, dataset.path, tmp_path / "results")
+    rewritten = write_predictions(tmp_path / "again.h5", split_file)
+    assert score_file(rewritten, dataset.path, tmp_path / "results") == first
+    assert stored(tmp_path / "results") == first.records
+
+
+def test_a_changed_file_is_another_row_of_the_leaderboard(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    score_file(predictions, dataset.path, tmp_path / "results")
+    with h5py.File(predictions, "r+") as file:
+        file["lofo-77GHz/pas"][0, :, :180] = 0
+    score_file(predictions, dataset.path, tmp_path / "results")
+    (board,) = boards(stored(tmp_path / "results"))
+    assert len({row.label for row in board.rows}) == 2
+    assert all(row.label.startswith("mine (external) @ ") and len(row.by_split) == 3 for row in board.rows)
+
+
+def test_files_of_one_method_with_other_seeds_or_splits_are_one_row(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    for seed in range(3):
+        path = write_predictions(tmp_path / f"{seed}.h5", split_file, seed=seed)
+        score_file(path, dataset.path, tmp_path / "results")
+    single = hand_out(dataset, tmp_path / "single.h5", targets=[1e9])
+    score_file(write_predictions(tmp_path / "one.h5", single), dataset.path, tmp_path / "results")
+    (board,) = boards(stored(tmp_path / "results"))
+    (row,) = board.rows
+    assert row.label == "mine (external)"
+    assert row.num_seeds(SPLITS) == (3, 3) and len(row.by_split) == 4
+
+
+def test_one_split_may_stand_at_the_root_as_matlab_writes_attributes(
+    dataset: PasDataset, split_file: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "matlab.h5"
+    with h5py.File(split_file) as splits, h5py.File(path, "w") as file:
+        split = splits["lofo-77GHz"]
+        file["pas"] = noisy_maps(None, split["test_carrier_hz"]).astype(np.float64)
+        file.attrs["split_sha256"] = np.array([split.attrs["split_sha256"]])
+        file.attrs["method"] = np.bytes_(b"mine")
+        file.attrs["seed"] = np.array([[2.0]])
+    scored = score_file(path, dataset.path, tmp_path / "results")
+    (record,) = scored.records
+    assert (record.job.split, record.job.method, record.job.seed) == ("lofo-77GHz", "mine", 2)
+    assert scored.missing == ("lofo-2.4GHz", "lofo-24.25GHz")
+    assert not scored.is_data_known
+
+
+def test_attributes_of_the_root_hold_for_groups_that_say_nothing_else(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    with h5py.File(predictions, "r+") as file:
+        file.attrs["seed"] = 5
+        file["lofo-77GHz"].attrs["seed"] = 6
+    records = score_file(predictions, dataset.path, tmp_path / "results").records
+    assert [record.job.seed for record in records] == [5, 5, 6]
+
+
+def test_a_name_can_be_given_anew(dataset: PasDataset, predictions: Path, tmp_path: Path) -> None:
+    records = score_file(predictions, dataset.path, tmp_path / "results", method="yours").records
+    assert {record.job.method for record in records} == {"yours"}
+
+
+def test_predictions_named_as_a_built_in_method_stay_a_row_of_their_own_and_count_as_no_baseline(
+    dataset: PasDataset, predictions: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "results"
+    score_file(predictions, dataset.path, results, method="nearest")
+    for split in SPLITS:
+        run_job(Job(str(dataset.path), "nearest", "lofo", split), results)
+    (board,) = boards(stored(results))
+    assert {row.label: row.is_trivial for row in board.rows} == {"nearest": True, "nearest (external)": False}
+
+
+def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_adds_the_others(
+    dataset: PasDataset, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results, calls, original = tmp_path / "results", [], external.scored_fields
+
+    def killed_at_the_second(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return original(*arguments)
+
+    monkeypatch.setattr(external, "scored_fields", killed_at_the_second)
+    killed(lambda: score_file(predictions, dataset.path, results))
+    monkeypatch.undo()
+    (first,) = stored(results)
+    records = score_file(predictions, dataset.path, results).records
+    assert records[0] == first
+    assert stored(results) == records and len(records) == 3
+
+
+def test_the_commands_hand_out_score_and_say_what_is_missing(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    split_file = tmp_path / "split.h5"
+    exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", maps=True)
+    exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", maps=True)
+    path = write_predictions(tmp_path / "predictions.h5", split_file, hardware="a cluster")
+    exchange.score(path, data=Path(dataset.path), results=tmp_path / "results")
+    shown = capsys.readouterr().out
+    assert "lofo-24.25GHz" in shown and f"{split_file} already holds these splits" in shown
+    assert f"not in {path}: lofo-2.4GHz, lofo-77GHz" in shown
+    assert "mine (external): a cluster" in shown
+    assert "without dataset_sha256" not in shown

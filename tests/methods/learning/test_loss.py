@@ -1,0 +1,73 @@
+"""The loss: the score's own SSIM, differentiable, and L1."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+
+from xfreqbench.maps import metrics
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.learning.loss import map_loss, mean_ssim
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+GRID = AngularGrid.hemisphere(30, 60)
+
+
+def smooth_maps(seed: int, num_maps: int = 6) -> Tensor:
+    """Random maps as an array draws them: broad lobes, peak 1."""
+    white = np.random.default_rng(seed).standard_normal((num_maps, *GRID.shape))
+    power = gaussian_filter(white, (0, 3, 3)) ** 2
+    return torch.as_tensor(power / power.max(axis=(1, 2), keepdims=True))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_losss_ssim_is_the_one_that_scores(dtype: torch.dtype) -> None:
+    predicted, truth = smooth_maps(0), smooth_maps(1)
+    scored = metrics.ssim(predicted.numpy().astype(np.float32), truth.numpy().astype(np.float32), GRID)
+    alike = 0.9 * truth + 0.1 * predicted
+    scored_alike = metrics.ssim(alike.numpy().astype(np.float32), truth.numpy().astype(np.float32), GRID)
+    assert 0 < scored.mean() < 0.5 < scored_alike.mean() < 1
+    # float32 rounds variances at 1e-7, against the 9e-4 that SSIM adds to them
+    assert float(mean_ssim(predicted.to(dtype), truth.to(dtype))) == pytest.approx(scored.mean(), abs=1e-5)
+    assert float(mean_ssim(alike.to(dtype), truth.to(dtype))) == pytest.approx(scored_alike.mean(), abs=1e-5)
+
+
+@pytest.mark.parametrize("window", [3, 7])
+def test_the_gradient_of_ssim_is_its_derivative(window: int) -> None:
+    predicted = smooth_maps(0, 1)[:, 5:13, 5:14].clone().requires_grad_()
+    truth = smooth_maps(1, 1)[:, 5:13, 5:14]
+    torch.autograd.gradcheck(lambda maps: mean_ssim(maps, truth, window), (predicted,))
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
+def test_a_map_is_like_itself(level: float) -> None:
+    constant = torch.full((2, *GRID.shape), level)
+    for maps in (constant, smooth_maps(0).float()):
+        assert float(mean_ssim(maps, maps)) == pytest.approx(1, abs=1e-6)
+        assert float(map_loss(maps, maps, 0.4, 7)) == pytest.approx(0, abs=1e-6)
+
+
+def test_constant_maps_differ_by_their_luminance() -> None:
+    low, high = (torch.full((1, 9, 9), level, dtype=torch.float64) for level in (0.2, 0.6))
+    expected = (2 * 0.2 * 0.6 + 1e-4) / (0.2**2 + 0.6**2 + 1e-4)
+    assert float(mean_ssim(low, high)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_weight_goes_from_l1_to_ssim() -> None:
+    predicted, truth = smooth_maps(0), smooth_maps(1)
+    l1, unlikeness = float((predicted - truth).abs().mean()), 1 - float(mean_ssim(predicted, truth))
+    for weight in (0.0, 0.4, 1.0):
+        expected = (1 - weight) * l1 + weight * unlikeness
+        assert float(map_loss(predicted, truth, weight, 7)) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.4, 1.0])
+def test_maps_of_zeros_have_a_finite_gradient(weight: float) -> None:
+    zeros = torch.zeros(2, *GRID.shape, requires_grad=True)
+    for truth in (torch.zeros(2, *GRID.shape), smooth_maps(0, 2).float()):
+        (gradient,) = torch.autograd.grad(map_loss(zeros, truth, weight, 7), zeros)
+        assert bool(gradient.isfinite().all())

@@ -1,0 +1,285 @@
+"""Which directions see which Gaussians: both backends against a comparison of every pair."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import reference
+import torch
+from torch import Tensor
+
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.learning.targets import GridView
+from xfreqbench.methods.splatting.composite import PixelLists, composite
+from xfreqbench.methods.splatting.footprints import Backend, bin_footprints, squared_distance
+from xfreqbench.methods.splatting.gaussians import covariance
+from xfreqbench.methods.splatting.projection import MIN_VARIANCE, Projection, project
+
+SUPPORT = 9.0
+DEGREE = math.pi / 180
+GRID = AngularGrid.hemisphere(18, 72)
+either_backend = pytest.mark.parametrize("backend", ["torch", "numba"])
+
+
+def random_projection(num_gaussians: int = 80, seed: int = 0) -> Projection:
+    """Ellipses of 1° to 200°, wider than the circle, turned at random, from 20° below the horizon to the zenith."""
+    generator = torch.Generator().manual_seed(seed)
+    azimuth, height, turn, distance = torch.rand(4, num_gaussians, generator=generator, dtype=torch.float64)
+    deviation_rad = torch.logspace(0, math.log10(200), num_gaussians, dtype=torch.float64) * DEGREE
+    other = deviation_rad[torch.randperm(num_gaussians, generator=generator)]
+    cosine, sine = torch.cos(math.pi * turn), torch.sin(math.pi * turn)
+    axes = torch.stack([torch.stack([cosine, -sine], -1), torch.stack([sine, cosine], -1)], -2)
+    axes = axes * torch.stack([deviation_rad, other], dim=-1)[:, None]
+    return Projection(2 * math.pi * azimuth, (110 * height - 20) * DEGREE, axes @ axes.mT, 1 + distance)
+
+
+def lone(azimuth_deg: float, elevation_deg: float, deviation_deg: tuple[float, float]) -> Projection:
+    """One Gaussian, its axes along azimuth and elevation."""
+    centre = torch.tensor([[azimuth_deg, elevation_deg]], dtype=torch.float64) * DEGREE
+    variance = (torch.tensor([deviation_deg], dtype=torch.float64) * DEGREE) ** 2
+    return Projection(centre[:, 0], centre[:, 1], torch.diag_embed(variance), torch.ones(1).double())
+
+
+def times_seen(lists: PixelLists, grid: AngularGrid) -> Tensor:
+    """How often each direction's list holds each Gaussian, (N, E, A)."""
+    pixel = torch.repeat_interleave(lists.start.diff())
+    counts = torch.zeros(lists.num_gaussians, len(lists.start) - 1, dtype=torch.int64)
+    counts.index_put_((lists.gaussian, pixel), torch.ones_like(pixel), accumulate=True)
+    return counts.reshape(lists.num_gaussians, *grid.shape)
+
+
+def distance_to_all(projection: Projection, grid: AngularGrid) -> Tensor:
+    """Squared Mahalanobis distance of every Gaussian from every direction, (N, E, A)."""
+    azimuth_rad, elevation_rad = torch.from_numpy(grid.azimuth_rad), torch.from_numpy(grid.elevation_rad)
+    turn = azimuth_rad - projection.azimuth_rad[:, None]
+    across = torch.atan2(turn.sin(), turn.cos())[:, None, :]
+    along = (elevation_rad - projection.elevation_rad[:, None])[:, :, None]
+    offset = torch.stack(torch.broadcast_tensors(across, along), dim=-1)
+    return torch.einsum("neai,nij,neaj->nea", offset, torch.linalg.inv(projection.covariance), offset)
+
+
+def bearings_seen(projection: Projection, backend: Backend, grid: AngularGrid) -> set[tuple[int, int]]:
+    """Whole degrees (elevation, azimuth) of the directions that see a lone Gaussian, once each."""
+    counts = times_seen(bin_footprints(projection, grid, SUPPORT, backend), grid)[0]
+    assert int(counts.max()) <= 1
+    rows, columns = (index.numpy() for index in torch.nonzero(counts, as_tuple=True))
+    degrees = np.rad2deg(grid.elevation_rad[rows]), np.rad2deg(grid.azimuth_rad[columns])
+    return set(zip(*(np.rint(degree).astype(int).tolist() for degree in degrees), strict=True))
+
+
+@either_backend
+@pytest.mark.parametrize("seed", range(5))
+def test_a_direction_sees_exactly_the_gaussians_that_lie_within_the_support(
+    seed: int, backend: Backend
+) -> None:
+    projection = random_projection(seed=seed)
+    counts = times_seen(bin_footprints(projection, GRID, SUPPORT, backend), GRID)
+    expected = distance_to_all(projection, GRID) <= SUPPORT
+    assert 0 < int(expected.sum()) < expected.numel()
+    assert torch.equal(counts, expected.long())
+
+
+@either_backend
+@pytest.mark.parametrize("stride", [1, 7])
+def test_azimuths_that_repeat_the_first_or_do_not_close_see_what_lies_within_the_support(
+    stride: int, backend: Backend
+) -> None:
+    published = AngularGrid(np.linspace(0, np.pi / 2, 19), np.linspace(-np.pi, np.pi, 73))
+    grid = GridView(stride, row=2, column=3).of_grid(published) if stride > 1 else published
+    projection = random_projection()
+    counts = times_seen(bin_footprints(projection, grid, SUPPORT, backend), grid)
+    expected = distance_to_all(projection, grid) <= SUPPORT
+    assert torch.equal(counts, expected.long())
+    assert stride > 1 or torch.equal(counts[:, :, 0], counts[:, :, -1])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_both_backends_give_the_same_lists(seed: int) -> None:
+    lists = [bin_footprints(random_projection(seed=seed), GRID, SUPPORT, each) for each in ("torch", "numba")]
+    assert torch.equal(lists[0].start, lists[1].start)
+    assert torch.equal(lists[0].gaussian, lists[1].gaussian)
+
+
+@either_backend
+def test_lists_begin_with_the_nearest_gaussian(backend: Backend) -> None:
+    projection = random_projection()
+    lists = bin_footprints(projection, GRID, SUPPORT, backend)
+    ranges_m = projection.range_m[lists.gaussian].split(lists.start.diff().tolist())
+    assert max(len(of_pixel) for of_pixel in ranges_m) > 5
+    assert all(bool((of_pixel.diff() >= 0).all()) for of_pixel in ranges_m)
+
+
+def test_the_distance_of_a_pair_takes_azimuths_the_short_way_round() -> None:
+    projection = random_projection()
+    lists = bin_footprints(projection, GRID, SUPPORT)
+    pixel = torch.repeat_interleave(lists.start.diff())
+    expected = distance_to_all(projection, GRID).flatten(1)[lists.gaussian, pixel]
+    # rounding of angles of 2π, divided by deviations down to 1°
+    torch.testing.assert_close(squared_distance(projection, lists, GRID), expected, rtol=1e-9, atol=1e-9)
+
+
+@either_backend
+@pytest.mark.parametrize("azimuth_deg", [0.2, 359.8, -0.2, 180.2, -179.8, 720.2])
+def test_a_footprint_runs_across_the_seam_of_azimuths(azimuth_deg: float, backend: Backend) -> None:
+    seen = bearings_seen(lone(azimuth_deg, 30.1, (1, 0.2)), backend, AngularGrid.hemisphere())
+    reach_deg = math.sqrt(SUPPORT - (0.1 / 0.2) ** 2)
+    columns = range(math.ceil(azimuth_deg - reach_deg), math.floor(azimuth_deg + reach_deg) + 1)
+    assert seen == {(30, column % 360) for column in columns}
+
+
+@either_backend
+def test_a_ball_in_the_zenith_is_seen_at_every_azimuth_once(backend: Backend) -> None:
+    deviation_m = 2 * math.tan(3 * DEGREE)
+    ball_m2 = deviation_m**2 * torch.eye(3, dtype=torch.float64)[None]
+    zenith = project(torch.tensor([[0.0, 0.0, 2.0]], dtype=torch.float64), ball_m2)
+    seen = bearings_seen(zenith, backend, AngularGrid.hemisphere())
+    assert {row for row, _ in seen} == set(range(81, 90))  # three deviations of 3° and the blur, below 90°
+    assert {(row, column) for row in range(82, 90) for column in range(360)} < seen
+
+
+@either_backend
+def test_a_huge_footprint_holds_every_direction_once(backend: Backend) -> None:
+    huge = lone(123.4, 45, (1e5, 1e5))
+    assert bool((times_seen(bin_footprints(huge, GRID, SUPPORT, backend), GRID) == 1).all())
+
+
+@either_backend
+def test_a_footprint_between_the_directions_is_seen_by_none(backend: Backend) -> None:
+    assert bearings_seen(lone(10.5, 30.5, (0.1, 0.1)), backend, AngularGrid.hemisphere()) == set()
+    assert bearings_seen(lone(10.5, 30.0, (0.1, 0.1)), backend, AngularGrid.hemisphere()) == set()
+
+
+@either_backend
+def test_a_tiny_footprint_is_seen_by_the_direction_it_lies_on(backend: Backend) -> None:
+    assert bearings_seen(lone(359.9, 30.1, (0.1, 0.1)), backend, AngularGrid.hemisphere()) == {(30, 0)}
+
+
+@either_backend
+def test_nothing_well_below_the_horizon_is_seen(backend: Backend) -> None:
+    assert bearings_seen(lone(77, -10, (30, 3)), backend, AngularGrid.hemisphere()) == set()
+    assert len(bearings_seen(lone(77, -8, (30, 3)), backend, AngularGrid.hemisphere())) > 50
+
+
+@either_backend
+def test_no_gaussians_give_empty_lists(backend: Backend) -> None:
+    none = Projection(*(x[:0] for x in vars(random_projection()).values()))
+    lists = bin_footprints(none, GRID, SUPPORT, backend)
+    assert (int(lists.start.max()), len(lists.gaussian)) == (0, 0)
+    assert len(squared_distance(none, lists, GRID)) == 0
+
+
+@either_backend
+@pytest.mark.parametrize("view", [GridView(3, 1, 2), GridView(4, 3, 0), GridView(6, 0, 5)])
+def test_a_strided_view_sees_what_the_full_grid_sees_there(view: GridView, backend: Backend) -> None:
+    projection, part = random_projection(), view.of_grid(GRID)
+    in_view = times_seen(bin_footprints(projection, part, SUPPORT, backend), part)
+    everywhere = times_seen(bin_footprints(projection, GRID, SUPPORT, backend), GRID)
+    assert torch.equal(in_view, view.of_maps(everywhere))
+
+
+@either_backend
+@pytest.mark.parametrize("num_columns", [1, 35, 71])
+def test_turning_the_scene_about_the_pole_turns_the_lists(num_columns: int, backend: Backend) -> None:
+    projection = random_projection()
+    angle_rad = num_columns * 2 * math.pi / 72
+    turned = Projection(
+        projection.azimuth_rad + angle_rad,
+        projection.elevation_rad,
+        projection.covariance,
+        projection.range_m,
+    )
+    before, after = (
+        times_seen(bin_footprints(each, GRID, SUPPORT, backend), GRID) for each in (projection, turned)
+    )
+    assert torch.equal(after, before.roll(num_columns, dims=-1))
+
+
+class Scene(NamedTuple):
+    """40 Gaussians seen by three queries."""
+
+    position_m: Tensor
+    log_scale: Tensor
+    quaternion: Tensor
+    spread: Tensor
+    signal: Tensor
+    attenuation: Tensor
+
+
+SMALL_GRID = AngularGrid.hemisphere(6, 12)
+WIDE_SUPPORT = 18.0  # spread up to 2
+
+
+def random_scene(dtype: torch.dtype) -> Scene:
+    """Float32 numbers at most of a metre's size, 1 to 6 m off, all heights."""
+    generator = torch.Generator().manual_seed(0)
+    direction = torch.nn.functional.normalize(torch.randn(40, 3, generator=generator), dim=-1)
+    scene = Scene(
+        position_m=direction * (1 + 5 * torch.rand(40, 1, generator=generator)),
+        log_scale=0.4 * torch.randn(40, 3, generator=generator) - 0.5,
+        quaternion=torch.randn(40, 4, generator=generator),
+        spread=0.5 + 1.5 * torch.rand(40, 3, generator=generator),
+        signal=torch.randn(40, 3, generator=generator, dtype=torch.complex64),
+        attenuation=torch.polar(
+            torch.rand(40, 3, generator=generator), 6 * torch.rand(40, 3, generator=generator)
+        ),
+    )
+    return Scene(*(x.to(dtype.to_complex() if x.is_complex() else dtype).requires_grad_() for x in scene))
+
+
+def rendered(scene: Scene) -> Tensor:
+    projection = project(scene.position_m, covariance(scene.quaternion, scene.log_scale))
+    lists = bin_footprints(projection, SMALL_GRID, WIDE_SUPPORT)
+    distance = squared_distance(projection, lists, SMALL_GRID)
+    return composite(lists, distance, 1 / scene.spread, scene.signal, scene.attenuation)
+
+
+def literally_rendered(scene: Scene) -> Tensor:
+    """Eqs. (5), (8)–(11), direction by direction: (B, K)."""
+    centres = torch.stack([reference.angular_centre(offset_m) for offset_m in scene.position_m])
+    inverses = torch.stack([_inverse_covariance(*each) for each in zip(*scene[:3], strict=True)])
+    order = scene.position_m.detach().norm(dim=-1).argsort()
+    responses = []
+    for elevation_rad in SMALL_GRID.elevation_rad:
+        for azimuth_rad in SMALL_GRID.azimuth_rad:
+            offset = torch.tensor([azimuth_rad, elevation_rad], dtype=torch.float64) - centres
+            across = torch.atan2(offset[:, 0].sin(), offset[:, 0].cos())
+            offset = torch.stack([across, offset[:, 1]], dim=-1)
+            distance = torch.einsum("ni,nij,nj->n", offset, inverses, offset)
+            near = order[distance.detach()[order] <= WIDE_SUPPORT]
+            footprint = torch.exp(-distance[near, None] / scene.spread[near] / 2)
+            factor = reference.continuous_factor(footprint, scene.attenuation[near])
+            responses.append(reference.accumulate(footprint, scene.signal[near], factor))
+    return torch.stack(responses, dim=-1)
+
+
+def _inverse_covariance(offset_m: Tensor, log_scale: Tensor, quaternion: Tensor) -> Tensor:
+    projected = reference.projected_covariance(offset_m, reference.covariance(quaternion, log_scale))
+    return torch.linalg.inv(projected + MIN_VARIANCE * torch.eye(2, dtype=projected.dtype))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "tolerance"),
+    # float32 rounds at 6e-8; a hundred-fold of it is what twenty factors and an inverted covariance cost
+    [(torch.float64, 1e-9), (torch.float32, 1e-5)],
+)
+def test_a_rendered_scene_and_its_gradients_are_those_of_the_published_equations(
+    dtype: torch.dtype, tolerance: float
+) -> None:
+    scene = random_scene(dtype)
+    twin = Scene(*(_double(x.detach()).requires_grad_() for x in scene))
+    actual, expected = rendered(scene), literally_rendered(twin)
+    assert float(((expected.detach().abs() > 0).double()).mean()) > 0.9
+    generator = torch.Generator().manual_seed(1)
+    weight = torch.randn(expected.shape, generator=generator, dtype=torch.complex128)
+    ours = torch.autograd.grad(actual, scene, weight.to(actual.dtype))
+    theirs = torch.autograd.grad(expected, twin, weight)
+    for name, one, other in zip(("field", *Scene._fields), (actual, *ours), (expected, *theirs), strict=True):
+        error = (_double(one) - other).norm() / other.norm()
+        assert float(error.detach()) < tolerance, name
+
+
+def _double(x: Tensor) -> Tensor:
+    return x.to(torch.complex128 if x.is_complex() else torch.float64)

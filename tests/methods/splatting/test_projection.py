@@ -1,0 +1,199 @@
+"""Where a Gaussian is seen and how wide: literal Eqs. (5), (8), (9), and the places where they have no value."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import reference
+import torch
+from torch import Tensor
+
+from xfreqbench.methods.splatting.gaussians import covariance
+from xfreqbench.methods.splatting.projection import (
+    MIN_RANGE_M,
+    MIN_VARIANCE,
+    POLE_DISTANCE,
+    Projection,
+    angular_centre,
+    project,
+    projection_jacobian,
+)
+
+# float64 loses a few digits of its 2e-16 to the cancellation of J Σ Jᵀ; float32 likewise of its 6e-8
+TOLERANCE = {torch.float64: 1e-9, torch.float32: 1e-5}
+either_precision = pytest.mark.parametrize("dtype", list(TOLERANCE))
+AT_THE_EDGES = {
+    "in the zenith": (0.0, 0.0, 2.0),
+    "in the nadir": (0.0, 0.0, -2.0),
+    "a millimetre from the axis": (1e-3, 0.0, 2.0),
+    "at the receiver": (0.0, 0.0, 0.0),
+    "a tenth of a millimetre from the receiver": (5e-5, -5e-5, 5e-5),
+    "below the horizon": (1.0, -2.0, -1.0),
+    "on the seam": (-2.0, 0.0, 1.0),
+    "a kilometre off": (600.0, -700.0, 400.0),
+}
+
+
+def scene(num_gaussians: int = 50, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions from 10° below to 75° above the horizon, 1 to 6 m off; quaternions of any length; log-scales."""
+    generator = torch.Generator().manual_seed(0)
+    azimuth, height, distance = torch.rand(3, num_gaussians, generator=generator, dtype=torch.float64)
+    azimuth_rad, elevation_rad = 2 * math.pi * azimuth, torch.deg2rad(85 * height - 10)
+    horizontal = elevation_rad.cos()
+    direction = [horizontal * azimuth_rad.cos(), horizontal * azimuth_rad.sin(), elevation_rad.sin()]
+    position_m = torch.stack(direction, dim=-1) * (1 + 5 * distance)[:, None]
+    quaternion = torch.randn(num_gaussians, 4, generator=generator, dtype=torch.float64)
+    log_scale = torch.randn(num_gaussians, 3, generator=generator, dtype=torch.float64) - 1
+    return position_m.to(dtype), quaternion.to(dtype), log_scale.to(dtype)
+
+
+def projected(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Projection:
+    return project(position_m, covariance(quaternion, log_scale))
+
+
+def flat(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Tensor:
+    """Azimuth, elevation and covariance of every Gaussian, (N, 6)."""
+    seen = projected(position_m, quaternion, log_scale)
+    return torch.column_stack([seen.azimuth_rad, seen.elevation_rad, seen.covariance.flatten(1)])
+
+
+def literal(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Tensor:
+    """The same, Gaussian by Gaussian, from the published equations."""
+    rows = []
+    for offset_m, turn, size in zip(position_m, quaternion, log_scale, strict=True):
+        blurred = reference.projected_covariance(offset_m, reference.covariance(turn, size))
+        blurred = blurred + MIN_VARIANCE * torch.eye(2, dtype=blurred.dtype)
+        rows.append(torch.cat([reference.angular_centre(offset_m), blurred.flatten()]))
+    return torch.stack(rows)
+
+
+def relative_error(actual: Tensor, expected: Tensor) -> float:
+    """Of the worst row, against its own length."""
+    difference = (actual.double() - expected).flatten(1).norm(dim=1)
+    return float((difference / expected.flatten(1).norm(dim=1)).max())
+
+
+@either_precision
+def test_centre_and_covariance_are_the_published_ones(dtype: torch.dtype) -> None:
+    inputs = scene(dtype=dtype)
+    expected, actual = literal(*(x.double() for x in inputs)), flat(*inputs)
+    assert relative_error(actual[:, :2], expected[:, :2]) < TOLERANCE[dtype]
+    assert relative_error(actual[:, 2:], expected[:, 2:]) < TOLERANCE[dtype]
+
+
+@either_precision
+@pytest.mark.parametrize(
+    ("part", "num_inputs"), [(slice(0, 2), 1), (slice(2, 6), 3)], ids=["centre", "covariance"]
+)
+def test_gradients_are_those_of_the_published_equations(
+    dtype: torch.dtype, part: slice, num_inputs: int
+) -> None:
+    inputs = [x.requires_grad_() for x in scene(dtype=dtype)]
+    twins = [x.detach().double().requires_grad_() for x in inputs]
+    weight = torch.randn(50, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)[:, part]
+    ours = (flat(*inputs)[:, part] * weight.to(dtype)).sum()
+    theirs = (literal(*twins)[:, part] * weight).sum()
+    actual = torch.autograd.grad(ours, inputs[:num_inputs])  # a centre depends on the position alone
+    expected = torch.autograd.grad(theirs, twins[:num_inputs])
+    for pair in zip(actual, expected, strict=True):
+        assert relative_error(*pair) < TOLERANCE[dtype]
+
+
+def test_the_jacobian_is_the_derivative_of_the_centre() -> None:
+    position_m = scene()[0]
+    assert relative_error(projection_jacobian(position_m), derivative(position_m)) < 1e-12
+
+
+def test_inside_the_pole_cap_the_jacobian_of_elevation_stays_the_derivative() -> None:
+    position_m = torch.tensor([[0.01, 0.02, 3.0], [-1e-4, 0.0, 2.0]], dtype=torch.float64)
+    actual, expected = projection_jacobian(position_m), derivative(position_m)
+    assert relative_error(actual[:, 1], expected[:, 1]) < 1e-12
+
+
+def derivative(position_m: Tensor) -> Tensor:
+    """∂(azimuth, elevation)/∂(x, y, z) by autograd, (N, 2, 3)."""
+    sums = torch.autograd.functional.jacobian(
+        lambda x: torch.stack(angular_centre(x)[:2]).sum(dim=1), position_m
+    )
+    return sums.transpose(0, 1)
+
+
+def test_an_axis_aligned_gaussian_is_as_wide_as_its_sides_over_its_range() -> None:
+    upright, on_its_side = (1.0, 0.0, 0.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)  # 90° about x
+    position_m = torch.tensor([[2.0, 0.0, 0.0]] * 2, dtype=torch.float64)
+    log_scale = torch.tensor([[0.9, 0.2, 0.1]] * 2, dtype=torch.float64).log()
+    seen = projected(position_m, torch.tensor([upright, on_its_side], dtype=torch.float64), log_scale)
+    wide, narrow = (0.2 / 2) ** 2 + MIN_VARIANCE, (0.1 / 2) ** 2 + MIN_VARIANCE
+    expected = torch.diag_embed(torch.tensor([[wide, narrow], [narrow, wide]], dtype=torch.float64))
+    torch.testing.assert_close(seen.covariance, expected)
+
+
+def test_a_longer_quaternion_is_the_same_rotation() -> None:
+    position_m, quaternion, log_scale = scene()
+    torch.testing.assert_close(
+        flat(position_m, -7 * quaternion, log_scale), flat(position_m, quaternion, log_scale)
+    )
+
+
+def test_a_ball_looks_the_same_however_it_is_turned() -> None:
+    position_m, quaternion, log_scale = scene()
+    ball = log_scale[:, :1].expand(-1, 3)
+    torch.testing.assert_close(flat(position_m, quaternion, ball), flat(position_m, quaternion.flip(0), ball))
+
+
+@pytest.mark.parametrize("axis_distance_m", [0.0, 1e-9, 1e-3, 0.02, 0.05, 0.2])
+def test_towards_the_pole_a_ball_grows_wider_in_azimuth_up_to_the_cap(axis_distance_m: float) -> None:
+    position_m = torch.tensor(
+        [[0.0, axis_distance_m, math.sqrt(4 - axis_distance_m**2)]], dtype=torch.float64
+    )
+    ball = torch.full((1, 3), math.log(0.1), dtype=torch.float64)
+    seen = projected(position_m, torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64), ball)
+    width_rad = 0.1 / max(axis_distance_m, 2 * POLE_DISTANCE)
+    expected = torch.tensor([width_rad**2, (0.1 / 2) ** 2], dtype=torch.float64).diag()
+    # 1e-5: a point on the axis is looked at a micrometre beside it
+    torch.testing.assert_close(
+        seen.covariance[0], expected + MIN_VARIANCE * torch.eye(2).double(), rtol=1e-5, atol=1e-9
+    )
+
+
+def test_a_ball_around_the_receiver_is_as_wide_as_at_the_least_range() -> None:
+    position_m = torch.tensor([[1e-4, 0.0, 0.0], [MIN_RANGE_M, 0.0, 0.0]], dtype=torch.float64)
+    ball_m2 = torch.eye(3, dtype=torch.float64).expand(2, 3, 3) * 1e-4
+    inside, outside = project(position_m, ball_m2).covariance
+    # its elevation is foreshortened by the pole's axis, which lies through the receiver
+    assert float(inside[1, 1]) <= float(outside[1, 1])
+    assert float(inside[0, 0]) == pytest.approx(1e-4 / (POLE_DISTANCE * MIN_RANGE_M) ** 2 + MIN_VARIANCE)
+
+
+@either_precision
+@pytest.mark.parametrize("place", AT_THE_EDGES)
+def test_values_and_gradients_are_finite_wherever_a_gaussian_is(place: str, dtype: torch.dtype) -> None:
+    position_m = torch.tensor([AT_THE_EDGES[place]], dtype=dtype, requires_grad=True)
+    quaternion = torch.tensor([[0.3, -0.5, 0.2, 0.9]], dtype=dtype, requires_grad=True)
+    log_scale = torch.tensor([[-3.0, -1.0, 0.0]], dtype=dtype, requires_grad=True)
+    seen = flat(position_m, quaternion, log_scale)
+    assert bool(seen.isfinite().all())
+    assert float(seen.detach()[0, 2]) >= MIN_VARIANCE * (1 - 1e-6)  # which float32 rounds
+    for gradient in torch.autograd.grad(seen.sum(), (position_m, quaternion, log_scale)):
+        assert bool(gradient.isfinite().all())
+
+
+def test_a_gaussian_below_the_horizon_has_a_negative_elevation() -> None:
+    below = torch.tensor([[1.0, 1.0, -math.sqrt(2)]], dtype=torch.float64)
+    azimuth_rad, elevation_rad, range_m = angular_centre(below)
+    assert [math.degrees(azimuth_rad), math.degrees(elevation_rad)] == pytest.approx([45, -45])
+    assert float(range_m) == pytest.approx(2)
+
+
+def test_a_needle_has_an_ellipse_for_a_footprint() -> None:
+    generator = torch.Generator().manual_seed(0)
+    position_m, quaternion = (
+        torch.randn(500, 3, generator=generator),
+        torch.randn(500, 4, generator=generator),
+    )
+    for size_m in ((10.0, 1e-3, 1e-3), (1e4, 1e-8, 1e-8)):
+        log_scale = torch.tensor(size_m).log().expand(500, 3)
+        found = project(position_m, covariance(quaternion, log_scale)).covariance
+        a, b, c = found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]
+        assert bool((a * c - b * b > 0).all())  # in float32, as it is inverted

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import Field
+
+from xfreqbench.errors import MethodError, UnknownNameError
+from xfreqbench.methods.config import as_json, override
+
+
+@dataclass(frozen=True)
+class Config:
+    hidden: int = 256
+    rate: float = 1e-3
+    spread: bool = True
+    scale: Literal["log", "linear"] = "log"
+    carriers: tuple[float, ...] = (1.0,)
+    limit: int | None = None
+    depth: Annotated[int, Field(ge=1)] = 6
+
+
+class Opaque: ...
+
+
+@dataclass(frozen=True)
+class Weights:
+    path: Path = Path("weights.pt")
+    sizes: tuple[int, ...] = (1, 2)
+
+
+@dataclass(frozen=True)
+class OfAClass:
+    part: Opaque = Opaque()  # noqa: RUF009
+
+
+@dataclass(frozen=True)
+class OfAnything:
+    part: Any = Opaque()  # noqa: RUF009
+
+
+def test_values_are_typed_from_the_fields() -> None:
+    changed = override(
+        Config(), ["hidden=128", "rate=2e-4", "spread=false", "scale=linear", "carriers=[1, 2.5]", "limit=7"]
+    )
+    assert changed == Config(128, 2e-4, False, "linear", (1.0, 2.5), 7)
+
+
+def test_the_later_assignment_wins_and_the_original_stays() -> None:
+    original = Config()
+    assert override(original, ["hidden=1", "hidden=2"]).hidden == 2
+    assert original == Config()
+
+
+def test_an_unknown_key_names_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'hidden'"):
+        override(Config(), ["hiden=128"])
+
+
+@pytest.mark.parametrize(
+    "assignment", ["hidden=many", "hidden=1.5", "scale=cubic", "carriers=[1", "spread=2"]
+)
+def test_a_value_of_another_type_says_what_the_option_takes(assignment: str) -> None:
+    with pytest.raises(MethodError, match=f"Option '{assignment.partition('=')[0]}' of Config takes"):
+        override(Config(), [assignment])
+
+
+def test_an_assignment_needs_a_value() -> None:
+    with pytest.raises(MethodError, match="key=value"):
+        override(Config(), ["hidden"])
+
+
+def test_the_bounds_of_a_field_hold() -> None:
+    assert override(Config(), ["depth=1"]).depth == 1
+    with pytest.raises(
+        MethodError, match=r"Option 'depth' of Config takes int, but '0' was given: .*greater"
+    ):
+        override(Config(), ["depth=0"])
+
+
+def test_a_configuration_with_a_path_has_a_form_in_json() -> None:
+    changed = override(Weights(), ["path=models/a.pt"])
+    assert as_json(changed) == {"path": "models/a.pt", "sizes": [1, 2]}
+
+
+@pytest.mark.parametrize("config", [OfAClass(), OfAnything()])
+def test_a_configuration_that_json_cannot_hold_is_told_so(config: object) -> None:
+    with pytest.raises(MethodError, match=type(config).__name__):
+        as_json(config)

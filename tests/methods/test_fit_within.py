@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from stub_methods import (
+    Delegating,
+    Endless,
+    EndlessConfig,
+    Loose,
+    Losing,
+    Plain,
+    Resumed,
+    Short,
+    Silent,
+    Told,
+    Untidy,
+)
+from synthetic import write_dataset
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DivergenceError, MethodError
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.fitting import Fit, fit_within, predict_checked
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=1, maps=False)
+
+
+def test_the_budget_in_steps_is_kept_exactly_and_the_generator_closed(train: PasDataset) -> None:
+    method = Endless()
+    fit = fit_within(method, train, Budget(max_steps=5), seed=0)
+    assert (fit.step, fit.loss) == (5, 0.2)
+    assert method.closed
+
+
+def test_the_budget_in_seconds_ends_training_with_the_step_that_crosses_it(train: PasDataset) -> None:
+    method = Endless(EndlessConfig(pause_s=0.02))
+    fit = fit_within(method, train, Budget(max_seconds=0.05), seed=0)
+    assert fit.seconds >= 0.05
+    assert fit.step <= 3  # each takes 0.02 s or more
+    assert method.closed
+
+
+def test_without_a_budget_the_method_ends_itself(train: PasDataset) -> None:
+    assert fit_within(Short(), train, Budget(), seed=0).step == 3
+
+
+def test_a_method_is_told_the_spent_share_of_its_budget(train: PasDataset) -> None:
+    method = Told()
+    fit = fit_within(method, train, Budget(max_steps=4), seed=0)
+    assert method.shares == [0.25, 0.5, 0.75]  # at the fourth it is over
+    assert fit.share == 1
+    fit_within(method, train, Budget(), seed=0)
+    assert method.shares == [0.0] * 8
+
+
+def test_a_method_is_told_the_share_of_its_time(train: PasDataset) -> None:
+    method = Told()
+    fit_within(method, train, Budget(max_seconds=3600), seed=0)
+    assert 0 < method.shares[0] < method.shares[-1] < 0.01  # eight steps of nothing
+
+
+@pytest.mark.parametrize(("method", "step"), [(Plain(), 2), (Delegating(), 3)])
+def test_an_iterator_that_takes_no_share_is_a_fit_too(train: PasDataset, method: Endless, step: int) -> None:
+    assert fit_within(method, train, Budget(max_steps=100), seed=0).step == step
+
+
+def test_the_last_counts_are_those_of_the_fit(train: PasDataset) -> None:
+    fit = fit_within(Resumed(), train, Budget(max_steps=3), seed=0)
+    assert fit.counts == {"gaussians": 30}
+
+
+def test_an_observer_sees_every_step_and_its_time_is_not_charged(train: PasDataset) -> None:
+    seen = []
+
+    def observe(before, now):
+        time.sleep(0.05)
+        seen.append((before and before.step, now.step))
+
+    fit = fit_within(Short(), train, Budget(), seed=0, observe=observe)
+    assert seen == [(None, 1), (1, 2), (2, 3)]
+    assert fit.seconds < 0.05  # one of the three pauses alone
+
+
+def test_the_cleanup_of_a_method_is_charged(train: PasDataset) -> None:
+    assert fit_within(Untidy(), train, Budget(max_steps=1), seed=0).seconds >= 0.05
+
+
+def test_a_fit_that_goes_on_spends_what_is_left_of_its_budget(train: PasDataset) -> None:
+    method, seen = Resumed(), []
+    method.step = 5
+    spent = Fit(step=5, loss=1.0, seconds=100.0, share=0.5)
+    fit = fit_within(
+        method, train, Budget(max_steps=10), seed=0, spent=spent, observe=lambda *change: seen.append(change)
+    )
+    assert seen[0][0] == spent
+    assert [now.step for _, now in seen] == [6, 7, 8, 9, 10]
+    assert 100 < fit.seconds < 110  # five steps of nothing
+
+
+def test_a_fit_whose_budget_is_spent_takes_no_step(train: PasDataset) -> None:
+    spent = Fit(step=5, loss=1.0, seconds=100.0, share=1.0)
+    for budget in (Budget(max_steps=5), Budget(max_seconds=100)):
+        assert fit_within(Silent(), train, budget, seed=0, spent=spent) is spent
+
+
+def test_a_method_that_starts_anew_is_not_charged_for_what_was_lost(train: PasDataset) -> None:
+    seen, spent = [], Fit(step=5, loss=1.0, seconds=100.0)
+    fit = fit_within(
+        Resumed(), train, Budget(max_steps=7), 0, spent=spent, observe=lambda *change: seen.append(change)
+    )
+    assert seen[0][0] is None
+    assert [now.step for _, now in seen] == [1, 2, 3, 4, 5, 6, 7]
+    assert fit.seconds < 10  # seven steps of nothing, and not the 100 s before
+
+
+@pytest.mark.parametrize(
+    ("losses", "step"),
+    [((1.0, math.inf), 2), ((-math.inf,), 1), ((math.nan, 1.0, math.nan), 3), ((1.0, math.nan, 1.0), 2)],
+)
+def test_a_loss_that_is_no_longer_finite_is_a_divergence(
+    train: PasDataset, losses: tuple[float, ...], step: int
+) -> None:
+    method = Losing()
+    method.losses = losses
+    with pytest.raises(DivergenceError, match=f"loss is not finite at step {step}") as raised:
+        fit_within(method, train, Budget(), seed=0)
+    assert (raised.value.step, raised.value.tensor) == (step, "loss")
+
+
+def test_a_method_without_a_loss_does_not_diverge(train: PasDataset) -> None:
+    method = Losing()
+    method.losses = (math.nan, math.nan, 0.5)
+    assert fit_within(method, train, Budget(), seed=0).step == 3
+
+
+def test_a_fit_that_yields_nothing_breaks_the_contract(train: PasDataset) -> None:
+    with pytest.raises(MethodError, match=r"Silent\.fit yielded nothing"):
+        fit_within(Silent(), train, Budget(), seed=0)
+
+
+def test_a_fit_that_yields_something_else_breaks_the_contract(train: PasDataset) -> None:
+    with pytest.raises(MethodError, match=r"Loose\.fit yielded 0\.5"):
+        fit_within(Loose(), train, Budget(), seed=0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (None, "NoneType; it must be a NumPy array"),
+        (np.zeros((2, 90, 361), np.float32), "for 2 transmitters it must be"),
+        (np.zeros((2, 90, 360)), "dtype float64"),
+        (np.full((2, 90, 360), np.nan, np.float32), "not finite"),
+        (np.full((2, 90, 360), 1.01, np.float32), "from 1.01 to 1.01"),
+        (np.full((2, 90, 360), -0.01, np.float32), "from -0.01"),
+    ],
+)
+def test_predictions_that_break_the_contract_are_described(answer: object, words: str) -> None:
+    method = Endless()
+    method.answer = answer
+    with pytest.raises(MethodError, match=f"Endless.predict returned .*{words}"):
+        predict_checked(method, np.zeros((2, 3)), np.full(2, 1e9), (90, 360))
+
+
+def test_good_predictions_pass_unchanged() -> None:
+    method = Endless()
+    method.answer = np.ones((2, 90, 360), np.float32)
+    assert predict_checked(method, np.zeros((2, 3)), np.full(2, 1e9), (90, 360)) is method.answer

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from stored_records import SPLITS, external, make_record
+
+from xfreqbench.methods.contract import Budget
+from xfreqbench.report.leaderboard.boards import (
+    boards,
+    median_ssim,
+    pooled_quantiles,
+    short_commit,
+    short_name,
+)
+from xfreqbench.runs.records import Job
+
+
+def seeded(ssim: float, seed: int, split: str = SPLITS[0], **changes):
+    job = Job("data.h5", "ours", "lofo", split, seed=seed, budget=Budget(max_seconds=300))
+    return make_record("ours", ssim, split, job=job, **changes)
+
+
+def only_row(*records):
+    (board,) = boards(records)
+    (row,) = board.rows
+    return row
+
+
+def test_seeds_of_a_method_are_one_row_and_count_by_their_mean() -> None:
+    row = only_row(*(seeded(ssim, seed) for seed, ssim in enumerate((0.90, 0.92, 0.97))))
+    assert row.label == "ours (≤ 300 s)"
+    assert [record.job.seed for record in row.by_split[SPLITS[0]]] == [0, 1, 2]
+    assert row.value(SPLITS[0], median_ssim) == pytest.approx(0.93)
+    assert row.num_seeds(SPLITS[:1]) == (3, 3)
+
+
+def test_the_spread_over_seeds_is_that_of_their_averages() -> None:
+    of_first = {SPLITS[0]: 0.90, SPLITS[1]: 0.80}
+    of_second = {SPLITS[0]: 0.94, SPLITS[1]: 0.76}  # better here, worse there: the same on average
+    records = [
+        seeded(ssim, seed, split)
+        for seed, each in enumerate((of_first, of_second))
+        for split, ssim in each.items()
+    ]
+    row = only_row(*records)
+    assert row.seed_spread(SPLITS[:2], median_ssim) == pytest.approx(0)
+    assert row.seed_spread(SPLITS[:1], median_ssim) == pytest.approx(0.04 / math.sqrt(2))
+
+
+def test_a_seed_that_was_not_run_on_every_split_has_no_part_in_the_spread() -> None:
+    row = only_row(*(seeded(0.9, seed) for seed in (1, 2)), seeded(0.8, 1, SPLITS[1]))
+    assert math.isnan(row.seed_spread(SPLITS[:2], median_ssim))
+    assert row.num_seeds(SPLITS[:2]) == (1, 2)
+
+
+def test_an_average_over_a_split_that_was_not_run_is_unknown() -> None:
+    assert math.isnan(only_row(seeded(0.9, 0)).average(SPLITS[:2], median_ssim))
+
+
+def test_sets_of_splits_come_with_that_of_most_rows_first() -> None:
+    trivial = [make_record("nearest", 0.8, split) for split in SPLITS]
+    some = [make_record(name, 0.9, split) for name in ("ours", "theirs") for split in SPLITS[:2]]
+    lone = make_record("lone", 0.9, SPLITS[2])
+    (board,) = boards([*trivial, *some, lone])
+    assert board.split_sets() == [SPLITS[:2], SPLITS]
+    assert [row.label for row in board.rows_on(SPLITS[:2])] == ["ours", "theirs", "nearest"]
+
+
+def test_one_split_alone_is_a_set_where_there_is_nothing_else() -> None:
+    (board,) = boards([make_record("ours", 0.9, SPLITS[1])])
+    assert board.split_sets() == [SPLITS[1:2]]
+
+
+def test_a_split_is_named_without_its_protocol() -> None:
+    names = ["lofo-2.4GHz", "lofo-unseen-tx-2.4GHz", "held-out-tx", "sparse-24.25GHz-from-10-37GHz"]
+    assert list(map(short_name, names)) == ["2.4GHz", "2.4GHz", "held-out-tx", "24.25GHz-from-10-37GHz"]
+
+
+def test_protocols_of_a_data_set_stand_in_their_order() -> None:
+    protocols = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
+    found = boards([make_record(split=f"{name}-x", protocol=name) for name in protocols[::-1]])
+    assert [board.protocol for board in found] == list(protocols)
+
+
+def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
+    commits = ["0123456789", "0123456789+changes", None]
+    assert list(map(short_commit, commits)) == ["0123456", "0123456+changes", "?"]
+
+
+def test_a_row_run_on_one_split_beside_larger_sets_stands_on_a_lone_split() -> None:
+    trivial = [make_record("nearest", 0.8, split) for split in SPLITS]
+    ablation = make_record("lone", 0.9, SPLITS[2])
+    (board,) = boards([*trivial, ablation])
+    assert board.split_sets() == [SPLITS]
+    assert board.lone_splits() == [SPLITS[2]]
+    assert boards(trivial)[0].lone_splits() == []
+
+
+def test_runs_of_other_code_are_another_row() -> None:
+    records = [seeded(0.9, 0, code_sha256="a" * 64), seeded(0.8, 1, code_sha256="b" * 64)]
+    (board,) = boards(records)
+    assert sorted(row.value(SPLITS[0], median_ssim) for row in board.rows) == [0.8, 0.9]
+
+
+def test_no_two_rows_have_one_label_even_of_one_commit() -> None:
+    records = [seeded(0.9, seed, config={"width": seed}) for seed in range(3)]
+    (board,) = boards(records)
+    assert sorted(row.label for row in board.rows) == [
+        "ours (≤ 300 s) @ ?",
+        "ours (≤ 300 s) @ ? #2",
+        "ours (≤ 300 s) @ ? #3",
+    ]
+
+
+def test_options_in_another_order_are_the_same_row() -> None:
+    jobs = [
+        Job("data.h5", "ours", "lofo", SPLITS[0], options, seed)
+        for seed, options in enumerate([("a=1", "b=2"), ("b=2", "a=1")])
+    ]
+    row = only_row(*(make_record("ours", 0.9, SPLITS[0], job=job) for job in jobs))
+    assert row.label == "ours (a=1, b=2)"
+
+
+@pytest.mark.parametrize("options", [(), ("a=1",), ("a=1", "b=2")])
+@pytest.mark.parametrize("budget", [Budget(), Budget(max_seconds=300), Budget(max_steps=9, max_seconds=1.5)])
+def test_a_label_without_its_budget_is_that_of_a_run_without_one(options, budget) -> None:
+    def row(budget: Budget):
+        job = Job("data.h5", "ours", "lofo", SPLITS[0], options, budget=budget)
+        return only_row(make_record("ours", 0.9, SPLITS[0], job=job))
+
+    assert row(budget).label_without_budget == row(Budget()).label
+    assert row(budget).budget in row(budget).label
+
+
+def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:
+    low, high = seeded(0.5, 0), seeded(0.9, 1)
+    pooled = pooled_quantiles([low, high], "ssim")
+    both = sorted([*low.scores["ssim"].quantiles, *high.scores["ssim"].quantiles])
+    assert (pooled[0], pooled[-1]) == (both[0], both[-1])
+    assert pooled[50] == pytest.approx(both[100], abs=0.01)  # a step between two of the 202 values
+
+
+def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing() -> None:
+    (board,) = boards([make_record("nearest", 0.8, SPLITS[0]), external(method="nearest")])
+    assert [(row.label, row.is_trivial, row.family) for row in board.rows] == [
+        ("nearest (external)", False, "external"),
+        ("nearest", True, "trivial"),
+    ]
+    assert board.best_trivial(SPLITS[0]) == 0.8
+
+
+def test_external_files_that_share_no_part_are_one_row() -> None:
+    files = [external(file="a"), external(SPLITS[1], file="b"), external(seed=1, file="c")]
+    row = only_row(*files)
+    assert row.label == "theirs (external)"
+    assert row.num_seeds(SPLITS[:1]) == (2, 2)
+
+
+def test_an_external_file_with_a_part_that_another_has_is_a_row_of_its_own_with_all_its_parts() -> None:
+    first = [external(split, file="a", time_utc="2026-01-01T00:00:00+00:00") for split in SPLITS[:2]]
+    later = [external(split, file="b", time_utc="2026-01-02T00:00:00+00:00") for split in SPLITS[1:]]
+    (board,) = boards([*later, *first])
+    assert {row.label: tuple(row.by_split) for row in board.rows} == {
+        "theirs (external) @ aaaaaaa": SPLITS[:2],
+        "theirs (external) @ bbbbbbb": SPLITS[1:],
+    }
+
+
+def test_external_methods_of_two_names_are_two_rows_even_in_one_file() -> None:
+    (board,) = boards([external(), external(method="others")])
+    assert sorted(row.label for row in board.rows) == ["others (external)", "theirs (external)"]

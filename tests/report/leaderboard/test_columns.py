@@ -1,0 +1,104 @@
+"""The columns of a leaderboard, and that Markdown and the page show the same of them."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+from math import inf, isnan
+from pathlib import Path
+
+import pytest
+from leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
+from stored_records import SPLITS, external, make_record
+
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.columns import (
+    COSTS,
+    ONE_SPLIT,
+    PAGE,
+    RANKING,
+    leaderboard_columns,
+    metric_title,
+)
+from xfreqbench.report.leaderboard.comparison import Comparison
+from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.runs.records import append
+
+
+def columns_of(records, names):
+    """Columns of the first board on all its splits by title, and its rows by label."""
+    board = boards(records)[0]
+    comparison = Comparison(board, board.splits)
+    columns = leaderboard_columns(comparison, names)
+    assert len({column.title for column in columns}) == len(columns)
+    return {column.title: column for column in columns}, {row.label: row for row in comparison.rows}
+
+
+def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_path: Path) -> None:
+    records = [*of_three_seeds("ours", 0.02, 10), *of_three_seeds("nearest", 0.0, 20)]
+    for record in records:
+        append(tmp_path / "records.jsonl", record)
+    html = write_page(tmp_path, tmp_path / "page.html").read_text()
+    table = html.partition("<thead>")[2].partition("</table>")[0]
+    titles = [unescape(text) for text in re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)]
+    cells = re.findall(r"<t[hd](?: scope=\"row\"| data-value)[^>]*>(.*?)</t[hd]>", table)
+    ours = dict(zip(titles, cells, strict=False))
+    written = rows_of(leaderboard_markdown(records), "ours")[0]
+    shared = [title for title in titles if title in written]
+    assert len(shared) > 8
+    for title in shared:
+        text = ours[title].replace("<small>", " ").replace("</small>", "").replace("−", "-")
+        assert text == written[title], title
+
+
+@pytest.mark.parametrize("names", [RANKING, ONE_SPLIT, PAGE])
+def test_every_column_has_a_hint_and_a_number_to_sort_by_or_words(names: tuple[str, ...]) -> None:
+    columns, rows = columns_of(make_records(), names)
+    for column in columns.values():
+        assert column.hint and all(column.text(row) for row in rows.values())
+    assert [title for title, column in columns.items() if column.value is None] == ["method"]
+
+
+def test_scores_are_sorted_with_the_best_first_and_costs_with_the_least() -> None:
+    columns, _ = columns_of([make_record()], ONE_SPLIT)
+    for name, metric in METRICS.items():
+        assert columns[metric_title(name)].is_largest_first == metric.higher_is_better
+    known = [cost.title for cost in COSTS.values() if cost.title in columns]
+    assert len(known) == 4 and not any(columns[title].is_largest_first for title in known)
+
+
+def test_an_unknown_number_is_a_dash_and_has_no_place_in_the_order() -> None:
+    columns, rows = columns_of([make_record(), external("lofo-24.25GHz")], PAGE)
+    theirs = rows["theirs (external)"]
+    for title in ("rank", "fit s", "parameters"):
+        assert columns[title].text(theirs) == "–"
+        assert isnan(columns[title].value(theirs))
+
+
+def test_ranks_are_sorted_by_the_best_place_and_then_by_the_worst() -> None:
+    records = [*of_three_seeds("a", 0.02, 10), *of_three_seeds("b", 0, 20), *of_three_seeds("c", 0, 30)]
+    columns, rows = columns_of(records, RANKING)
+    ranks = {columns["rank"].text(row): columns["rank"].value(row) for row in rows.values()}
+    assert ranks == {"1": 1.0001, "2–3": 2.0003}
+
+
+def test_an_infinite_score_is_written_as_infinite() -> None:
+    record = make_record()
+    psnr = record.scores["psnr"].model_copy(update={"median": inf})
+    perfect = record.model_copy(update={"scores": record.scores | {"psnr": psnr}})
+    columns, rows = columns_of([perfect], PAGE)
+    (row,) = rows.values()
+    assert (columns["PSNR (dB)"].text(row), columns["PSNR (dB)"].value(row)) == ("∞", inf)
+
+
+def test_one_split_has_one_column_of_its_name_and_several_have_an_average_too() -> None:
+    alone, _ = columns_of([make_record(split=SPLITS[0])], PAGE)
+    assert "average" not in alone and alone["2.4GHz"].is_board_order
+    several, _ = columns_of(make_records(), PAGE)
+    assert several["average"].is_board_order and not several["2.4GHz"].is_board_order
+
+
+def test_what_no_record_tells_has_no_column() -> None:
+    columns, _ = columns_of([external()], RANKING)
+    assert not {cost.title for cost in COSTS.values()} & columns.keys()

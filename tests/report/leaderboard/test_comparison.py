@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stored_records import make_record, make_summary
+
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.comparison import Comparison, Resampling, resampled_medians
+from xfreqbench.runs.records import Job, RunRecord
+
+SPLIT = "lofo-24.25GHz"
+NUM_TX = 60
+
+
+def samples(shift: float = 0.0, noise_seed: int = 0, num_tx: int = NUM_TX, split: str = SPLIT):
+    """SSIM of a transmitter: what its place makes of it, the same for all methods, and a little noise."""
+    place = np.random.default_rng(len(split)).normal(0.85, 0.05, num_tx)
+    noise = np.random.default_rng(noise_seed).normal(0, 0.01, num_tx)
+    return [(float(value),) for value in np.round(place + noise + shift, 4)]
+
+
+def scored(method: str, ssim_by_tx, seed: int = 0, split: str = SPLIT) -> RunRecord:
+    median = float(np.median([value for each in ssim_by_tx for value in each]))
+    job = Job("data.h5", method, "lofo", split, seed=seed)
+    return make_record(
+        method, median, split, job=job, ssim_by_tx=ssim_by_tx, scores={"ssim": make_summary(median)}
+    )
+
+
+def seeds_of(method: str, shift: float, first_noise: int, num_seeds: int = 3, **where) -> list[RunRecord]:
+    return [
+        scored(method, samples(shift, first_noise + seed, **where), seed, where.get("split", SPLIT))
+        for seed in range(num_seeds)
+    ]
+
+
+def compared(*records: RunRecord, splits=(SPLIT,)):
+    (board,) = boards(records)
+    comparison = Comparison(board, tuple(splits))
+    return comparison, {row.label: row for row in comparison.rows}
+
+
+def test_a_method_better_by_two_hundredths_on_every_transmitter_beats_the_other() -> None:
+    comparison, row = compared(*seeds_of("better", 0.02, 10), *seeds_of("worse", 0.0, 20))
+    assert comparison.beats(row["better"], row["worse"])
+    assert not comparison.beats(row["worse"], row["better"])
+    assert (comparison.ranks(row["better"]), comparison.ranks(row["worse"])) == ((1, 1), (2, 2))
+    low, high = comparison.difference(row["better"], row["worse"])
+    assert low < 0.02 < high
+
+
+def test_two_draws_of_the_same_distribution_are_level() -> None:
+    comparison, row = compared(*seeds_of("one", 0.0, 10), *seeds_of("other", 0.0, 20))
+    low, high = comparison.difference(row["one"], row["other"])
+    assert low < 0 < high
+    assert comparison.ranks(row["one"]) == comparison.ranks(row["other"]) == (1, 2)
+
+
+def test_a_difference_and_its_opposite_have_mirrored_intervals() -> None:
+    comparison, row = compared(*seeds_of("one", 0.005, 10), *seeds_of("other", 0.0, 20))
+    there, back = (
+        comparison.difference(row["one"], row["other"]),
+        comparison.difference(row["other"], row["one"]),
+    )
+    assert there == pytest.approx(
+        (-back[1], -back[0]), abs=1e-3
+    )  # quantiles are values: one of 1,000 further
+
+
+def test_paired_differences_are_narrower_than_unpaired_ones() -> None:
+    comparison, row = compared(*seeds_of("one", 0.0, 10), *seeds_of("other", 0.0, 20))
+    low, high = comparison.difference(row["one"], row["other"])
+    medians = [Resampling().medians(row[name], SPLIT) for name in ("one", "other")]
+    shuffled = np.random.default_rng(0).permutation(medians[1])
+    unpaired = np.quantile(medians[0] - shuffled, [0.025, 0.975])
+    assert high - low < 0.6 * (unpaired[1] - unpaired[0])  # noise is a fifth of what the places make
+
+
+def test_a_method_of_one_seed_is_not_ranked_and_a_trivial_predictor_is() -> None:
+    comparison, row = compared(scored("ours", samples(0.1)), scored("nearest", samples()))
+    assert comparison.ranks(row["ours"]) is None
+    assert comparison.ranks(row["nearest"]) == (1, 1)
+    assert np.isnan(comparison.difference(row["ours"], row["nearest"])).all()
+    low, high = comparison.interval(row["ours"])  # its transmitters still say something
+    assert low < comparison.rows[0].average([SPLIT], lambda record: record.scores["ssim"].median) < high
+
+
+def test_a_method_with_a_seed_less_on_one_split_is_not_ranked_over_both() -> None:
+    other = "lofo-2.4GHz"
+    records = [*seeds_of("ours", 0.0, 10), *seeds_of("ours", 0.0, 20, num_seeds=2, split=other)]
+    comparison, row = compared(*records, splits=(SPLIT, other))
+    assert comparison.ranks(row["ours"]) is None
+
+
+def test_records_without_samples_are_neither_ranked_nor_given_an_interval() -> None:
+    comparison, row = compared(make_record("nearest"), make_record("ours"))
+    assert comparison.ranks(row["nearest"]) is None
+    for interval in (comparison.interval(row["ours"]), comparison.skill_interval(row["ours"])):
+        assert np.isnan(interval).all()
+
+
+def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() -> None:
+    level = [scored("nearest", samples(0.0, 1)), scored("line-of-sight", samples(0.0, 2))]
+    comparison, row = compared(*level, *seeds_of("ours", 0.05, 10))
+    low, high = comparison.skill_interval(comparison.rows[1])
+    assert comparison.rows[1].is_trivial
+    assert low < 0 == high
+    assert comparison.skill_interval(row["ours"])[0] > 0.2  # a third of the 0.15 left open is closed
+
+
+def test_without_a_trivial_predictor_skill_has_no_interval() -> None:
+    comparison, row = compared(*seeds_of("ours", 0.0, 10))
+    assert np.isnan(comparison.skill_interval(row["ours"])).all()
+
+
+def _literally(ssim_by_tx):
+    """Resample, list every sample of every drawn transmitter, take the median."""
+    number = len(ssim_by_tx)
+    drawn = np.random.default_rng(number).integers(number, size=(1000, number))
+    return np.array([np.median(np.concatenate([ssim_by_tx[index] for index in each])) for each in drawn])
+
+
+@pytest.mark.parametrize("lengths", [[1] * 7, [3] * 6, [1, 4, 2, 10, 3, 1], [60] * 10])
+def test_resampled_medians_are_those_of_a_literal_loop(lengths: list[int]) -> None:
+    generator = np.random.default_rng(0)
+    ssim_by_tx = [
+        tuple(map(float, generator.integers(0, 30, length) / 30)) for length in lengths
+    ]  # with ties
+    np.testing.assert_array_equal(resampled_medians(ssim_by_tx), _literally(ssim_by_tx))
+
+
+def test_splits_of_different_length_are_averaged() -> None:
+    other = "lofo-2.4GHz"
+    records = [
+        record
+        for split, num_tx in ((SPLIT, 60), (other, 35))
+        for record in (
+            *seeds_of("better", 0.02, 10, split=split, num_tx=num_tx),
+            *seeds_of("worse", 0.0, 20, split=split, num_tx=num_tx),
+        )
+    ]
+    comparison, row = compared(*records, splits=(SPLIT, other))
+    single, _ = compared(*records, splits=(SPLIT,))
+    assert comparison.beats(row["better"], row["worse"])
+    widths = [high - low for low, high in (each.interval(row["worse"]) for each in (comparison, single))]
+    assert widths[0] < widths[1]  # an average of two is steadier than one of them
+
+
+def test_seeds_that_scatter_widen_the_interval() -> None:
+    scattered = [
+        scored("scattered", samples(shift, 10 + seed), seed) for seed, shift in enumerate((-0.03, 0, 0.03))
+    ]
+    comparison, row = compared(*scattered, *seeds_of("steady", 0.0, 10))
+    widths = {name: np.ptp(comparison.interval(each)) for name, each in row.items()}
+    assert widths["scattered"] > 1.3 * widths["steady"]  # seeds scatter by 0.03, the median of places by 0.01
+
+
+def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatter() -> None:
+    num_told_apart, num_trials = 0, 100
+    for trial in range(num_trials):
+        shifts = np.random.default_rng(trial).normal(0, 0.03, (2, 3))
+        records = [
+            scored(f"method {which}", samples(float(shift), 1000 * trial + 10 * which + seed), seed)
+            for which, of_method in enumerate(shifts)
+            for seed, shift in enumerate(of_method)
+        ]
+        comparison, row = compared(*records)
+        num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
+    assert num_told_apart / num_trials < 0.12  # nominally 0.05, and three standard deviations of 100 trials
+
+
+def test_comparisons_that_share_their_resampling_agree_with_those_that_do_not() -> None:
+    (board,) = boards([*seeds_of("one", 0.0, 10), *seeds_of("other", 0.01, 20)])
+    shared = Resampling()
+    first, second, alone = (Comparison(board, (SPLIT,), each) for each in (shared, shared, Resampling()))
+    for row in board.rows:
+        assert first.interval(row) == second.interval(row) == alone.interval(row)

@@ -1,0 +1,221 @@
+"""The page in a real browser: headless Chromium, driven by Playwright, with no network asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from math import isnan
+from pathlib import Path
+
+import pytest
+from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
+from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
+from stored_records import external, make_record
+
+from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.runs.records import append
+
+LEARNED_NAMES = [name for name, *_ in LEARNED]
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("page")
+    return write_page(store_results(folder), folder / "page.html")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    with launched() as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser, file: Path) -> Iterator[object]:
+    with opened(browser, file) as tab:
+        yield tab
+
+
+def shown_labels(page) -> list[str]:
+    rows = page.locator("table.leaderboard:visible tbody tr:visible")
+    return rows.evaluate_all("rows => rows.map(row => row.dataset.label)")
+
+
+def column(page, title: str) -> list[float]:
+    """Sorted values of a column from top to bottom; nan where there is none."""
+    script = """(table, title) => {
+        const heads = [...table.tHead.rows[0].cells];
+        const index = heads.findIndex(head => head.textContent.startsWith(title));
+        return [...table.tBodies[0].rows].map(row => row.cells[index].dataset.value);
+    }"""
+    values = page.locator("table.leaderboard:visible").evaluate(script, title)
+    return [float(value) if value else float("nan") for value in values]
+
+
+def head(page, title: str):
+    return page.locator("table.leaderboard:visible thead th").filter(
+        has_text=re.compile(f"^{re.escape(title)}")
+    )
+
+
+def test_a_click_sorts_by_the_numbers_and_a_second_one_turns_the_order(page) -> None:
+    head(page, "fit s").locator("button").click()
+    seconds = column(page, "fit s")
+    assert seconds == sorted(seconds) and seconds[0] != seconds[-1]
+    assert head(page, "fit s").get_attribute("aria-sort") == "ascending"
+    assert head(page, "average").get_attribute("aria-sort") is None
+    head(page, "fit s").locator("button").click()
+    assert column(page, "fit s") == seconds[::-1]
+
+
+def test_scores_are_first_sorted_with_the_best_on_top(page) -> None:
+    head(page, "24.25GHz").locator("button").click()
+    scores = column(page, "24.25GHz")
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_the_keyboard_sorts_too(page) -> None:
+    head(page, "method").locator("button").focus()
+    page.keyboard.press("Enter")
+    assert shown_labels(page) == sorted(shown_labels(page), key=str.lower)
+    assert head(page, "method").get_attribute("aria-sort") == "ascending"
+
+
+def test_what_is_not_ranked_stays_last_whichever_way_ranks_are_sorted(page) -> None:
+    for direction in ("ascending", "descending"):
+        head(page, "rank").locator("button").click()
+        *ranks, last = column(page, "rank")
+        assert head(page, "rank").get_attribute("aria-sort") == direction
+        assert ranks == sorted(ranks, reverse=direction == "descending")
+        assert isnan(last) and shown_labels(page)[-1] == "quick"  # it has one seed
+
+
+def test_names_and_families_filter_table_and_charts_alike(page) -> None:
+    page.fill("#filter", "FREQUENCY")
+    assert shown_labels(page) == ["mean-over-frequency"]
+    assert page.locator("#pareto .point").count() == 1
+    page.fill("#filter", "")
+    page.uncheck("#families [value=trivial]")
+    assert set(shown_labels(page)) == set(LEARNED_NAMES)
+    page.uncheck("#families [value=learned]")
+    assert shown_labels(page) == ["slow (width=9)"]
+    assert page.locator("#shown").inner_text() == f"1 of {len(METHODS) + len(LEARNED)} methods shown."
+    page.uncheck("#families [value=ablation]")
+    assert shown_labels(page) == [] and "No method is shown" in page.locator("#pareto").inner_text()
+
+
+def test_another_board_brings_its_own_table_and_charts(page) -> None:
+    page.select_option("#board", label="synthetic · sparse · power maps")
+    assert shown_labels(page) == ["nearest"]
+    assert page.locator("#pareto .point").count() == 1
+    assert "One carrier is tested" in page.locator("#carriers").inner_text()
+    assert page.locator("#set option").count() == 1
+
+
+def test_every_chart_has_a_line_a_method(page) -> None:
+    number = len(METHODS) + len(LEARNED)
+    assert page.locator("#pareto .point").count() == number
+    assert page.locator("#pareto .front").count() == 1
+    assert page.locator("#cdfs svg").count() == len(SPLITS)
+    assert page.locator("#cdfs svg").first.locator(".curve").count() == number
+    assert page.locator("#curves svg").first.locator(".curve").count() == len(LEARNED)
+    assert page.locator("#curves svg").first.locator(".trivial").count() == 1
+    assert page.locator("#legend li").count() == number
+
+
+def test_lines_lie_where_the_numbers_are(page) -> None:
+    """Dearer points lie farther right, better ones higher; a free one lies left of all that cost."""
+    points = page.locator("#pareto .point").all()
+    places = {point.get_attribute("data-row"): place_of(point) for point in points}
+    quick, slow = places["quick"], places["slow (width=9)"]
+    assert places["nearest"][0] < quick[0] < places[HOSTILE][0] < slow[0]
+    assert slow[1] < quick[1] < places[HOSTILE][1]
+
+
+def place_of(point) -> list[float]:
+    """Pixels to the right and downwards."""
+    return [float(part) for part in re.findall(r"-?[\d.]+", point.get_attribute("transform"))]
+
+
+def test_the_metric_of_the_distributions_can_be_chosen(page) -> None:
+    before = page.locator("#cdfs svg").first.inner_html()
+    page.select_option("#metric", "aoa_error")
+    assert page.locator("#cdfs svg").first.inner_html() != before
+    assert "AoA error (°)" in page.locator("#cdfs svg").first.inner_html()
+
+
+def test_a_focused_point_tells_its_numbers(page) -> None:
+    page.locator('#pareto .point[data-row="quick"]').focus()
+    tip = page.locator("#tip").inner_text()
+    assert tip.startswith("quick\naverage median SSIM 0.7500 [") and "4 s of fitting" in tip
+
+
+def test_a_hostile_name_is_shown_as_it_is(page) -> None:
+    assert HOSTILE in shown_labels(page)
+    assert page.locator("img[src=x]").count() == 0
+    assert HOSTILE in page.locator("#legend").inner_text()
+
+
+def test_the_gallery_draws_three_pictures_of_three_cases(page) -> None:
+    page.select_option("#shown-method", "nearest")
+    page.locator("#gallery").scroll_into_view_if_needed()
+    assert page.locator(".case").count() == 3
+    decode = "async image => { image.loading = 'eager'; await image.decode(); return image.naturalWidth; }"
+    widths = [picture.evaluate(decode) for picture in page.locator(".case .map").all()]
+    assert widths == [180] * 9
+
+
+def test_measurements_are_drawn_when_they_are_opened(page) -> None:
+    page.locator("#benches summary").click()
+    assert page.locator(".bench td").all_inner_texts() == ["1", "0.5", "0.333"]
+    page.wait_for_selector(".bench svg .curve", state="attached")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("device", WIDTHS)
+def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> None:
+    set_screen(page, device, scheme)
+    page.locator("#benches summary").click()
+    check_screen(page, device, scheme)
+
+
+def test_on_paper_every_board_has_its_whole_table_and_no_controls(page) -> None:
+    page.set_viewport_size({"width": 1047, "height": 700})  # A4 across, without its margins
+    page.emulate_media(media="print")
+    tables = page.locator("table.leaderboard")
+    assert tables.count() == 2
+    assert all(table.is_visible() for table in tables.all())
+    assert not page.locator("#controls").is_visible()
+    assert tables.evaluate_all("tables => Math.max(...tables.map(table => table.scrollWidth))") <= 1047
+
+
+def test_without_a_script_the_tables_stand(browser, file: Path) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    tab = context.new_page()
+    tab.goto(file.as_uri())
+    assert tab.locator("table.leaderboard:visible").count() == 2
+    assert not tab.locator("#controls").is_visible()
+    context.close()
+
+
+def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(
+    browser, tmp_path: Path
+) -> None:
+    for record in (make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0)):
+        append(tmp_path / "records.jsonl", record)
+    page, complaints = browser.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(write_page(tmp_path, tmp_path / "page.html").as_uri())
+    assert shown_labels(page) == ["theirs (external)", "nearest"]
+    assert page.locator("#pareto .point").count() == 2
+    page.locator("#pareto .point[data-row^=theirs]").hover()
+    told = page.locator("#tip").inner_text()
+    assert "3 s of fitting" in told and "map" not in told and "parameters" not in told
+    page.select_option("#cost", "parameters")
+    assert page.locator("#pareto .point").count() == 1
+    page.uncheck("#families [value=external]")
+    assert shown_labels(page) == ["nearest"]
+    page.close()
+    assert complaints == []

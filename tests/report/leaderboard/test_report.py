@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from leaderboard_records import make_bench, make_followed, make_records
+
+from xfreqbench.errors import DataError, OutputExistsError, StorageError
+from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
+from xfreqbench.runs.records import append
+
+
+def store_all(folder):
+    for record in (
+        *make_records(),
+        make_followed(),
+        make_bench(),
+        make_bench("render", "Splatting", figure=None),
+    ):
+        append(folder / "records.jsonl", record)
+
+
+def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
+    store_all(tmp_path / "results")
+    for name in ("a", "b"):
+        write_report(tmp_path / "results", tmp_path / name / "BENCHMARK.md")
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
+    assert [path.suffix for path in files] == [".md", ".svg", ".svg", ".svg"]
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_report_links_its_figures(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output, *figures = write_report(tmp_path, tmp_path / "BENCHMARK.md").paths
+    assert [path.name for path in figures] == [
+        "office-lofo-aaaaaaaa-cdf.svg",
+        "office-lofo-aaaaaaaa-time.svg",
+        "bench-generate-error-against-run-time.svg",
+    ]
+    for figure in figures:
+        assert f"](figures/{figure.name})" in output.read_text()
+    cdf, time, bench = (figure.read_text() for figure in figures)
+    assert "mean-over-frequency" in cdf
+    assert "ours (≤ 64 steps)" in time
+    assert "ms a sample" in bench
+
+
+def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output = tmp_path / "BENCHMARK.md"
+    assert write_report(tmp_path, output).num_truncated == 0
+    whole = output.read_bytes()
+    with (tmp_path / "records.jsonl").open("a") as file:
+        file.write('{"id": "cut o')
+    assert write_report(tmp_path, output).num_truncated == 1
+    assert output.read_bytes() == whole
+
+
+def test_a_report_is_made_from_one_file_of_records_too(tmp_path: Path) -> None:
+    store_all(tmp_path / "results")
+    path = tmp_path / "results" / "records.jsonl"
+    assert write_report(path, tmp_path / "out" / "BENCHMARK.md").paths[0].exists()
+
+
+def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output = tmp_path / "BENCHMARK.md"
+    output.write_text(f"# Ours\n\nRead this.\n\n{BEGIN}\nold\n{END}\n\nAnd that.\n")
+    write_report(tmp_path, output)
+    text = output.read_text()
+    assert text.startswith(f"# Ours\n\nRead this.\n\n{BEGIN}")
+    assert text.endswith(f"{END}\n\nAnd that.\n")
+    assert "\nold\n" not in text
+
+
+def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output = tmp_path / "NOTES.md"
+    output.write_text("mine")
+    with pytest.raises(OutputExistsError, match="no generated part"):
+        write_report(tmp_path, output)
+    assert output.read_text() == "mine"
+
+
+def test_a_report_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="holds no records"):
+        write_report(tmp_path, tmp_path / "BENCHMARK.md")
+
+
+def test_a_file_that_is_no_text_is_not_overwritten(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output = tmp_path / "data.h5"
+    output.write_bytes(b"\x89HDF\r\n\xff")
+    with pytest.raises(OutputExistsError, match="not a text"):
+        write_report(tmp_path, output)
+    assert output.read_bytes() == b"\x89HDF\r\n\xff"
+
+
+def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    with pytest.raises(StorageError, match="is a folder"):
+        write_report(tmp_path, tmp_path)
+    assert not (tmp_path / "figures").exists()

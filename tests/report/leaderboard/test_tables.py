@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+from leaderboard_records import (
+    leaderboard_markdown,
+    make_bench,
+    make_records,
+    of_three_seeds,
+    rows_of,
+    with_job,
+)
+from stored_records import SPLITS, make_record, make_summary
+
+from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.methods.contract import Budget
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.report import leaderboard_summary
+
+
+def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
+    markdown = leaderboard_markdown(make_records())
+    assert rows_of(markdown, "ours")[0] == {
+        "rank": "–",
+        "method": "ours",
+        "2.4GHz": "0.9500",
+        "24.25GHz": "0.9500",
+        "77GHz": "0.9500",
+        "average": "0.9500",
+        "± seeds": "–",
+        "skill": "0.500",
+        "seeds": "1",
+        "fit s": "0.50",
+        "ms/map": "1.25",
+        "peak MiB": "200",
+        "parameters": "1,234",
+    }
+    order = [
+        markdown.index(f"| {name} ") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")
+    ]
+    assert order == sorted(order)
+
+
+def test_a_row_that_loses_to_a_trivial_predictor_stands_with_its_negative_skill() -> None:
+    markdown = leaderboard_markdown([*make_records()[:4], make_record("worse", 0.7, SPLITS[0])])
+    assert rows_of(markdown, "worse")[0]["skill"] == "-2.000"
+
+
+def test_without_a_trivial_predictor_there_is_no_skill() -> None:
+    markdown = leaderboard_markdown([make_record("ours", 0.95)])
+    assert rows_of(markdown, "ours")[0]["skill"] == "–"
+
+
+def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
+    some = [make_record("partial", 0.97, split) for split in SPLITS[1::-1]]
+    lucky = make_record("lucky", 0.99, SPLITS[0])
+    markdown = leaderboard_markdown([*make_records(), *some, lucky])
+    shared, whole, *of_splits = markdown.split("best average first;")[1:][:2] + markdown.split("### ")[1:]
+    whole = whole.partition("###")[0]
+    assert not rows_of(whole, "partial") + rows_of(whole + shared, "lucky")
+    assert rows_of(shared, "partial")[0]["average"] == "0.9700"
+    assert rows_of(shared, "ours")[0]["average"] == "0.9500"
+    assert shared.index("| partial ") < shared.index("| ours ")
+    assert rows_of(of_splits[0], "lucky")
+
+
+def test_the_order_in_which_splits_were_run_makes_no_table_of_its_own() -> None:
+    later = [
+        make_record("ours", 0.95, split).model_copy(update={"time_utc": f"2026-01-02T00:00:0{second}+00:00"})
+        for second, split in enumerate(SPLITS[::-1])
+    ]
+    assert (
+        leaderboard_markdown([*make_records()[:4], *make_records()[5:], *later]).count("best average first")
+        == 1
+    )
+
+
+def test_targets_stand_in_order_of_frequency() -> None:
+    assert boards(make_records()[::-1])[0].splits == SPLITS
+
+
+def test_the_order_of_records_does_not_matter() -> None:
+    assert leaderboard_markdown(make_records()) == leaderboard_markdown(make_records()[::-1])
+
+
+def test_of_a_job_run_twice_the_later_record_counts() -> None:
+    later = make_record("ours", 0.97, time_utc="2026-01-02T00:00:00+00:00")
+    markdown = leaderboard_markdown([later, make_record("ours", 0.95)])
+    assert rows_of(markdown, "ours")[0]["24.25GHz"] == "0.9700"
+    assert rows_of(markdown, "ours")[0]["seeds"] == "1"
+
+
+def test_other_options_and_data_sets_are_other_rows_and_other_seeds_are_not() -> None:
+    records = [make_record("ours", 0.9), make_record("ours", 0.8, dataset_sha256="c" * 64)]
+    seeded = make_record("ours", 0.7)
+    job = {"job": seeded.job.__class__(**{**vars(seeded.job), "seed": 2, "overrides": ("a=1",)})}
+    again = with_job(make_record("ours", 0.6), seed=2)
+    grouped = boards([*records, seeded.model_copy(update=job), again])
+    assert [[row.label for row in board.rows] for board in grouped] == [
+        ["ours", "ours (a=1)"],
+        ["ours"],
+    ]
+
+
+@pytest.mark.parametrize("field", ["protocol_version", "metrics_version"])
+def test_records_of_different_versions_are_not_ranked_together(field: str) -> None:
+    with pytest.raises(DataError, match=r"different versions \(protocol .* with metrics"):
+        leaderboard_markdown([make_record("ours", 0.9), make_record("nearest", 0.9, **{field: "2"})])
+
+
+def test_skill_stands_whatever_budget_and_seed_were_given() -> None:
+    records = [with_job(record, budget=Budget(max_seconds=300), seed=3) for record in make_records()]
+    markdown = leaderboard_markdown(records)
+    assert rows_of(markdown, "ours (≤ 300 s)")[0]["skill"] == "0.500"
+    assert rows_of(markdown, "nearest")  # budget and seed change nothing in it
+
+
+def test_a_trivial_predictor_with_other_options_sets_no_skill() -> None:
+    tuned = with_job(make_record("mean-over-frequency", 0.99), overrides=("num_nearest=3",))
+    markdown = leaderboard_markdown([make_record("nearest", 0.9), tuned, make_record("ours", 0.95)])
+    assert rows_of(markdown, "ours")[0]["skill"] == "0.500"
+    assert rows_of(markdown, "mean-over-frequency (num_nearest=3)")[0]["skill"] == "0.900"
+
+
+def test_sets_of_different_kinds_of_map_have_different_headings() -> None:
+    records = [make_record(), make_record(pas_kind="amplitude", dataset_sha256="c" * 64)]
+    markdown = leaderboard_markdown(records)
+    assert "## office · lofo · power maps\n" in markdown
+    assert "## office · lofo · amplitude maps\n" in markdown
+    assert "office · lofo · amplitude maps. Tested" in leaderboard_summary(records)
+
+
+def test_the_summary_for_a_terminal_is_one_table_a_board() -> None:
+    assert leaderboard_summary(make_records()).count("| method") == 1
+
+
+def test_gaussians_are_counted_where_a_method_has_any() -> None:
+    counted = [
+        make_record("ours", 0.95, split, counts={"gaussians": number})
+        for split, number in zip(SPLITS, (1000, 2000, 3000), strict=True)
+    ]
+    markdown = leaderboard_markdown([make_record("nearest", 0.9, SPLITS[0]), *counted])
+    ours, nearest = (rows_of(markdown, name)[0] for name in ("ours", "nearest"))
+    assert ours["Gaussians"] == "2,000"
+    assert (
+        rows_of(markdown.partition("### 2.4GHz")[2], "nearest")[0]["Gaussians"] == "–" == nearest["Gaussians"]
+    )
+    assert "Gaussians" not in leaderboard_markdown(make_records())
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_row_of_means() -> None:
+    seeded = [
+        with_job(make_record("ours", ssim, split), seed=seed, budget=Budget(max_seconds=300))
+        for split in SPLITS[:2]
+        for seed, ssim in enumerate((0.90, 0.92, 0.94))
+    ]
+    records = [*seeded, make_record("nearest", 0.8, SPLITS[0]), make_record("nearest", 0.8, SPLITS[1])]
+    row = rows_of(leaderboard_markdown(records), "ours (≤ 300 s)")[0]
+    assert [row[name] for name in ("2.4GHz", "average", "± seeds", "seeds")] == [
+        "0.9200",
+        "0.9200",
+        "0.0200",
+        "3",
+    ]
+    assert "seeds 0, 1, 2." in leaderboard_markdown(records)
+
+
+def test_pairs_say_what_beats_what_and_what_is_level() -> None:
+    records = [
+        *of_three_seeds("best", 0.02, 10),
+        *of_three_seeds("second", 0.0, 20),
+        *of_three_seeds("third", 0.0, 30),
+    ]
+    unranked = make_record("fast", 0.7, ssim_by_tx=[(0.7,)] * 50)
+    markdown = leaderboard_markdown([*records, unranked])
+    ranks = {name: rows_of(markdown, name)[0]["rank"] for name in ("best", "second", "third", "fast")}
+    assert ranks == {"best": "1", "second": "2–3", "third": "2–3", "fast": "–"}
+    pairs = markdown.partition("× 1000")[2].partition("###")[0]
+    first = next(line for line in pairs.splitlines() if line.startswith("| 1 best"))
+    assert first.count("+") == 2
+    middle = next(line for line in pairs.splitlines() if line.startswith("| 2 "))
+    assert [cell.strip() for cell in middle.strip("|").split("|")][1:] == ["", "="]
+    assert "fast" not in pairs
+
+
+def test_of_trivial_predictors_only_the_best_is_paired_with_methods() -> None:
+    trivial = [
+        record
+        for shift, name in ((0, "nearest"), (-0.1, "line-of-sight"))
+        for record in of_three_seeds(name, shift, 40)
+    ]
+    with_method = leaderboard_markdown([*of_three_seeds("ours", 0.02, 10), *trivial]).partition("× 1000")[2]
+    assert "| 2 nearest " in with_method and " line-of-sight " not in with_method.partition("###")[0]
+    assert "| 2 line-of-sight " in leaderboard_markdown(trivial).partition("× 1000")[2]
+
+
+def test_one_ranked_row_has_nothing_to_be_paired_with() -> None:
+    assert "× 1000" not in leaderboard_markdown(of_three_seeds("ours", 0.0, 10))
+
+
+def test_samples_give_the_score_and_the_skill_an_interval() -> None:
+    row = rows_of(
+        leaderboard_markdown([*of_three_seeds("ours", 0.02, 10), *of_three_seeds("nearest", 0.0, 20)]), "ours"
+    )[0]
+    pattern = r"0\.\d+ \[0\.\d+, 0\.\d+\]"
+    assert re.fullmatch(pattern, row["24.25GHz"])
+    assert re.fullmatch(pattern, row["skill"])
+
+
+def test_a_split_of_several_carriers_has_a_table_by_carrier() -> None:
+    by_carrier = {"24250000000": 0.9, "1000000000": 0.7}
+    scores = {
+        name: make_summary(0.9).model_copy(update={"median_by_carrier_hz": by_carrier}) for name in METRICS
+    }
+    markdown = leaderboard_markdown([make_record("ours", 0.9, "held-out-tx", "held-out-tx", scores=scores)])
+    assert rows_of(markdown.partition("by carrier")[2], "ours")[0] == {
+        "method": "ours",
+        "1 GHz": "0.7000",
+        "24.25 GHz": "0.9000",
+    }
+    assert "by carrier" not in leaderboard_markdown(make_records())
+
+
+def test_splits_on_which_fewer_methods_were_run_are_folded() -> None:
+    lone = make_record("nearest", 0.8, "lofo-94GHz")
+    opened, _, folded = leaderboard_markdown([*make_records(), lone]).partition(
+        "<details><summary>94GHz</summary>"
+    )
+    assert "### 77GHz" in opened
+    assert "### 94GHz" in folded.partition("</details>")[0]
+    assert "<details>" not in leaderboard_markdown(make_records())
+
+
+def test_measurements_stand_under_their_headings_with_command_machine_and_date() -> None:
+    benches = [
+        make_bench(name, f"table of {name}")
+        for name in ("odd", "stress", "savings", "render", "plain", "generate")
+    ]
+    markdown = leaderboard_markdown(make_records(), benches)
+    headings = [line[3:] for line in markdown.splitlines() if line.startswith("## ")]
+    assert headings[1:-1] == [
+        "Generator",
+        "Rendering and training",
+        "Savings",
+        "Stress",
+        "Other measurements",
+    ]
+    assert (
+        "### table of render\n\n    xfreqbench bench render\n\nTwo columns.\n\n"
+        "| setting |  ms |\n| ------- | --: |\n| image   | 1.5 |\n\n"
+        "AMD EPYC, 2 cores; commit 0123456; 2026-01-01." in markdown
+    )
+
+
+def test_what_was_run_comes_first() -> None:
+    markdown = leaderboard_markdown(
+        make_records(), [make_bench("benchmark", "What was run", note="Left out: none.")]
+    )
+    assert markdown.startswith(
+        "## What was run\n\n    xfreqbench bench benchmark\n\nLeft out: none.\n\n| setting"
+    )
+
+
+def test_of_a_measurement_taken_twice_the_later_counts() -> None:
+    later = make_bench(rows=(("image", "0.5"),), time_utc="2026-01-02T00:00:00+00:00")
+    markdown = leaderboard_markdown([], [later, make_bench(), make_bench(title="another")])
+    assert "0.5" in markdown
+    assert markdown.count("1.5") == 1  # the other title's

@@ -1,0 +1,253 @@
+"""A fit that is killed goes on from its last checkpoint, and ends as if nothing had happened."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from descent import (
+    NUM_STEPS,
+    Descent,
+    DescentConfig,
+    Forgetful,
+    curve,
+    make_job,
+    maps,
+    wait_for_third,
+)
+from places import SUPPORT
+from synthetic import paper_dataset
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DataError, DivergenceError, StorageError
+from xfreqbench.methods.fitting import Fit
+from xfreqbench.runs import checkpoints
+from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.run import run_job, run_jobs
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=3)
+
+
+@pytest.fixture(autouse=True)
+def undisturbed(monkeypatch: pytest.MonkeyPatch) -> None:
+    for method in (Descent, Forgetful):
+        monkeypatch.setattr(method, "num_steps_done", 0)
+        monkeypatch.setattr(method, "interrupt_at", None)
+
+
+@pytest.fixture
+def saves_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
+
+
+def interrupted(dataset: PasDataset, results: Path, method: type[Descent], step: int, **options) -> None:
+    method.interrupt_at = step
+    with pytest.raises(KeyboardInterrupt):
+        run_job(make_job(dataset, method.__name__, **options), results)
+    method.interrupt_at, method.num_steps_done = None, 0
+
+
+def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    unbroken = run_job(make_job(dataset), tmp_path / "unbroken")
+    results = tmp_path / "killed"
+    code = f"import descent; descent.fit_slowly({str(dataset.path)!r}, {str(results)!r})"
+    here = os.pathsep.join([str(SUPPORT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here})
+    wait_for_third(CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id), process)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert not (results / "records.jsonl").exists()
+
+    Descent.num_steps_done = 0
+    resumed = run_job(make_job(dataset), results)
+    assert 0 < Descent.num_steps_done < NUM_STEPS
+    assert maps(results, resumed) == maps(tmp_path / "unbroken", unbroken)
+    assert curve(resumed) == curve(unbroken)
+    assert (resumed.step, resumed.counts) == (NUM_STEPS, {"maps": 1})
+    assert resumed.fit_seconds > 0.15  # three checkpoints, each after 0.05 s more of fitting
+    assert not (results / "checkpoints" / resumed.id).exists()
+
+
+@pytest.mark.usefixtures("saves_every_step")
+def test_a_method_that_starts_anew_is_not_charged_twice(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unbroken = run_job(make_job(dataset, "Forgetful", 20), tmp_path / "unbroken")
+    with monkeypatch.context() as patch:
+        patch.setattr(Forgetful, "pause_s", 0.1)
+        interrupted(dataset, tmp_path, Forgetful, 10, max_steps=20)
+    resumed = run_job(make_job(dataset, "Forgetful", 20), tmp_path)
+    assert Forgetful.num_steps_done == 20
+    assert curve(resumed) == curve(unbroken)
+    assert resumed.fit_seconds < 1  # ten steps of 0.1 s were lost
+
+
+@pytest.mark.usefixtures("saves_every_step")
+def test_a_fit_whose_budget_was_spent_is_not_fitted_again(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("xfreqbench.runs.run.write_predictions", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            run_job(make_job(dataset, max_steps=5), tmp_path)
+    assert run_job(make_job(dataset, max_steps=5), tmp_path).step == 5
+    assert Descent.num_steps_done == 5
+
+
+@pytest.mark.usefixtures("saves_every_step")
+def test_a_checkpoint_is_another_jobs_under_another_seed_or_option(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
+    for options in ({"seed": 1}, {"overrides": ("learning_rate=0.25",)}):
+        Descent.num_steps_done = 0
+        run_job(make_job(dataset, max_steps=10, **options), tmp_path)
+        assert Descent.num_steps_done == 10
+
+
+def test_a_short_fit_leaves_no_trace_of_checkpoints(dataset: PasDataset, tmp_path: Path) -> None:
+    run_job(make_job(dataset, max_steps=3), tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["predictions", "records.jsonl"]
+
+
+@pytest.mark.usefixtures("saves_every_step")
+def test_a_damaged_checkpoint_is_told_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
+    interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
+    (damaged,) = tmp_path.glob("checkpoints/*/*/method/maps.npz")
+    content = bytearray(damaged.read_bytes())
+    content[-1000] ^= 1
+    damaged.write_bytes(content)
+    jobs = [make_job(dataset, max_steps=4), make_job(dataset, max_steps=10)]
+    with pytest.raises(DataError, match=r"checkpoints/\w+ is damaged: maps\.npz .*Delete that folder"):
+        run_jobs(jobs, tmp_path)
+    assert Descent.num_steps_done == 0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "left"),
+    [(0.0, r"its last good checkpoint is .*checkpoints/\w+/2"), (math.inf, "it has no checkpoint yet")],
+)
+def test_a_fit_that_diverges_names_its_job_and_its_last_good_checkpoint(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, left: str
+) -> None:
+    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", seconds)
+    words = rf"loss is not finite at step 3\. Method 'descent:Exploding' diverged on split .*{left}"
+    with pytest.raises(DivergenceError, match=words) as raised:
+        run_job(make_job(dataset, "Exploding"), tmp_path)
+    assert (raised.value.step, raised.value.tensor) == (3, "loss")
+    assert "--set learning_rate=" in str(raised.value)
+
+
+def save(folder: CheckpointFolder, step: int, method: Descent | None = None) -> None:
+    folder.write(method or Descent(), Fit(step, math.nan, 2.5, 0.25, {"gaussians": 3.0}), ())
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> CheckpointFolder:
+    return CheckpointFolder(tmp_path / "checkpoints" / "abc", "abc")
+
+
+def names(folder: CheckpointFolder) -> list[str]:
+    return sorted(path.name for path in folder.path.iterdir())
+
+
+def test_a_checkpoint_comes_back_as_it_was_written(folder: CheckpointFolder) -> None:
+    assert folder.read() is None
+    save(folder, 7)
+    checkpoint = folder.read()
+    assert math.isnan(checkpoint.loss)
+    assert (checkpoint.fit.step, checkpoint.fit.seconds, checkpoint.fit.share) == (7, 2.5, 0.25)
+    assert checkpoint.fit.counts == {"gaussians": 3}
+    assert sorted(checkpoint.sha256) == ["maps.npz", "state.json"]
+
+
+def test_only_the_newest_checkpoint_is_kept(folder: CheckpointFolder) -> None:
+    for step in range(1, 12):
+        save(folder, step)
+    assert names(folder) == ["11"]
+    assert folder.read().step == 11
+
+
+def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(
+    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(folder, 1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(json, "dumps", _raise_interrupt)  # the maps are saved by then
+        save(folder, 2)
+    assert folder.read().step == 1
+    save(folder, 3)
+    assert (names(folder), folder.read().step) == (["2"], 3)
+
+
+def test_a_kill_while_the_old_checkpoint_is_removed_leaves_the_new_one(
+    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(folder, 1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(shutil, "rmtree", _raise_interrupt)
+        save(folder, 2)
+    assert (names(folder), folder.read().step) == (["1", "2"], 2)
+    save(folder, 3)
+    assert names(folder) == ["3"]
+
+
+def test_what_is_removed_is_never_found_half(
+    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(folder, 1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(shutil, "rmtree", _raise_interrupt)
+        folder.remove()
+    assert folder.read() is None
+    folder.remove()
+    assert list(folder.path.parent.iterdir()) == []
+
+
+def _raise_interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_checkpoint_of_another_job_is_refused(folder: CheckpointFolder) -> None:
+    save(folder, 1)
+    with pytest.raises(DataError, match=r"checkpoints/abc belongs to job abc, not to xyz\. Delete"):
+        CheckpointFolder(folder.path, "xyz").read()
+
+
+def test_a_checkpoint_without_its_state_is_refused(folder: CheckpointFolder) -> None:
+    save(folder, 1)
+    (folder.path / "1" / "checkpoint.json").write_text("{}")
+    with pytest.raises(DataError, match="cannot be read"):
+        folder.read()
+
+
+def test_a_method_that_cannot_load_its_own_files_is_told_where_they_are(folder: CheckpointFolder) -> None:
+    save(folder, 1)
+    (folder.path / "1" / "method" / "state.json").unlink()
+    with pytest.raises(DataError, match=r"checkpoints/abc cannot be loaded: FileNotFoundError.*Delete"):
+        folder.load(Descent())
+
+
+def test_a_method_that_comes_back_with_another_configuration_is_refused(folder: CheckpointFolder) -> None:
+    save(folder, 1, Descent(DescentConfig(0.125)))
+    assert folder.load(Descent(DescentConfig(0.125))).config == DescentConfig(0.125)
+    with pytest.raises(DataError, match=r"has configuration .*0\.125.*but the job has .*0\.5"):
+        folder.load(Descent())
+
+
+def test_a_place_without_room_for_checkpoints_is_a_storage_error(tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").write_text("a file")
+    with pytest.raises(StorageError, match="checkpoints/abc"):
+        save(CheckpointFolder(tmp_path / "checkpoints" / "abc", "abc"), 1)

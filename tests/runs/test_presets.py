@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.cli import data, runs
+from xfreqbench.errors import OutputExistsError, UnknownNameError
+from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.registry import build_method
+from xfreqbench.runs import benchmark as benchmarks
+from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
+from xfreqbench.runs.folder import ResultsFolder, read_records
+from xfreqbench.runs.presets import LEARNED, PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
+
+SMALL = Preset(
+    description="a dozen transmitters of an empty room",
+    blocks=(
+        Block("empty", "lofo", TRIVIAL_SETTINGS, None),
+        Block("empty", "lofo-unseen-tx", (*TRIVIAL_SETTINGS[:2],), None, targets_ghz=(24.25,)),
+        Block(
+            "empty",
+            "lofo",
+            (Setting("aperture-gs", ("num_gaussians=8",)),),
+            "2steps",
+            seeds=(0, 1),
+            targets_ghz=(77.0,),
+        ),
+    ),
+    left_out="nearly everything",
+    num_tx={"empty": 12},
+)
+NUM_RUNS = 4 * 3 + 2 + 2
+
+
+@pytest.fixture(autouse=True)
+def _small_preset(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(benchmarks, "PRESETS", {**PRESETS, "small": SMALL})
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_says_what_it_leaves_out_and_builds_its_methods(name: str) -> None:
+    preset = plan_benchmark(name, Path("data"), Path("results")).preset
+    assert preset.left_out
+    assert set(preset.benches) <= set(benchmarks.BENCH_COMMANDS)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_learned_method_meets_the_trivial_ones_on_the_same_splits(name: str) -> None:
+    blocks = PRESETS[name].blocks
+    trivial = {
+        (block.scene, block.protocol): block.targets_ghz
+        for block in blocks
+        if block.settings == TRIVIAL_SETTINGS
+    }
+    for block in blocks:
+        targets = trivial[block.scene, block.protocol]
+        assert targets in ("all", None, block.targets_ghz)
+    assert {setting.method for setting in TRIVIAL_SETTINGS} == set(TRIVIAL)
+
+
+@pytest.mark.parametrize("name", ["standard", "full"])
+def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: str) -> None:
+    blocks = [block for block in PRESETS[name].blocks if set(LEARNED) <= set(block.settings)]
+    assert any(len(block.seeds) >= 3 and block.protocol == "lofo" for block in blocks)
+    for scene in ("office", "two_rooms"):
+        assert {block.protocol for block in blocks if block.scene == scene} == {
+            "lofo",
+            "sparse",
+            "held-out-tx",
+            "lofo-unseen-tx",
+        }
+
+
+def test_the_standard_preset_fits_in_two_and_three_quarter_hours_on_two_cores(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(benchmarks, "own_cores", lambda: [frozenset({0}), frozenset({1})])
+    planned = plan_benchmark("standard", Path("nowhere"), Path("results"))
+    assert benchmarks.seconds_needed(planned) <= 2.75 * 3600
+
+
+def test_ablations_change_the_setting_that_they_name() -> None:
+    for block in PRESETS["standard"].blocks:
+        for setting in block.settings:
+            changed = build_method(setting.method, setting.overrides).config
+            assert bool(setting.overrides) == (changed != build_method(setting.method).config)
+
+
+def test_an_unknown_preset_names_those_there_are(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="standard"):
+        plan_benchmark("standart", tmp_path, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("benchmark")
+
+
+def _run(folder: Path) -> None:
+    runs.benchmark(preset="small", data=folder / "data", results=folder / "results", quiet=True)
+
+
+@pytest.mark.slow
+def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) -> None:
+    """Interrupted by a failing run, it keeps the others, and then runs nothing but what is missing."""
+    planned = plan_benchmark("small", folder / "data", folder / "results")
+    assert "12 transmitters" not in cost(planned)
+    assert f"{NUM_RUNS} runs, 2 of them fits" in cost(planned)
+    _run(folder)
+    stored = planned.results.stored
+    assert len(stored.records) == NUM_RUNS
+    assert {record.hardware["cores"] for record in stored.records} == {"1"}
+    (contents,) = stored.benches
+    assert "nearly everything" in contents.note
+    assert sum(int(row[-1]) for row in contents.rows) == NUM_RUNS
+    assert "What was run" in (folder / "results" / "BENCHMARK.md").read_text()
+
+    lines = planned.results.records_path.read_text().splitlines(keepends=True)
+    planned.results.records_path.write_text("".join(lines[:5]))
+    _run(folder)
+    again = planned.results.stored
+    assert again.records[:5] == stored.records[:5]
+    assert {record.id for record in again.records} == {record.id for record in stored.records}
+
+
+def test_a_measurement_that_fails_is_named_and_its_tables_are_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
+    planned = plan_benchmark("small", folder / "data", folder / "measured")
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "no such case"), 1))
+    (failure,) = benchmarks.measure(planned, "stress")
+    assert "`xfreqbench stress --only no such case` ended with 2" in failure
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "skill"), 1))
+    assert benchmarks.measure(planned, "stress") == []
+    assert [record.bench for record in planned.results.stored.benches] == ["stress"]
+
+
+def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
+    planned = plan_benchmark("small", folder / "other", folder / "results")
+    data.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
+    with pytest.raises(OutputExistsError):
+        benchmarks.generate_data(planned, lambda scene, done, total: None)
+
+
+def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned = plan_benchmark("small", folder / "data", folder / "results")
+    benchmarks.generate_data(planned, lambda scene, done, total: None)
+    broken = Preset("", (Block("empty", "held-out-tx", TRIVIAL_SETTINGS[:2], None),), "", {"empty": 12})
+    results = folder / "other"
+    (results / "predictions").mkdir(parents=True)
+    job = Benchmark("broken", broken, folder / "data", results).jobs()[0]
+    blocked = _blocked_predictions(folder, results, job)
+    failures = benchmarks.run_benchmark(
+        Benchmark("broken", broken, folder / "data", results), lambda done, total, job: None
+    )
+    assert len(failures) == 1
+    assert job.method in failures[0]
+    assert len(read_records(results)) == 1
+    blocked.rmdir()
+
+
+def _blocked_predictions(folder: Path, results: Path, job) -> Path:
+    """A folder where the job's predictions would go, once everything else was checked."""
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.runs.jobs import look_up
+
+    path = ResultsFolder(results).predictions_path(look_up(job, open_dataset(job.dataset)).id)
+    path.mkdir()
+    return path

@@ -1,0 +1,325 @@
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import paper_dataset
+from xfreqbench.baselines.nearest import Nearest
+
+from xfreqbench.cli import runs
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import find_split
+from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError, XFreqBenchError
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.methods import fitting
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.runs import records
+from xfreqbench.runs.predictions import read_predictions
+from xfreqbench.runs.run import Job, run_job, run_jobs
+from xfreqbench.system import machine
+
+
+@dataclass(frozen=True)
+class WeightsConfig:
+    weights: Path = Path("weights.pt")
+
+
+class WithAPath(Nearest):
+    Config = WeightsConfig
+
+
+@dataclass(frozen=True)
+class DeviceConfig:
+    device: str = "cpu"
+
+
+class Stepwise(Nearest):
+    """Knows more maps at every step, and is slow to predict."""
+
+    Config = DeviceConfig
+    pause_s = 0.0
+
+    def fit(self, train, budget, seed):
+        for step in range(1, 33):
+            self.level = step / 32
+            yield from super().fit(train, budget, seed) if step == 1 else [Progress(step, 1 - self.level)]
+
+    def predict(self, tx_position_m, carrier_hz):
+        time.sleep(self.pause_s)
+        return super().predict(tx_position_m, carrier_hz) ** np.float32(1 / self.level)
+
+
+class FailsInFit(Nearest):
+    def fit(self, train, budget, seed):
+        raise RuntimeError("no memory left")
+        yield
+
+
+class FailsInPredict(Nearest):
+    def predict(self, tx_position_m, carrier_hz):
+        return {}["map"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=5)
+
+
+def make_job(dataset, method="nearest", split="lofo-24.25GHz", **options):
+    return Job(str(dataset.path), method, "lofo", split, **options)
+
+
+def test_a_record_holds_the_scores_of_the_stored_predictions(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    predictions = read_predictions(tmp_path / "predictions" / f"{record.id}.h5")
+    (rows, maps), *_ = predictions.batches(100)
+    for name, metric in METRICS.items():
+        expected = metric.score(maps, dataset.pas(rows), dataset.grid)
+        assert record.scores[name].mean == pytest.approx(expected.mean())
+        assert record.scores[name].median == pytest.approx(np.median(expected))
+        assert record.scores[name].quantiles[0] == expected.min()
+        assert record.scores[name].quantiles[100] == expected.max()
+        assert record.scores[name].median_by_carrier_hz == {"24250000000": pytest.approx(np.median(expected))}
+    assert record.num_test == len(rows) == 5
+
+
+def test_predictions_are_for_the_test_rows_of_the_split(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    predictions = read_predictions(tmp_path / "predictions" / f"{record.id}.h5")
+    split = find_split(dataset, "lofo", "lofo-24.25GHz")
+    np.testing.assert_array_equal(predictions.rows, split.test)
+    assert predictions.split_sha256 == split.sha256 == record.split_sha256
+    assert predictions.dataset_sha256 == dataset.sha256 == record.dataset_sha256
+
+
+def test_the_record_is_what_the_file_holds(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    assert records.read(tmp_path / "records.jsonl").records == (record,)
+
+
+def test_a_finished_job_is_not_run_again(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = [make_job(dataset), make_job(dataset, "line-of-sight")]
+    first = run_jobs(jobs[:1], tmp_path)
+    again = run_jobs(jobs, tmp_path)
+    assert again[0] == first[0]
+    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == [
+        "nearest",
+        "line-of-sight",
+    ]
+
+
+def test_a_job_whose_predictions_are_gone_is_run_again(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    path = tmp_path / "predictions" / f"{record.id}.h5"
+    path.unlink()
+    run_job(make_job(dataset), tmp_path)
+    assert path.exists()
+    assert len(records.read(tmp_path / "records.jsonl").records) == 2
+
+
+def test_whatever_determines_the_result_changes_the_id(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = [
+        make_job(dataset, "mean-over-frequency"),
+        make_job(dataset, "mean-over-frequency", seed=1),
+        make_job(dataset, "mean-over-frequency", overrides=("num_nearest=2",)),
+        make_job(dataset, "mean-over-frequency", split="lofo-77GHz"),
+        make_job(dataset, "nearest"),
+    ]
+    assert len({record.id for record in run_jobs(jobs, tmp_path)}) == len(jobs)
+
+
+def test_an_override_that_says_the_default_is_the_same_job(dataset: PasDataset, tmp_path: Path) -> None:
+    plain = run_job(make_job(dataset, "mean-over-frequency"), tmp_path)
+    spelled = run_job(make_job(dataset, "mean-over-frequency", overrides=("num_nearest=6",)), tmp_path)
+    assert spelled == plain
+
+
+def test_progress_counts_the_jobs(dataset: PasDataset, tmp_path: Path) -> None:
+    seen = []
+    jobs = [make_job(dataset), make_job(dataset, "line-of-sight")]
+    run_jobs(jobs, tmp_path, lambda done, total, record: seen.append((done, total, record.job)))
+    assert seen == [(1, 2, jobs[0]), (2, 2, jobs[1])]
+
+
+def test_a_wrong_name_in_the_last_job_is_told_before_the_first_fit(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    with pytest.raises(UnknownNameError, match="nearst"):
+        run_jobs([make_job(dataset), make_job(dataset, "nearst")], tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_damaged_data_are_refused_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.h5"
+    content = bytearray(dataset.path.read_bytes())
+    content[-200_000] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="damaged"):
+        run_jobs([Job(str(path), "nearest", "lofo", "lofo-77GHz")], tmp_path / "results")
+
+
+def test_a_job_pickles(dataset: PasDataset) -> None:
+    job = make_job(dataset, overrides=("a=1",))
+    assert pickle.loads(pickle.dumps(job)) == job
+
+
+def test_running_needs_neither_sionna_nor_matplotlib() -> None:
+    code = (
+        "import sys, xfreqbench.runs.run, xfreqbench.report.leaderboard.report;"
+        "print({'sionna', 'mitsuba', 'drjit', 'matplotlib'} & set(sys.modules))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "set()"
+
+
+def test_a_configuration_with_a_path_is_hashed_and_recorded(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset, f"{__name__}:WithAPath"), tmp_path)
+    assert record.config == {"weights": "weights.pt"}
+    assert records.read(tmp_path / "records.jsonl").records == (record,)
+
+
+def test_a_record_says_what_data_it_is_of(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_job(make_job(dataset), tmp_path)
+    assert record.pas_kind == dataset.header.pas_kind == "power"
+    assert record.settings == dataset.header.settings
+
+
+@pytest.mark.parametrize("name", ["", "predictions"])
+def test_results_that_cannot_be_written_are_told_before_the_first_fit(
+    dataset: PasDataset, tmp_path: Path, name: str
+) -> None:
+    results = tmp_path / "results"
+    if name:
+        results.mkdir()
+    (results / name).write_text("")
+    with pytest.raises(StorageError, match="results"):
+        run_jobs([make_job(dataset, f"{__name__}:FailsInFit")], results)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "FailsInFit",
+            r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*test_run\.py",
+        ),
+        ("FailsInPredict", r"failed in predict on split 'lofo-24\.25GHz': KeyError: 'map' \(.*test_run\.py"),
+    ],
+)
+def test_a_method_that_fails_is_named_and_the_jobs_before_it_are_kept(
+    dataset: PasDataset, tmp_path: Path, name: str, words: str
+) -> None:
+    with pytest.raises(MethodError, match=words):
+        run_jobs([make_job(dataset), make_job(dataset, f"{__name__}:{name}")], tmp_path)
+    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == ["nearest"]
+
+
+def test_the_time_of_a_prediction_leaves_our_checks_out(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fitting, "_fault_of", lambda *_: time.sleep(1))
+    assert run_job(make_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps
+
+
+def run_stepwise(dataset: PasDataset, folder: Path, budget: Budget) -> records.RunRecord:
+    return run_job(make_job(dataset, f"{__name__}:Stepwise", budget=budget), folder)
+
+
+def test_a_learning_curve_has_a_point_at_each_share_of_the_budget_and_at_the_end(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=64))
+    assert [point.step for point in record.curve] == [1, 2, 4, 8, 16, 32]  # it ends itself at 1/2
+    ssim = [point.ssim for point in record.curve]
+    assert ssim == sorted(ssim)
+    assert ssim[-1] == pytest.approx(record.scores["ssim"].median, abs=1e-3)  # stored maps are float16
+    assert [point.loss for point in record.curve][1:] == [1 - step / 32 for step in (2, 4, 8, 16, 32)]
+    assert records.read(tmp_path / "records.jsonl").records[0].curve[1:] == record.curve[1:]
+
+
+def test_a_step_that_crosses_several_shares_is_one_point(dataset: PasDataset, tmp_path: Path) -> None:
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
+    assert [point.step for point in record.curve] == [1, 2, 3, 6]  # shares of 1/6, 1/3, 1/2 and the end
+
+
+def test_a_learning_curve_is_not_charged(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Stepwise, "pause_s", 0.2)
+    record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
+    assert record.fit_seconds < 0.2  # one of its four predictions
+
+
+def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    assert run_stepwise(dataset, tmp_path, Budget()).curve == ()
+    assert run_job(make_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
+
+
+def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path) -> None:
+    seen = []
+    job = make_job(dataset, f"{__name__}:Stepwise", budget=Budget(max_steps=4))
+    run_jobs([job], tmp_path, fitting=lambda *told: seen.append(told))
+    assert [(told.step, told.share) for _, told in seen] == [(1, 0.25), (2, 0.5), (3, 0.75), (4, 1.0)]
+    assert {told_job for told_job, _ in seen} == {job}
+
+
+def run_cli(dataset: PasDataset, results: Path, method: str, **options: str) -> list[records.Job]:
+    data, method = Path(dataset.path), f"nearest,{__name__}:{method}"
+    runs.run(data=data, results=results, method=method, targets="77", quiet=True, **options)
+    return [record.job for record in records.read(results / "records.jsonl").records]
+
+
+def test_a_list_of_seeds_is_a_run_each(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = run_cli(dataset, tmp_path, "Stepwise", seed="0, 2,2")
+    assert [(job.method, job.seed) for job in jobs] == [
+        ("nearest", 0),
+        ("nearest", 2),
+        (f"{__name__}:Stepwise", 0),
+        (f"{__name__}:Stepwise", 2),
+    ]
+
+
+@pytest.mark.parametrize("seed", ["", "1;2", "-1", "0.5"])
+def test_a_seed_that_is_no_whole_number_is_refused(dataset: PasDataset, tmp_path: Path, seed: str) -> None:
+    with pytest.raises(XFreqBenchError, match="--seed takes whole numbers"):
+        run_cli(dataset, tmp_path, "Stepwise", seed=seed)
+
+
+def test_a_device_is_an_option_of_the_methods_that_have_one(dataset: PasDataset, tmp_path: Path) -> None:
+    assert [job.overrides for job in run_cli(dataset, tmp_path / "cpu", "Stepwise", device="cpu")] == [(), ()]
+    on_cuda = run_cli(dataset, tmp_path / "cuda", "Stepwise", device="cuda")
+    assert [job.overrides for job in on_cuda] == [(), ("device=cuda",)]
+
+
+def test_a_running_fit_is_shown(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
+    runs.run(data=Path(dataset.path), results=tmp_path, **options)
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "1/1 runs" in shown
+    assert "step 4, loss 0.875" in shown
+
+
+def test_a_process_pinned_to_one_core_has_one() -> None:
+    code = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))});"
+        "from xfreqbench.system import machine; print(machine.hardware()['cores'])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "1"
+
+
+def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_LIBRARIES", ("numpy", "no-such-library"))
+    machine.software.cache_clear()
+    assert machine.software().keys() == {"python", "numpy"}
+    machine.software.cache_clear()

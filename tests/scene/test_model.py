@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
+from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
+from xfreqbench.scene.model import Scene, load_scene, parse_scene, scene_schema, shipped_scenes
+from xfreqbench.scene.placement import (
+    check_receiver,
+    check_transmitters,
+    choose_transmitters,
+    place_transmitters,
+)
+from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+BOX = """
+name = "box"
+[receiver]
+position_m = [2.0, 2.0, 2.5]
+[transmitters]
+min_m = [0.0, 0.0, 0.5]
+max_m = [4.0, 4.0, 1.5]
+step_m = [0.5, 0.5, 0.5]
+clearance_m = 0.2
+[[surface]]
+name = "cabinet"
+material = "metal"
+thickness_m = 0.01
+min_m = [1.0, 1.0, 0.0]
+max_m = [3.0, 3.0, 1.2]
+[[surface]]
+name = "floor"
+material = "concrete"
+thickness_m = 0.2
+min_m = [0.0, 0.0, -0.1]
+max_m = [4.0, 4.0, -0.1]
+"""
+
+
+@pytest.mark.parametrize("name", ["office", "two_rooms", "corridor", "empty"])
+def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: str) -> None:
+    scene = load_scene(name)
+    meshes = surface_meshes(scene)
+    check_receiver(scene, meshes, 1e9)
+    placement = place_transmitters(scene, meshes)
+    check_transmitters(scene, meshes, placement.tx_position_m, [1e9, 94e9])
+    check_overlaps(Geometry(meshes))
+    assert len(placement.tx_position_m) + sum(placement.rejected.values()) == len(
+        scene.transmitters.lattice_m
+    )
+    assert name in shipped_scenes()
+
+
+def test_the_office_has_about_1446_transmitters_in_light_and_in_shadow() -> None:
+    scene = load_scene("office")
+    meshes = surface_meshes(scene)
+    placement = place_transmitters(scene, meshes)
+    assert abs(len(placement.tx_position_m) - 1446) < 20
+    lit = sees(meshes, placement.tx_position_m, np.array(scene.receiver.position_m))
+    assert 0.1 < (~lit).mean() < 0.5
+
+
+def test_rejected_transmitters_are_counted_by_reason() -> None:
+    scene = parse_scene(BOX)
+    placement = place_transmitters(scene, surface_meshes(scene))
+    inside = 5 * 5 * 2 - 16 * 2  # lattice points with x and y of 1…3 at z 0.5 and 1.0, less those on a face
+    assert placement.rejected["inside an object"] >= inside
+    assert placement.rejected["within 0.2 m of the receiver"] == 0
+    assert len(placement.tx_position_m) + sum(placement.rejected.values()) == 9 * 9 * 3
+
+
+def test_the_chosen_transmitters_depend_on_the_seed_alone() -> None:
+    scene = parse_scene(BOX)
+    placement = place_transmitters(scene, surface_meshes(scene))
+    chosen = choose_transmitters(placement, 10, seed=3)
+    np.testing.assert_array_equal(chosen, choose_transmitters(placement, 10, seed=3))
+    assert not np.array_equal(chosen, choose_transmitters(placement, 10, seed=4))
+    with pytest.raises(PlacementError, match="Ask for 1 to"):
+        choose_transmitters(placement, 10_000, seed=3)
+
+
+def test_a_receiver_or_transmitter_inside_an_object_names_it() -> None:
+    scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[2.0, 2.0, 1.0]"))
+    meshes = surface_meshes(scene)
+    with pytest.raises(PlacementError, match=r"Receiver.*inside 'cabinet'"):
+        check_receiver(scene, meshes, 1e9)
+    with pytest.raises(PlacementError, match=r"Transmitter 1 stands inside 'cabinet'"):
+        check_transmitters(scene, meshes, np.array([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]]), [1e9])
+    with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
+        check_transmitters(scene, meshes, np.array([[0.5, 0.5, -0.095]]), [1e9])
+    with pytest.raises(PlacementError, match="finite"):
+        check_transmitters(scene, meshes, np.array([[np.nan, 0.5, 1.0]]), [1e9])
+    with pytest.raises(PlacementError, match="at least one"):
+        check_transmitters(scene, meshes, np.zeros((0, 3)), [1e9])
+
+
+@pytest.mark.parametrize("carrier_hz", [1e9, 94e9])
+def test_a_transmitter_on_an_element_of_the_array_is_refused(carrier_hz: float) -> None:
+    scene = parse_scene(BOX)
+    meshes = surface_meshes(scene)
+    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+    for position_m in (element_m[5], np.array(scene.receiver.position_m)):
+        with pytest.raises(PlacementError, match="mm from the receiver array"):
+            check_transmitters(scene, meshes, position_m[None] + 0.002, [10e9, carrier_hz])
+
+
+def test_grid_positions_within_the_widest_aperture_are_left_out() -> None:
+    scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[2.0, 2.3, 1.5]"))
+    meshes = surface_meshes(scene)
+    near = "within 0.2 m of the receiver"
+    assert place_transmitters(scene, meshes).rejected[near] == 0
+    assert place_transmitters(scene, meshes, 0.5e9).rejected[near] > 0
+
+
+def test_two_materials_in_one_place_are_refused() -> None:
+    poster = """
+[[surface]]
+name = "poster"
+material = "wood"
+thickness_m = 0.01
+min_m = [1.0, 1.0, -0.1]
+max_m = [2.0, 2.0, -0.1]
+"""
+    with pytest.raises(SceneError, match=r"'floor' .* and 'poster' .* overlap in one plane"):
+        check_overlaps(Geometry(surface_meshes(parse_scene(BOX + poster))))
+    beside = poster.replace("[1.0, 1.0, -0.1]", "[4.0, 1.0, -0.1]").replace("[2.0, 2.0,", "[5.0, 2.0,")
+    check_overlaps(Geometry(surface_meshes(parse_scene(BOX + beside))))
+
+
+def test_an_array_too_wide_for_its_place_is_refused_at_the_low_carrier_only() -> None:
+    scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[0.7, 2.0, 1.0]"))
+    meshes = surface_meshes(scene)
+    check_receiver(scene, meshes, 94e9)
+    with pytest.raises(PlacementError, match=r"at 0\.5 GHz"):
+        check_receiver(scene, meshes, 0.5e9)
+
+
+def test_a_scene_with_faults_lists_them_all_with_their_places() -> None:
+    broken = BOX.replace('name = "floor"', 'nmae = "floor"').replace("step_m = [0.5", "step_m = [-0.5")
+    with pytest.raises(SceneError) as caught:
+        parse_scene(broken)
+    assert "surface.1.nmae" in str(caught.value)
+    assert "transmitters.step_m.0" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("max_m = [3.0, 3.0, 1.2]", "max_m = [3.0, 0.5, 1.2]", "must exceed min_m"),
+        ('name = "floor"', 'name = "cabinet"', "two surfaces are named 'cabinet'"),
+        ("position_m = [2.0, 2.0, 2.5]", "position_m = [2.0, inf, 2.5]", "finite"),
+        ("[receiver]", "[receiver", "not TOML"),
+    ],
+)
+def test_scenes_that_mean_nothing_are_refused(old: str, new: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        parse_scene(BOX.replace(old, new))
+
+
+def test_unknown_scenes_and_materials_name_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'office'"):
+        load_scene("offcie")
+    with pytest.raises(UnknownNameError, match="Did you mean 'concrete'"):
+        parse_scene(BOX.replace('"concrete"', '"conrete"'))
+    with pytest.raises(SceneError, match="cannot be read"):
+        load_scene("no/such/place.toml")
+
+
+def test_a_users_mitsuba_scene_gives_the_same_meshes(tmp_path: Path) -> None:
+    scene = parse_scene(BOX)
+    meshes = surface_meshes(scene)
+    write_mitsuba(meshes, tmp_path)
+    imported = parse_scene(
+        BOX[: BOX.index("[[surface]]")].replace('"box"', '"box"\nscene = "scene.xml"'), tmp_path
+    )
+    again = surface_meshes(imported)
+    assert [(m.name, m.material, m.thickness_m) for m in again] == [
+        (m.name, m.material, m.thickness_m) for m in meshes
+    ]
+    for mesh, original in zip(again, meshes, strict=True):
+        np.testing.assert_allclose(mesh.corners_m, original.corners_m, atol=1e-6)  # PLY holds float32
+
+
+def test_a_mitsuba_scene_that_cannot_be_used_says_why(tmp_path: Path) -> None:
+    def load(xml: str) -> None:
+        (tmp_path / "scene.xml").write_text(xml)
+        text = BOX[: BOX.index("[[surface]]")].replace('"box"', '"box"\nscene = "scene.xml"')
+        surface_meshes(parse_scene(text, tmp_path))
+
+    with pytest.raises(SceneError, match="cannot be read"):
+        load("<scene>")
+    with pytest.raises(SceneError, match="no ITU material"):
+        load(
+            '<scene><bsdf type="diffuse" id="red"/>'
+            '<shape type="ply" id="wall"><string name="filename" value="w.ply"/><ref id="red"/></shape></scene>'
+        )
+    with pytest.raises(SceneError, match="world coordinates"):
+        load('<scene><shape type="sphere" id="ball"/></scene>')
+
+
+def test_geometry_queries_agree_with_closed_forms() -> None:
+    scene = parse_scene(BOX)
+    cabinet, floor = surface_meshes(scene)
+    points = np.random.default_rng(0).uniform(-1, 5, (2000, 3))
+    low, high = np.array([1, 1, 0.0]), np.array([3, 3, 1.2])
+    inside = ((points > low) & (points < high)).all(axis=1)
+    np.testing.assert_array_equal(enclosing_mesh([floor, cabinet], points) == 1, inside)
+    outside_m = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
+    np.testing.assert_allclose(
+        distance_to_surfaces([cabinet], points)[~inside], outside_m[~inside], atol=1e-9
+    )
+    end = np.array([2.0, 2.0, -1.0])
+    at_floor = points + ((-0.1 - points[:, 2]) / (end[2] - points[:, 2]))[:, None] * (end - points)
+    blocked = (points[:, 2] > -0.1) & ((at_floor[:, :2] > 0) & (at_floor[:, :2] < 4)).all(axis=1)
+    np.testing.assert_array_equal(sees([floor], points, end), ~blocked)
+
+
+def test_the_digest_follows_geometry_and_material() -> None:
+    def digest(scene: Scene) -> str:
+        return meshes_sha256(surface_meshes(scene))
+
+    assert digest(parse_scene(BOX)) == digest(parse_scene(BOX))
+    assert digest(parse_scene(BOX)) != digest(parse_scene(BOX.replace("0.2\n", "0.3\n")))
+    assert digest(parse_scene(BOX)) != digest(parse_scene(BOX.replace('"concrete"', '"glass"')))
+
+
+def test_a_scene_file_has_a_schema_for_editors() -> None:
+    assert "surface" in scene_schema()["properties"]

@@ -1,0 +1,46 @@
+"""Arrays of published data: in another plane of their frame, and turned about their pole."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.model import ReceiverArray, parse_scene
+
+
+def test_an_array_that_faces_its_pole_is_written_as_before_planes_could_be_chosen() -> None:
+    adapter = TypeAdapter(ReceiverArray)
+    upright = ReceiverArray(position_m=(0.0, 0.0, 1.0), plane="yz")
+    assert "plane" not in json.loads(adapter.dump_json(ReceiverArray(position_m=(0.0, 0.0, 1.0))))
+    assert adapter.validate_json(adapter.dump_json(upright)) == upright
+
+
+def test_a_receiver_that_is_not_turned_is_written_as_before_turns_could_be_given() -> None:
+    adapter = TypeAdapter(ReceiverArray)
+    turned = ReceiverArray(
+        position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=(0.0, 0.0, 0.6, 0.8)
+    )
+    assert "orientation" not in json.loads(adapter.dump_json(ReceiverArray(position_m=(0.0, 0.0, 1.0))))
+    assert adapter.validate_json(adapter.dump_json(turned)) == turned
+    x_axis = [0.8**2 - 0.6**2, 2 * 0.6 * 0.8, 0]  # a turn by twice the angle of (0.8, 0.6)
+    np.testing.assert_allclose(turned.rotation[:, 0], x_axis, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "message"),
+    [((0.0, 0.0, 0.0, 0.0), "zero quaternion"), ((1.0, 0.0, 0.0, 0.0), "turns its pole to")],
+)
+def test_an_orientation_agrees_with_the_boresight(orientation: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        ReceiverArray(position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=orientation)
+
+
+def test_rays_are_traced_to_no_upright_array() -> None:
+    text = str(resources.files("xfreqbench.scenes").joinpath("empty.toml").read_text())
+    with pytest.raises(SceneError, match="plane 'yz'"):
+        parse_scene(text.replace("[receiver]", '[receiver]\nplane = "yz"'))

@@ -1,0 +1,60 @@
+"""A box of six walls and a screen, and findings that hold all or some of its planes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+from xfreqbench.tracing.tracer import TraceSettings
+
+ARRAY_M = np.array([2.1, 1.6, 2.3])
+SIZE_M = np.array([5.0, 4.0, 2.6])
+SETTINGS = TraceSettings(solver="image", rays=20_000, max_depth=3)
+SCENE = Scene(
+    name="box",
+    receiver=ReceiverArray(position_m=(2.1, 1.6, 2.3)),
+    transmitters=TransmitterGrid(min_m=(0.5, 0.5, 0.8), max_m=(4.6, 3.5, 1.4), step_m=(0.5, 0.6, 0.5)),
+    surface=(
+        Surface("floor", "concrete", 0.2, (0.0, 0.0, 0.0), (5.0, 4.0, 0.0)),
+        Surface("ceiling", "concrete", 0.2, (0.0, 0.0, 2.6), (5.0, 4.0, 2.6)),
+        Surface("west", "concrete", 0.1, (0.0, 0.0, 0.0), (0.0, 4.0, 2.6)),
+        Surface("east", "concrete", 0.1, (5.0, 0.0, 0.0), (5.0, 4.0, 2.6)),
+        Surface("south", "glass", 0.01, (0.0, 0.0, 0.0), (5.0, 0.0, 2.6)),
+        Surface("north", "glass", 0.01, (0.0, 4.0, 0.0), (5.0, 4.0, 2.6)),
+        Surface("screen", "plasterboard", 0.02, (3.4, 0.0, 0.0), (3.4, 2.5, 2.6)),
+    ),
+)
+WALLS = (("z", 0.0), ("z", 2.6), ("x", 0.0), ("x", 5.0), ("y", 0.0), ("y", 4.0), ("x", 3.4))
+
+
+def plane(
+    axis: str, at_m: float, error_m: float = 0.0, tilt_rad: float = 0.0, **changes: object
+) -> dict[str, object]:
+    """A plane that was found all over the box, `error_m` too far from the array and turned about the next axis."""
+    index = "xyz".index(axis)
+    normal, corners_m = np.zeros(3), np.zeros((4, 3))
+    normal[index], normal[(index + 1) % 3] = (
+        np.sign(at_m - ARRAY_M[index]) * np.cos(tilt_rad),
+        np.sin(tilt_rad),
+    )
+    corners_m[[1, 2], (index + 1) % 3] = SIZE_M[(index + 1) % 3]
+    corners_m[[2, 3], (index + 2) % 3] = SIZE_M[(index + 2) % 3]
+    corners_m[:, index] = at_m
+    return {
+        "normal": normal.tolist(),
+        "distance_m": float(abs(at_m - ARRAY_M[index]) + error_m),
+        "distance_std_m": 0.0,
+        "tilt_std_rad": 0.0,
+        "held": 1.0,
+        "corners_m": corners_m.tolist(),
+        "slabs": [],
+        **changes,
+    }
+
+
+def findings_of(*planes: dict[str, object]) -> dict[str, object]:
+    return {"planes": list(planes), "receiver_m": ARRAY_M.tolist(), "images": []}
+
+
+ALL_PLANES = findings_of(*(plane(*wall) for wall in WALLS))
+WITHOUT_FLOOR = findings_of(*(plane(*wall) for wall in WALLS[1:]))

@@ -1,0 +1,109 @@
+"""Texts that no option of `generate` or `run` should be given."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+GENERATE_OPTIONS = {
+    "--freqs": [
+        "",
+        ",",
+        "1,1",
+        "1,,2",
+        "paper",
+        " paper",
+        "1e300",
+        "1e-300",
+        "1e290",
+        "0.0001",
+        "450",
+        "1_0",
+        "1" * 5000,
+        "1," * 3000 + "1",
+        "-5",
+        "nan",
+        "2.4GHz",
+    ],
+    "--tx": ["0", "-1", "9" * 400, "1" * 5000, "1.5", "1e3", "٣", ""],
+    "--tx-positions": [".", "/no/such", "x" * 400, "/proc/self/mem", ""],
+    "--solver": ["Image", "", "auto "],
+    "--interactions": ["", ",", "specular,specular", "all", "diffuse", "specular;refraction"],
+    "--rays": ["0", "-1", "9" * 400, "1e6", ""],
+    "--max-depth": ["-1", "9" * 400, "1.0", ""],
+    "--seed": ["-1", "9" * 400, "1" * 5000, "1.0", ""],
+    "--pas-kind": ["", "Power", "phase"],
+    "--materials": ["", "ignore", "extrapolate"],
+    "--maps": ["", "maybe"],
+    "--output": [
+        "",
+        ".",
+        "/",
+        "x" * 400,
+        "taken.h5/x.h5",
+        "taken.h5",
+        "/proc/x.h5",
+        "notes.txt",
+    ],
+    "--no-such": [""],
+}
+
+
+RUN_OPTIONS = {
+    "--data": ["", ".", "x" * 400, "taken.h5", "/etc/passwd", "/root/../no/such", "notes.txt/x"],
+    "--results": ["notes.txt", "x" * 400, "notes.txt/x", "/proc/no"],
+    "--method": [
+        "",
+        ",",
+        "nearest,",
+        "nerf",
+        "os:path",
+        "os:",
+        ":",
+        "a.b:c",
+        "..:x",
+        "x" * 400,
+        "json:dumps",
+    ],
+    "--protocol": ["", "Lofo", "sparse", "all"],
+    "--targets": ["", ",", "all,1", "1e300", "nan", "3", "1,1", "-1"],
+    "--seed": ["", ",", "-1", "0,,1", "1.5", "9" * 5000, "9" * 40, "²", "٣", "1e3"],
+    "--budget": [
+        "",
+        "0s",
+        "5",
+        "-1s",
+        "1e3s",
+        "9" * 400 + "s",
+        "9" * 5000 + "steps",
+        "9" * 400 + "steps",
+        "٣s",
+        "5 m",
+    ],
+    "--device": ["", "gpu", "tpu"],
+    "--set": [
+        "",
+        "=",
+        "x",
+        "x=",
+        "hidden=128",
+        "num_nearest",
+        "num_nearest=",
+        "num_nearest=nan",
+        "=1",
+        "num_nearest=" + "[" * 5000,
+        "num_nearest=1" + "0" * 5000,
+        "num_nearest={}",
+        "num_nearest=0",
+        "num_nearest=-1",
+    ],
+    "--executor": ["", "0", "-1", "dask://", "dask://x:1:2", "dask://localhost", "x", "9" * 5000, "http://x"],
+}
+
+
+def option_texts(
+    options: dict[str, list[str]], free: st.SearchStrategy[str]
+) -> st.SearchStrategy[dict[str, str]]:
+    option = st.sampled_from(sorted(options)).flatmap(
+        lambda name: st.tuples(st.just(name), st.sampled_from(options[name]) | free)
+    )
+    return st.lists(option, min_size=1, max_size=2).map(dict)

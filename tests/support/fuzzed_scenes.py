@@ -1,0 +1,123 @@
+"""Sound scenes of every format and strategies that spoil their text."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import trimesh
+from fuzzing import ODD_NUMBERS, ODD_WORDS, cut_or_flipped
+from hypothesis import strategies as st
+
+SMALL_SCENE: dict[str, Any] = {
+    "name": "small",
+    "description": "one wall and one box",
+    "receiver": {
+        "position_m": [2.0, 2.0, 2.5],
+        "rows": 2,
+        "cols": 2,
+        "spacing_wavelengths": 0.5,
+        "boresight": [0.0, 0.0, -1.0],
+        "pattern": "iso",
+        "polarization": "V",
+    },
+    "transmitters": {
+        "min_m": [0.5, 0.5, 0.5],
+        "max_m": [3.5, 3.5, 1.5],
+        "step_m": [1.0, 1.0, 0.5],
+        "clearance_m": 0.2,
+    },
+    "surface": [
+        {
+            "name": "floor",
+            "material": "concrete",
+            "thickness_m": 0.2,
+            "min_m": [0.0, 0.0, 0.0],
+            "max_m": [4.0, 4.0, 0.0],
+        },
+        {
+            "name": "cabinet",
+            "material": "metal",
+            "thickness_m": 0.01,
+            "min_m": [1.2, 1.2, 0.1],
+            "max_m": [1.8, 1.8, 1.2],
+        },
+    ],
+}
+
+
+def toml(value: Any) -> str:
+    """A value as TOML writes it; a table stands in one line, None is not there."""
+    if isinstance(value, dict):
+        pairs = (f"{toml(key)} = {toml(part)}" for key, part in value.items() if part is not None)
+        return "{" + ", ".join(pairs) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(toml(part) for part in value if part is not None) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+def toml_file(content: Any) -> str:
+    if not isinstance(content, dict):
+        return toml(content)
+    return "\n".join(f"{toml(key)} = {toml(part)}" for key, part in content.items() if part is not None)
+
+
+def edited(text: str) -> st.SearchStrategy[str]:
+    """A text with one of its words replaced, one of its lines left out, or one of its bytes flipped."""
+    words = [match.span() for match in re.finditer(r"-?[\w.]+", text)]
+    word = st.tuples(st.sampled_from(words), ODD_NUMBERS | ODD_WORDS).map(
+        lambda at: text[: at[0][0]] + at[1] + text[at[0][1] :]
+    )
+    lines = text.splitlines(keepends=True)
+    line = st.integers(0, len(lines) - 1).map(lambda at: "".join(lines[:at] + lines[at + 1 :]))
+    flipped = cut_or_flipped(text.encode()).map(lambda content: content.decode("utf-8", "surrogateescape"))
+    return word | word | line | flipped
+
+
+EMPTY_SCENE = {key: part for key, part in SMALL_SCENE.items() if key != "surface"}
+
+
+REFERRING_SCENE = toml_file({"scene": "room.xml", **EMPTY_SCENE})
+
+
+XML = """<?xml version="1.0" encoding="utf-8"?>
+<scene version="2.1.0">
+  <bsdf type="itu-radio-material" id="mat-wall">
+    <string name="type" value="concrete"/>
+    <float name="thickness" value="0.1"/>
+  </bsdf>
+  <shape type="ply" id="mesh-wall">
+    <string name="filename" value="wall.ply"/>
+    <ref id="mat-wall" name="bsdf"/>
+  </shape>
+</scene>
+"""
+
+
+ASCII_PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+0 0 0
+4 0 0
+0 4 0
+4 4 0
+3 0 1 2
+3 1 3 2
+"""
+
+
+def binary_ply() -> bytes:
+    content = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[0, 1, 2]], process=False).export(
+        file_type="ply"
+    )
+    assert isinstance(content, bytes)
+    return content

@@ -1,0 +1,7 @@
+"""Where the checkout, its tests and the published example are."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SUPPORT = Path(__file__).parent
+PUBLISHED = ROOT.parent / "shared" / "reference" / "wideband-example1"

@@ -1,0 +1,34 @@
+"""Small scenes on which Sionna's plain solve has converged, so that answers can be compared path by path."""
+
+from __future__ import annotations
+
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+
+GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
+RECEIVER = ReceiverArray(position_m=(2.0, 1.5, 2.0))
+ONE_ELEMENT = ReceiverArray(position_m=(2.0, 1.5, 2.0), rows=1, cols=1)
+
+CONCRETE_WALL = Surface(
+    name="wall", material="concrete", thickness_m=0.2, min_m=(0.0, -4.0, -3.0), max_m=(0.0, 6.0, 6.0)
+)
+GLASS_PANE = Surface(
+    name="pane, between", material="glass", thickness_m=0.008, min_m=(-1.0, 2.6, -3.0), max_m=(6.0, 2.6, 6.0)
+)
+METAL_BOX = Surface(
+    name="metal box", material="metal", thickness_m=0.002, min_m=(1.0, 2.2, 0.0), max_m=(1.8, 3.1, 0.9)
+)
+WOODEN_BOX = Surface(
+    name="wooden box", material="wood", thickness_m=0.02, min_m=(2.9, 2.3, 0.1), max_m=(3.7, 3.2, 1.0)
+)
+
+
+def scene_of(*surfaces: Surface, receiver: ReceiverArray = RECEIVER) -> Scene:
+    return Scene(name="test", receiver=receiver, transmitters=GRID, surface=surfaces)
+
+
+def simple_scenes(receiver: ReceiverArray = RECEIVER) -> dict[str, Scene]:
+    return {
+        "a wall": scene_of(CONCRETE_WALL, receiver=receiver),
+        "a wall and a pane between": scene_of(CONCRETE_WALL, GLASS_PANE, receiver=receiver),
+        "two boxes": scene_of(METAL_BOX, WOODEN_BOX, receiver=receiver),
+    }

@@ -1,0 +1,134 @@
+"""Methods that keep the contract of `xfreqbench.methods.contract.Method` or break it, each in one way."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+from xfreqbench.methods.contract import Progress
+
+
+@dataclass(frozen=True)
+class EndlessConfig:
+    pause_s: float = 0.0
+
+
+class Endless:
+    """Trains for ever and predicts `answer`."""
+
+    num_parameters = 0
+    answer: object = None
+
+    def __init__(self, config=EndlessConfig()):
+        self.config = config
+        self.closed = False
+
+    def fit(self, train, budget, seed):
+        try:
+            for step in range(1, 10**9):
+                time.sleep(self.config.pause_s)
+                yield Progress(step, 1 / step)
+        finally:
+            self.closed = True
+
+    def predict(self, tx_position_m, carrier_hz):
+        return self.answer
+
+    def save(self, directory): ...
+
+    @classmethod
+    def load(cls, directory): ...
+
+
+class Short(Endless):
+    """Ends by itself after three steps."""
+
+    def fit(self, train, budget, seed):
+        for step in (1, 2, 3):
+            yield Progress(step, math.nan)
+
+
+class Told(Endless):
+    """Remembers the shares of the budget that it is told."""
+
+    def fit(self, train, budget, seed):
+        self.shares = []
+        for step in range(1, 9):
+            self.shares.append((yield Progress(step, math.nan)))
+
+
+class Plain(Endless):
+    """Its `fit` is no generator, but a plain iterator."""
+
+    def fit(self, train, budget, seed):
+        return iter([Progress(1, 1.0), Progress(2, 0.5)])
+
+
+class Delegating(Endless):
+    """A generator that leaves its yields to an iterator that takes no share."""
+
+    def fit(self, train, budget, seed):
+        yield from self.steps()
+
+    def steps(self):
+        yield from map(Progress, (1, 2, 3), (1.0, 0.5, 0.25))
+
+
+class Losing(Endless):
+    """Yields the losses it is given."""
+
+    losses: tuple[float, ...] = ()
+
+    def fit(self, train, budget, seed):
+        for step, loss in enumerate(self.losses, start=1):
+            yield Progress(step, loss)
+
+
+class Untidy(Short):
+    """Takes its time when it is closed."""
+
+    def fit(self, train, budget, seed):
+        try:
+            yield from super().fit(train, budget, seed)
+        finally:
+            time.sleep(0.05)
+
+
+class Resumed(Endless):
+    """Goes on after `step`."""
+
+    step = 0
+
+    def fit(self, train, budget, seed):
+        while True:
+            self.step += 1
+            yield Progress(self.step, 1.0, {"gaussians": 10 * self.step})
+
+
+class Silent(Endless):
+    def fit(self, train, budget, seed):
+        yield from ()
+
+
+class Loose(Endless):
+    def fit(self, train, budget, seed):
+        yield 0.5
+
+
+class Incomplete:
+    def fit(self, train, budget, seed): ...
+
+
+class WithoutConfig(Short):
+    def __init__(self): ...
+
+
+class WithoutDefault(Short):
+    def __init__(self, config):
+        self.config = config
+
+
+class ConfiguredByADict(Short):
+    def __init__(self, config=None):
+        self.config = config or {"hidden": 1}

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import multiprocessing
+import time
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.system.files import exclusive, require_own
+
+
+def _count_up(folder: Path) -> None:
+    counter = folder / "counter"
+    for _ in range(50):
+        with exclusive(folder / "lock"):
+            counter.write_text(str(int(counter.read_text()) + 1))
+
+
+def test_processes_take_turns(tmp_path: Path) -> None:
+    (tmp_path / "counter").write_text("0")
+    context = multiprocessing.get_context("fork")
+    processes = [context.Process(target=_count_up, args=(tmp_path,)) for _ in range(3)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert (tmp_path / "counter").read_text() == "150"
+    assert not (tmp_path / "lock").exists()
+
+
+def test_a_lock_is_let_go_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="within"), exclusive(tmp_path / "lock"):
+        raise ValueError("within")
+    with exclusive(tmp_path / "lock"):
+        pass
+
+
+def test_a_lock_that_cannot_be_made_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"), exclusive(tmp_path / "file" / "lock"):
+        pass
+
+
+def _hold_for_ever(folder: Path) -> None:
+    with exclusive(folder / "lock"):
+        (folder / "held").touch()
+        time.sleep(600)
+
+
+def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
+    process = multiprocessing.get_context("fork").Process(target=_hold_for_ever, args=(tmp_path,))
+    process.start()
+    while not (tmp_path / "held").exists():
+        time.sleep(0.01)
+    process.kill()
+    process.join()
+    assert (tmp_path / "lock").exists()
+    with exclusive(tmp_path / "lock"):
+        pass
+    assert not (tmp_path / "lock").exists()
+
+
+def test_nothing_may_be_written_over_but_what_is_known_to_be_ours(tmp_path: Path) -> None:
+    path = tmp_path / "output"
+
+    def fault_of(file: Path) -> str | None:
+        return None if file.read_text() == "ours" else "is not ours."
+
+    assert not require_own(path, fault_of)
+    path.write_text("ours")
+    assert require_own(path, fault_of)
+    path.write_text("theirs")
+    with pytest.raises(OutputExistsError, match=r"output exists and is not ours\. Mend it\.$"):
+        require_own(path, fault_of, "Mend it.")
+    with pytest.raises(StorageError, match="is not a file"):
+        require_own(tmp_path, fault_of)
+    with pytest.raises(StorageError, match="output"):
+        require_own(path, lambda file: (file / "no folder").read_text())

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Future
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.system.workers import (
+    MAX_DEATHS,
+    InThisProcess,
+    LocalProcesses,
+    all_cores,
+    open_workers,
+    own_cores,
+    side_by_side,
+    split_cores,
+)
+
+PARENT = """
+import sys, time
+from parallel_calls import note_and_sleep
+from xfreqbench.system.workers import LocalProcesses, own_cores, side_by_side
+if __name__ == "__main__":
+    with LocalProcesses(own_cores()) as workers:
+        for _ in side_by_side(workers, note_and_sleep, [sys.argv[1]]):
+            pass
+"""
+CALLS = """
+import os, pathlib, time
+def note_and_sleep(path):
+    pathlib.Path(path).write_text(str(os.getpid()))
+    time.sleep(60)
+"""
+
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity"), reason="processes are kept to no core here"
+)
+
+
+def _cores_of_call(argument: int) -> tuple[int, tuple[int, ...]]:
+    return argument, tuple(sorted(os.sched_getaffinity(0)))
+
+
+def _fails_on_two(argument: int) -> int:
+    if argument == 2:
+        raise ValueError("two")
+    return argument
+
+
+def _dies_on_two(argument: int) -> int:
+    if argument == 2:
+        os._exit(1)
+    return os.getpid()
+
+
+def _dies_once(mark: str) -> str:
+    if not Path(mark).exists():
+        Path(mark).touch()
+        os._exit(1)
+    return "done"
+
+
+def test_every_call_has_a_core_to_itself() -> None:
+    places = own_cores()
+    with LocalProcesses(places) as workers:
+        found = [future.result() for _, future in side_by_side(workers, _cores_of_call, [1, 2, 3])]
+    assert sorted(argument for argument, _ in found) == [1, 2, 3]
+    for _, cores in found:
+        assert frozenset(cores) in places
+        assert len(cores) == 1
+
+
+def test_one_place_may_hold_every_core() -> None:
+    with LocalProcesses(all_cores()) as workers:
+        ((_, future),) = side_by_side(workers, _cores_of_call, [1])
+    assert set(future.result()[1]) == os.sched_getaffinity(0)
+
+
+def test_cores_are_dealt_out_and_shared_where_processes_are_more() -> None:
+    cores = os.sched_getaffinity(0)
+    for number in (1, 2, 3, 5):
+        places = split_cores(number)
+        assert len(places) == number
+        assert all(places)
+        assert frozenset().union(*places) == cores
+    assert sum(map(len, split_cores(len(cores)))) == len(cores)
+
+
+def test_a_call_that_fails_stops_no_other() -> None:
+    with LocalProcesses(own_cores()) as processes:
+        for workers in (InThisProcess(), processes):
+            outcomes = dict(side_by_side(workers, _fails_on_two, [1, 2, 3]))
+            assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
+
+
+def test_processes_stay_for_the_next_call_unless_each_call_asks_for_a_new_one() -> None:
+    for is_fresh, number in ((False, 1), (True, 3)):
+        with LocalProcesses(all_cores(), is_fresh=is_fresh) as workers:
+            processes = {future.result() for _, future in side_by_side(workers, _dies_on_two, [1, 3, 4])}
+        assert len(processes) == number
+
+
+def test_a_call_whose_process_dies_is_made_again(tmp_path: Path) -> None:
+    with LocalProcesses(own_cores()) as workers:
+        ((_, future),) = side_by_side(workers, _dies_once, [str(tmp_path / "mark")])
+    assert future.result() == "done"
+
+
+def test_a_call_that_processes_die_of_is_an_error_and_the_others_are_made() -> None:
+    with LocalProcesses(own_cores()) as workers:
+        outcomes = dict(side_by_side(workers, _dies_on_two, [1, 2, 3]))
+    assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
+    assert isinstance(outcomes[2].exception(), ClusterError)
+    assert f"{MAX_DEATHS} workers died of it" in str(outcomes[2].exception())
+
+
+class _Counting(InThisProcess):
+    """Notes how many arguments were taken and not given back yet."""
+
+    num_places = 2
+    most_held = 0
+    held = 0
+
+    def submit(self, call, argument):
+        self.held += 1
+        self.most_held = max(self.most_held, self.held)
+        return super().submit(call, argument)
+
+
+@pytest.mark.parametrize(("ahead", "limit"), [(0, 2), (1, 4)])
+def test_no_more_calls_are_taken_than_places_have_use_for(ahead: int, limit: int) -> None:
+    """A million arguments are never held at a time, and neither are their results."""
+    workers, given = _Counting(), iter(range(20))
+    for _ in side_by_side(workers, abs, given, ahead=ahead):
+        workers.held -= 1
+    assert workers.most_held == limit
+    assert next(given, None) is None
+
+
+class _Waiting(InThisProcess):
+    """Never comes to any call but the first."""
+
+    num_places = 3
+
+    def __init__(self) -> None:
+        self.futures = list[Future[int]]()
+
+    def submit(self, call, argument):
+        self.futures.append(super().submit(call, argument) if not self.futures else Future())
+        return self.futures[-1]
+
+
+def test_leaving_early_cancels_what_waits() -> None:
+    workers = _Waiting()
+    calls = side_by_side(workers, abs, range(10))
+    next(calls)
+    calls.close()
+    assert [future.cancelled() for future in workers.futures] == [False, True, True]
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "two", "tcp://host:1", "dask://host", "Serial"])
+def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
+    with pytest.raises(XFreqBenchError, match="serial, a number of processes, or dask://"):
+        open_workers(text)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals) -> None:
+    (tmp_path / "parent.py").write_text(PARENT)
+    (tmp_path / "parallel_calls.py").write_text(CALLS)
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
+    with subprocess.Popen(
+        [sys.executable, "parent.py", str(tmp_path / "child")],
+        cwd=tmp_path,
+        env=environment,
+        stderr=subprocess.DEVNULL,
+    ) as parent:
+        child = int(_text_of(tmp_path / "child"))
+        parent.send_signal(sent)
+        parent.wait(timeout=20)
+    deadline_s = time.monotonic() + 20
+    while _runs(child) and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    assert not _runs(child)
+
+
+def _text_of(path: Path) -> str:
+    deadline_s = time.monotonic() + 60
+    while time.monotonic() < deadline_s:
+        if path.exists() and path.read_text():
+            return path.read_text()
+        time.sleep(0.05)
+    raise TimeoutError(path)
+
+
+def _runs(process: int) -> bool:
+    status = Path(f"/proc/{process}/stat")
+    try:
+        return status.read_text().rpartition(")")[2].split()[0] != "Z"  # ended, its parent gone
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib import import_module
+from types import ModuleType
+
+import pytest
+
+import xfreqbench as xb
+
+PUBLIC = [
+    "load_scene",
+    "parse_scene",
+    "Scene",
+    "TraceSettings",
+    "make_tracer",
+    "generate",
+    "open_dataset",
+    "PasDataset",
+    "AngularGrid",
+    "BartlettBeam",
+    "make_splits",
+    "Split",
+    "Method",
+    "Progress",
+    "Budget",
+    "check_method",
+    "LearnedMethod",
+    "run",
+    "read_records",
+    "leaderboard",
+    "metrics",
+    "errors",
+]
+MAX_IMPORT_MS = 50
+HEAVY = ("numpy", "torch", "h5py", "pydantic", "xfreqbench.data")
+
+
+def test_the_public_names_are_these() -> None:
+    assert sorted(xb.__all__) == sorted(dir(xb)) == sorted(PUBLIC)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_name_is_imported_when_it_is_used(name: str) -> None:
+    found = getattr(xb, name)
+    assert isinstance(found, ModuleType) == (name in ("metrics", "errors"))
+    assert found.__doc__
+
+
+def test_functions_are_not_mistaken_for_the_modules_of_their_names() -> None:
+    for module in ("data.generate", "runs.run", "report.leaderboard", "maps.metrics"):
+        import_module(f"xfreqbench.{module}")
+    assert all(callable(function) for function in (xb.generate, xb.run, xb.leaderboard))
+
+
+def test_a_name_that_there_is_not_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = xb.no_such_name  # type: ignore[attr-defined]
+
+
+def test_the_import_is_quick_and_brings_nothing_heavy() -> None:
+    program = f"import sys, xfreqbench; print([name for name in {HEAVY} if name in sys.modules])"
+    times_ms = []
+    for _ in range(3):  # another process may be in the way of one of them
+        done = subprocess.run(
+            [sys.executable, "-X", "importtime", "-c", program], capture_output=True, text=True
+        )
+        assert done.stdout.strip() == "[]"
+        (total_us,) = re.findall(r"\| +(\d+) \| xfreqbench$", done.stderr, re.MULTILINE)
+        times_ms.append(int(total_us) / 1000)
+    assert min(times_ms) < MAX_IMPORT_MS

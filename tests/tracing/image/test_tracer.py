@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference import cfr_at_centre
+
+from xfreqbench.errors import SceneError
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.facets import Geometry, group_by_plane, planar_facets
+from xfreqbench.scene.materials import complex_permittivity
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
+from xfreqbench.tracing.paths import SPECULAR
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.units import PAPER_CARRIERS_GHZ, SPEED_OF_LIGHT_M_S, ghz_to_hz
+
+CARRIERS_HZ = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
+GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
+RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.0))
+
+
+def scene_of(*surfaces: Surface, receiver: ReceiverArray = RECEIVER) -> Scene:
+    return Scene(name="test", receiver=receiver, transmitters=GRID, surface=surfaces)
+
+
+def exact_distance_m(receiver: ReceiverArray, carrier_hz: float, tx: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(tx - receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz), axis=1)
+
+
+def test_free_space_obeys_friis_and_its_phase_at_every_carrier() -> None:
+    horizontal = np.array([20.0, 15.0, 2.0])  # in the equator: the V antennas of both ends are parallel
+    cfr = ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings()).channel(horizontal[None]).cfr[0]
+    for carrier_hz, row in zip(CARRIERS_HZ, cfr, strict=True):
+        distance_m = exact_distance_m(RECEIVER, carrier_hz, horizontal)
+        friis = SPEED_OF_LIGHT_M_S / carrier_hz / (4 * np.pi * distance_m)
+        turns = carrier_hz * distance_m / SPEED_OF_LIGHT_M_S
+        np.testing.assert_allclose(np.abs(row), friis, rtol=1e-9)
+        error_rad = np.angle(row * np.exp(2j * np.pi * (turns % 1)))
+        assert np.abs(error_rad).max() < 1e-6  # far below the 1e-3 that float32 delays would allow
+
+
+@pytest.mark.parametrize("polarization", ["V", "H"])
+def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: str) -> None:
+    receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)
+    tx = np.array([[0.0, 0.0, 0.5], [1e-7, 0.0, 0.5], [0.0, -1e-7, 0.5]])
+    along, *beside = ImageTracer(scene_of(receiver=receiver), [10e9], TraceSettings()).channel(tx).cfr
+    for cfr in beside:
+        np.testing.assert_allclose(along, cfr, rtol=1e-9)  # lengths differ by 1e-14, phases by 1e-12 rad
+
+
+def test_the_carriers_may_come_in_any_order() -> None:
+    tx = np.array([[1.0, 2.0, 0.7]])
+    forward = ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings()).channel(tx).cfr
+    backward = ImageTracer(scene_of(), CARRIERS_HZ[::-1], TraceSettings()).channel(tx).cfr
+    np.testing.assert_array_equal(forward, backward[:, ::-1])
+
+
+def slab_reflection(
+    material: str, thickness_m: float, carrier_hz: float, cosine: float
+) -> tuple[complex, complex]:
+    """TE and TM reflection of a dielectric slab in air by summing its multiple reflections."""
+    eta = complex_permittivity(material, carrier_hz)
+    inner = np.sqrt(eta - (1 - cosine**2))
+    te = (cosine - inner) / (cosine + inner)
+    tm = (eta * cosine - inner) / (eta * cosine + inner)
+    round_trip = np.exp(-2j * 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m * inner)
+    bounces = round_trip * (1 - te**2) * sum((te**2 * round_trip) ** n for n in range(400))
+    bounces_tm = round_trip * (1 - tm**2) * sum((tm**2 * round_trip) ** n for n in range(400))
+    return te - te * bounces, tm - tm * bounces_tm
+
+
+@pytest.mark.parametrize("material", ["plasterboard", "concrete", "glass", "metal"])
+@pytest.mark.parametrize("polarization", ["V", "H"])
+def test_a_walls_reflection_equals_the_fresnel_slab(material: str, polarization: str) -> None:
+    floor = Surface("floor", material, 0.02, (-50.0, -50.0, 0.0), (50.0, 50.0, 0.0))
+    receiver = replace(RECEIVER, polarization=polarization)
+    tracer = ImageTracer(
+        scene_of(floor, receiver=receiver), CARRIERS_HZ, TraceSettings(max_depth=1, rays=1000)
+    )
+    tx = np.array([3.0, 0.0, 1.0])
+    paths = tracer.paths(tx)
+    reflected = np.flatnonzero(paths.interactions[:, 0] == SPECULAR)
+    assert len(paths.delay_s) == 2
+    distance_m = np.hypot(3.0, 3.0)
+    assert paths.delay_s[reflected[0]] == pytest.approx(distance_m / SPEED_OF_LIGHT_M_S)
+    for carrier_hz, gain in zip(CARRIERS_HZ, paths.gain[:, reflected[0]], strict=True):
+        te, tm = slab_reflection(material, 0.02, carrier_hz, np.sqrt(0.5))
+        # horizontal antennas see TE alone. Vertical ones see TM, with the sign of θ̂ before and after:
+        # k = (1, 0, −1)/√2 → θ̂ = (−1, 0, −1)/√2; after reflection θ̂ of −k' is (−1, 0, −1)/√2 as well
+        coefficient = te if polarization == "H" else tm
+        expected = abs(coefficient) * SPEED_OF_LIGHT_M_S / carrier_hz / (4 * np.pi * distance_m)
+        assert abs(gain) == pytest.approx(expected, rel=1e-6)
+
+
+def test_every_saving_leaves_the_answer_as_it_is() -> None:
+    scene = load_scene("office")
+    tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 6, seed=1)
+    carriers = [1e9, 10e9, 94e9]
+    settings = TraceSettings(max_depth=4, rays=100_000)
+    plain = ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4)
+    reference = ImageTracer(scene, carriers, settings, plain).channel(tx)
+    for savings in (replace(plain, prune=True), replace(plain, share_visibility=True)):
+        saved = ImageTracer(scene, carriers, settings, savings).channel(tx)
+        np.testing.assert_allclose(saved.cfr, reference.cfr, rtol=0, atol=1e-12 * np.abs(reference.cfr).max())
+        np.testing.assert_array_equal(saved.num_paths, reference.num_paths)
+    interpolated = ImageTracer(scene, carriers, settings, replace(plain, field_nodes_per_axis=2)).channel(tx)
+    beam = BartlettBeam(scene.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+    for f in range(len(carriers)):
+        error = beam.maps(interpolated.cfr[:, f])[0] - beam.maps(reference.cfr[:, f])[0]
+        assert np.sqrt((error**2).mean(axis=(1, 2))).max() < 10 ** (-70 / 20)  # 70 dB; measured 79 dB or more
+
+
+def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
+    """Largest difference of channels decided by corners from those of every element, relative to each sample's norm."""
+    settings = TraceSettings(max_depth=max_depth, rays=2000)
+    by_corners, by_elements = (
+        ImageTracer(
+            scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
+        )
+        .channel(tx)
+        .cfr
+        for share in (True, False)
+    )
+    return float(
+        (np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max()
+    )
+
+
+def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
+    tx = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 20)])
+    for edge_m in (1.38, 1.62):  # where some elements see the floor within 1 cm of the sheet's foot
+        sheet = Surface("sheet", "glass", 0.005, (edge_m, -2.0, 0.0), (edge_m, 2.0, 1.0))
+        assert (
+            visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12
+        )  # roundings of a sum of paths
+
+
+def test_the_first_of_two_facets_that_overlap_in_a_plane_reflects_where_it_is() -> None:
+    small = Surface("small", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6))
+    large = Surface("large", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6))
+    tx = np.array(
+        [(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)]
+    )  # half of the elements' reflections lie on the small one
+    assert visibility_apart(scene_of(small, large), tx, max_depth=1) < 1e-12  # roundings of a sum of paths
+
+
+def test_a_plane_crossed_twice_over_counts_once() -> None:
+    sheets = (
+        Surface("left", "glass", 0.01, (-5.0, -5.0, 1.5), (2.0, 5.0, 1.5)),
+        Surface("right, over the left", "glass", 0.01, (0.2, -5.0, 1.5), (5.0, 5.0, 1.5)),
+    )
+    tx = np.array([[3.0, 0.3, 1.0]])
+    settings = TraceSettings(max_depth=1, rays=1000)
+    for savings in (
+        ImageSavings(),
+        ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4),
+    ):
+        assert ImageTracer(scene_of(*sheets), [10e9], settings, savings).channel(tx).num_paths == 1
+
+
+def test_a_path_whose_field_vanishes_on_the_way_is_not_counted() -> None:
+    slab = Surface("slab", "concrete", 0.4, (-9.0, -9.0, 1.5), (9.0, 9.0, 1.5))
+    tracer = ImageTracer(scene_of(slab), [1e9, 94e9], TraceSettings(max_depth=1, rays=1000))
+    channel = tracer.channel(np.array([[1.0, 0.3, 1.0]]))
+    assert channel.num_paths.tolist() == [[1, 0]]
+    assert channel.cfr[0, 0].all()
+    assert not channel.cfr[0, 1].any()
+
+
+def test_wide_arrays_get_the_field_at_every_element() -> None:
+    scene = load_scene("office")
+    scene = replace(scene, receiver=replace(scene.receiver, rows=1, cols=8))
+    tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 4, seed=1)
+    settings = TraceSettings(max_depth=3, rays=50_000)
+    exact = ImageTracer(scene, [1e9], settings, ImageSavings(field_nodes_per_axis=64)).channel(tx).cfr
+    np.testing.assert_array_equal(ImageTracer(scene, [1e9], settings).channel(tx).cfr, exact)
+
+
+def test_path_sums_equal_channels() -> None:
+    scene = load_scene("two_rooms")
+    receiver = replace(scene.receiver, rows=1, cols=1)
+    scene = replace(scene, receiver=receiver)
+    tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 5, seed=1)
+    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(rays=50_000))
+    channel = tracer.channel(tx)
+    for position_m, cfr in zip(tx, channel.cfr, strict=True):
+        paths = tracer.paths(position_m)
+        np.testing.assert_allclose(cfr_at_centre(paths), cfr[:, 0], rtol=1e-7, atol=1e-12)
+        assert (np.diff(paths.delay_s) >= 0).all()
+        np.testing.assert_allclose(np.linalg.norm(paths.arrival, axis=1), 1)
+        first = np.where(np.isnan(paths.vertices_m[:, 0]), position_m, paths.vertices_m[:, 0])
+        assert np.isfinite(first).all()
+
+
+def test_a_metal_box_around_the_receiver_leaves_a_channel_of_zeros() -> None:
+    box = Surface("box", "metal", 0.01, (-0.5, -0.5, 1.5), (0.5, 0.5, 2.5))
+    tracer = ImageTracer(scene_of(box), [94e9], TraceSettings(rays=1000))
+    channel = tracer.channel(np.array([[3.1, 0.23, 0.9]]))
+    assert not channel.cfr.any()
+    assert not channel.num_paths.any()
+    assert tracer.paths(np.array([3.1, 0.23, 0.9])).gain.shape == (1, 0)
+
+
+def test_depth_counts_reflections_and_transmissions_alike() -> None:
+    sheets = [Surface(f"sheet {x}", "glass", 0.01, (x, -9.0, -9.0), (x, 9.0, 9.0)) for x in (1.0, 2.0)]
+    tx = np.array([[3.0, 0.3, 1.0]])
+    counts = [
+        int(
+            ImageTracer(scene_of(*sheets), [5e9], TraceSettings(max_depth=d, rays=2000))
+            .channel(tx)
+            .num_paths[0, 0]
+        )
+        for d in range(5)
+    ]
+    # none sees through two sheets with less than two transmissions; two more reflections between the
+    # sheets take a depth of four
+    assert counts == [0, 0, 1, 1, 2]
+
+
+def test_boxes_become_six_parallelograms_and_walls_in_one_plane_share_it() -> None:
+    box = Surface("box", "metal", 0.01, (0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    left = Surface("left", "glass", 0.01, (1.0, 5.0, 0.0), (1.0, 6.0, 1.0))
+    facets = planar_facets(surface_meshes(scene_of(box, left)))
+    assert [len(facet.corners_m) for facet in facets] == [4] * 7
+    planes, plane = group_by_plane(facets)
+    assert len(planes) == 6
+    assert len(set(plane.tolist())) == 6
+
+
+def test_the_solver_declines_what_it_cannot_do() -> None:
+    office = Geometry(surface_meshes(load_scene("office")))
+    assert can_solve(office, TraceSettings())
+    assert not can_solve(office, TraceSettings(interactions=("specular", "diffraction")))
+    with pytest.raises(SceneError, match="Use --solver sionna"):
+        ImageTracer(load_scene("office"), [1e9], TraceSettings(interactions=("specular", "diffuse")))
+
+
+def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
+    program = """
+import hashlib, sys
+import numba
+from xfreqbench.tracing.image.tracer import ImageTracer
+from xfreqbench.scene.model import load_scene
+from xfreqbench.tracing.tracer import TraceSettings
+import numpy as np
+numba.set_num_threads(int(sys.argv[1]))
+scene = load_scene("two_rooms")
+tx = np.array([[1.0, 1.0, 1.0], [7.0, 2.0, 1.3], [6.1, 3.3, 1.0]])
+cfr = ImageTracer(scene, [1e9, 60e9], TraceSettings(rays=20_000)).channel(tx[:int(sys.argv[2])]).cfr
+print(hashlib.sha256(cfr[:2].tobytes()).hexdigest())
+"""
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", program, threads, count], capture_output=True, text=True, check=True
+        ).stdout
+        for threads, count in (("1", "3"), ("2", "3"), ("2", "2"))
+    }
+    assert len(digests) == 1

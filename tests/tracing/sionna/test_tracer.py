@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from places import SUPPORT
+from reference import antenna_field, cfr_at_centre, over_one_slab, slab_coefficients
+from sionna_scenes import (
+    CONCRETE_WALL,
+    GLASS_PANE,
+    METAL_BOX,
+    ONE_ELEMENT,
+    RECEIVER,
+    scene_of,
+)
+
+from xfreqbench.errors import MaterialBandError
+from xfreqbench.scene.materials import complex_permittivity
+from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR, Paths
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+pytestmark = pytest.mark.sionna
+
+CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
+TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
+SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
+
+
+def tracer(scene: Scene, carrier_hz: Any = CARRIERS_HZ, settings: TraceSettings = SETTINGS) -> Any:
+    from xfreqbench.tracing.sionna.tracer import SionnaTracer
+
+    return SionnaTracer(scene, carrier_hz, settings)
+
+
+def distances_m(receiver: ReceiverArray, carrier_hz: float, tx: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.norm(receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz) - tx, axis=1)
+
+
+def relative_error(cfr: NDArray[np.complex128], truth: NDArray[np.complex128]) -> float:
+    return float(np.abs(cfr - truth).max() / np.abs(truth).max())
+
+
+def only_path(paths: Paths, *interactions: int) -> tuple[NDArray[np.complex128], float]:
+    """Gain and delay of the one path with exactly these interactions."""
+    codes = [*interactions, *[NO_INTERACTION] * (paths.interactions.shape[1] - len(interactions))]
+    (row,) = np.flatnonzero((paths.interactions == codes).all(axis=1))
+    return paths.gain[:, row], float(paths.delay_s[row])
+
+
+@pytest.mark.parametrize("rows_and_cols", [1, 4])
+def test_free_space_obeys_friis_and_its_phase(rows_and_cols: int) -> None:
+    receiver = replace(RECEIVER, rows=rows_and_cols, cols=rows_and_cols)
+    tx = np.array([9.0, -7.0, 2.0])  # in the equator: the antennas of both ends are parallel
+    channel = tracer(scene_of(receiver=receiver)).channel(tx[None])
+    for row, carrier in zip(channel.cfr[0], CARRIERS_HZ.tolist(), strict=True):
+        distance = distances_m(receiver, carrier, tx)
+        friis = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance)
+        np.testing.assert_allclose(np.abs(row), friis, rtol=1e-6)  # float32 gains
+        phase_error = np.angle(row * np.exp(2j * np.pi * (carrier * distance / SPEED_OF_LIGHT_M_S % 1)))
+        assert np.abs(phase_error).max() < 1e-6  # the phase is in double precision
+    assert channel.num_paths.tolist() == [[1, 1, 1]]
+
+
+@pytest.mark.parametrize(("pattern", "polarization"), [*ANTENNAS, ("dipole", "H")])
+def test_a_wall_reflects_as_p2040_says(pattern: Any, polarization: Any) -> None:
+    receiver = replace(ONE_ELEMENT, pattern=pattern, polarization=polarization)
+    tx, normal = TRANSMITTERS_M[0], np.array([1.0, 0.0, 0.0])
+    rx = np.array(receiver.position_m)
+    path = tx * [-1, 1, 1] - rx  # from the receiver to the transmitter's image behind the wall x = 0
+    distance = np.linalg.norm(path)
+    outgoing = -path / distance
+    incident = outgoing * [-1, 1, 1]
+    gain, delay_s = only_path(tracer(scene_of(CONCRETE_WALL, receiver=receiver)).paths(tx), SPECULAR)
+    assert delay_s == pytest.approx(distance / SPEED_OF_LIGHT_M_S, rel=1e-12)
+    for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
+        eta = complex_permittivity("concrete", carrier)
+        te, tm, *_ = slab_coefficients(eta, 0.2, carrier, float(-incident @ normal))
+        field = over_one_slab(
+            antenna_field(incident, pattern, polarization), incident, outgoing, normal, te, tm
+        )
+        received = antenna_field(-outgoing, pattern, polarization) @ field
+        expected = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance) * received
+        assert traced == pytest.approx(expected, rel=2e-3)  # float32 phase across 0.2 m: 2e3 rad at 94 GHz
+
+
+@pytest.mark.parametrize(("pattern", "polarization"), ANTENNAS)
+def test_a_pane_transmits_as_p2040_says(pattern: Any, polarization: Any) -> None:
+    receiver = replace(ONE_ELEMENT, pattern=pattern, polarization=polarization)
+    tx, normal = TRANSMITTERS_M[0], np.array([0.0, 1.0, 0.0])
+    line = np.array(receiver.position_m) - tx
+    distance = np.linalg.norm(line)
+    direction = line / distance
+    gain, _ = only_path(tracer(scene_of(GLASS_PANE, receiver=receiver)).paths(tx), REFRACTION)
+    for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
+        eta = complex_permittivity("glass", carrier)
+        *_, te, tm = slab_coefficients(eta, 0.008, carrier, abs(float(direction @ normal)))
+        field = over_one_slab(
+            antenna_field(direction, pattern, polarization), direction, direction, normal, te, tm
+        )
+        received = antenna_field(-direction, pattern, polarization) @ field
+        expected = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance) * received
+        assert traced == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_wall_in_coplanar_pieces_reflects_once() -> None:
+    low = replace(CONCRETE_WALL, name="low", max_m=(0.0, 6.0, 1.3))
+    high = replace(CONCRETE_WALL, name="high", min_m=(0.0, -4.0, 1.3))
+    whole = tracer(scene_of(CONCRETE_WALL)).channel(TRANSMITTERS_M)
+    pieces = tracer(scene_of(low, high)).channel(TRANSMITTERS_M)
+    assert pieces.num_paths.tolist() == whole.num_paths.tolist()
+    assert relative_error(pieces.cfr, whole.cfr) < 1e-5
+
+
+def test_planes_are_one_whichever_way_their_triangles_face() -> None:
+    from xfreqbench.tracing.sionna.chains import planes_of
+
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.3, 0.1], [0.2, 1.0, -0.4], [1.2, 1.3, -0.3]])
+    mesh = SurfaceMesh("tilted", "concrete", 0.1, corners, np.array([[0, 1, 2], [1, 2, 3], [2, 1, 3]]))
+    shifted = replace(mesh, vertices_m=corners + np.array([0.0, 0.0, 0.01]))
+    plane = planes_of([mesh, shifted]).index
+    assert len(set(plane[:3])) == len(set(plane[3:])) == 1
+    assert plane[0] != plane[3]
+
+
+def test_paths_run_from_the_transmitter_and_arrive_from_their_last_point() -> None:
+    paths = tracer(scene_of(CONCRETE_WALL, GLASS_PANE)).paths(TRANSMITTERS_M[0])
+    centre = np.array(RECEIVER.position_m)
+    assert (paths.interactions != NO_INTERACTION).sum(axis=1).max() >= 2
+    for row, vertices in enumerate(paths.vertices_m):
+        corners = np.vstack([TRANSMITTERS_M[0], vertices[~np.isnan(vertices[:, 0])], centre])
+        length_m = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+        assert paths.delay_s[row] * SPEED_OF_LIGHT_M_S == pytest.approx(
+            length_m, abs=1e-5
+        )  # float32 vertices
+        towards = corners[-2] - centre
+        np.testing.assert_allclose(paths.arrival[row], towards / np.linalg.norm(towards), atol=1e-5)
+    assert (np.diff(paths.delay_s) >= 0).all()
+
+
+def test_paths_and_channel_agree_at_the_array_centre() -> None:
+    receiver = replace(RECEIVER, rows=3, cols=3)  # its fifth element is at the centre
+    rays = tracer(scene_of(CONCRETE_WALL, METAL_BOX, receiver=receiver))
+    at_centre = rays.channel(TRANSMITTERS_M[:1]).cfr[0, :, 4]
+    np.testing.assert_allclose(cfr_at_centre(rays.paths(TRANSMITTERS_M[0])), at_centre, rtol=1e-5)
+
+
+def test_a_channel_does_not_depend_on_the_transmitters_asked_for_with_it() -> None:
+    rays = tracer(scene_of(CONCRETE_WALL, METAL_BOX))
+    tx = np.array([3.1, 4.2, 1.1]) + np.linspace(0, 0.7, 11)[:, None] * [0.5, 0.3, 0.2]
+    together = rays.channel(tx)
+    for row in (0, 4, 10):
+        np.testing.assert_array_equal(rays.channel(tx[row : row + 1]).cfr[0], together.cfr[row])
+
+
+def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
+    program = f"""
+import hashlib, numpy as np, sys
+sys.path.insert(0, {str(SUPPORT)!r})
+from sionna_scenes import simple_scenes
+from xfreqbench.tracing.sionna.tracer import SionnaTracer
+from xfreqbench.tracing.tracer import TraceSettings
+for interactions in ("specular", "refraction"), ("specular", "refraction", "diffraction"):
+    settings = TraceSettings(interactions=interactions, rays=20_000, max_depth=3)
+    rays = SionnaTracer(simple_scenes()["two boxes"], [1e9, 94e9], settings)
+    print(hashlib.sha256(rays.channel(np.array({TRANSMITTERS_M.tolist()})).cfr.tobytes()).hexdigest())
+"""
+    command = [sys.executable, "-c", program]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    digests = [process.communicate(timeout=200)[0].split() for process in processes]
+    assert len(set(digests[0])) == 2
+    assert digests[0] == digests[1]
+
+
+def test_a_carrier_outside_a_materials_band_is_refused_before_any_ray_is_shot() -> None:
+    brick = replace(CONCRETE_WALL, material="brick")
+    with pytest.raises(MaterialBandError, match=r"'brick' from 1 to 40 GHz .* asked for 60, 94 GHz"):
+        tracer(scene_of(brick), [1e9, 60e9, 94e9])
+
+
+def test_extrapolated_materials_are_traced() -> None:
+    brick = replace(CONCRETE_WALL, material="brick")
+    settings = replace(SETTINGS, materials="extrapolate")
+    assert tracer(scene_of(brick), [1e9, 94e9], settings).channel(TRANSMITTERS_M).num_paths.min() == 2
+
+
+def test_a_material_undefined_at_sionnas_default_carrier_is_traced() -> None:
+    floorboard = replace(CONCRETE_WALL, material="floorboard")
+    assert tracer(scene_of(floorboard), [60e9]).channel(TRANSMITTERS_M).num_paths.tolist() == [[2], [2]]
+
+
+@pytest.mark.parametrize(("interactions", "expected"), [((), 1), (("specular",), 2), (("refraction",), 1)])
+def test_interactions_that_are_left_out_do_not_happen(interactions: Any, expected: int) -> None:
+    rays = tracer(scene_of(CONCRETE_WALL), [10e9], replace(SETTINGS, interactions=interactions))
+    assert rays.channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [[expected]]
+
+
+def test_depth_zero_leaves_the_line_of_sight() -> None:
+    rays = tracer(scene_of(CONCRETE_WALL), [10e9], replace(SETTINGS, max_depth=0))
+    assert rays.channel(TRANSMITTERS_M).num_paths.tolist() == [[1], [1]]
+
+
+def test_a_shut_metal_box_lets_nothing_through() -> None:
+    tx = np.array([[1.4, 2.6, 0.4]])
+    channel = tracer(scene_of(METAL_BOX)).channel(tx)
+    assert not channel.cfr.any()
+    assert not channel.num_paths.any()
+    assert len(tracer(scene_of(METAL_BOX)).paths(tx[0]).delay_s) == 0

@@ -1,0 +1,150 @@
+"""Both solvers against public forward Sionna RT calls, and against each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sionna_scenes import ONE_ELEMENT, simple_scenes
+
+from xfreqbench.bench.reference import read_reference
+from xfreqbench.bench.solvers import map_errors
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.tracing.solvers import make_tracer, resolve_solver
+from xfreqbench.tracing.tracer import SolverName, TraceSettings
+
+pytestmark = pytest.mark.sionna
+
+CARRIERS_HZ = [1e9, 10e9, 94e9]
+TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
+SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SOLVERS = ("sionna", "image")
+POLARIZATIONS = ("V", "H")
+
+
+def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> Any:
+    from xfreqbench.tracing.sionna.plain import loaded, solve
+
+    return solve(loaded(scene, carrier_hz), tx, SETTINGS.interactions, 3, SETTINGS.rays, seed=1)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("polarization", POLARIZATIONS)
+@pytest.mark.parametrize("name", simple_scenes())
+def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
+    name: str, polarization: Any, solver: SolverName
+) -> None:
+    scene = simple_scenes(replace(ONE_ELEMENT, polarization=polarization))[name]
+    tracer = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    for tx in TRANSMITTERS_M:
+        paths = tracer.paths(tx)
+        for traced, carrier_hz in zip(paths.gain, CARRIERS_HZ, strict=True):
+            public = public_paths(scene, carrier_hz, tx)
+            gain = (public.a[0].numpy() + 1j * public.a[1].numpy()).reshape(-1)
+            delay_s = public.tau.numpy().reshape(-1)
+            order = np.argsort(delay_s)
+            heard = np.abs(traced) > 1e-6 * np.abs(traced).max()  # Sionna drops what has vanished
+            np.testing.assert_allclose(paths.delay_s[heard], delay_s[order], rtol=1e-6)
+            # The carrier phase is in neither gain, so float32 delays do not blur the comparison:
+            # measured 1e-4 of the strongest path (Sionna's slab runs in float32).
+            np.testing.assert_allclose(traced[heard], gain[order], rtol=0, atol=1e-3 * np.abs(gain).max())
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(solver: SolverName) -> None:
+    scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
+    tracer = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    cfr = tracer.channel(TRANSMITTERS_M).cfr[..., 0]
+    for tx, row in zip(TRANSMITTERS_M, cfr, strict=True):
+        for carrier_hz, value in zip(CARRIERS_HZ, row, strict=True):
+            gain, delay_s = public_paths(scene, carrier_hz, tx).cir(normalize_delays=False, out_type="numpy")
+            # one float32 rounding of τ is 6e-8 · 2πfτ: at most 1e-3 rad at 94 GHz and 5 m
+            error = abs(gain.sum() - value) / np.abs(gain).sum()
+            assert error < 1e-3
+            assert delay_s.size == gain.size
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    ("interactions", "max_depth", "num_paths"),
+    [
+        (("specular", "refraction"), 3, 2),  # through the pane, and by the wall and the pane
+        (("refraction",), 3, 1),
+        (("specular",), 3, 0),  # the pane stands between
+        (("specular", "refraction"), 0, 0),
+        (("specular", "refraction"), 1, 1),
+        ((), 3, 0),
+    ],
+)
+def test_interactions_that_are_off_do_not_happen(
+    interactions: Any, max_depth: int, num_paths: int, solver: SolverName
+) -> None:
+    scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
+    settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
+    assert make_tracer(scene, [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [[num_paths]]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName) -> None:
+    office = load_scene("office")
+    reference = read_reference(office)
+    settings = resolve_solver(Geometry(surface_meshes(office)), TraceSettings(solver=solver))
+    tracer = make_tracer(office, reference.carrier_hz.tolist(), settings)
+    cfr = tracer.channel(reference.tx_position_m).cfr
+    for error in map_errors(office, cfr, reference.cfr):
+        assert error.median_psnr_db > 40
+        assert error.fifth_percentile_psnr_db > 30
+        assert error.median_ssim > 0.99
+
+
+def tilted(mesh: SurfaceMesh) -> SurfaceMesh:
+    """The mesh turned about an axis that no plane is square to."""
+    axis, angle = np.array([0.36, 0.48, 0.8]), 0.2
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return replace(mesh, vertices_m=mesh.vertices_m @ rotation.T)
+
+
+def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Path) -> None:
+    scene = simple_scenes()["two boxes"]
+    wall, pane = surface_meshes(simple_scenes()["a wall and a pane between"])
+    write_mitsuba([tilted(mesh) for mesh in (*surface_meshes(scene), wall, pane)], tmp_path)
+    imported = replace(scene, surface=(), scene="scene.xml", folder=tmp_path)
+    settings = TraceSettings(rays=400_000, max_depth=3)
+    image, sionna = (
+        make_tracer(imported, CARRIERS_HZ, replace(settings, solver=solver)).channel(TRANSMITTERS_M).cfr
+        for solver in ("image", "sionna")
+    )
+    # float32 vertices, and paths along an edge that one of the two misses
+    np.testing.assert_allclose(
+        sionna, image, rtol=0, atol=5e-3 * np.abs(image).max(axis=(0, 2), keepdims=True).max()
+    )
+    relative = np.linalg.norm(sionna - image, axis=2) / np.linalg.norm(image, axis=2)
+    assert np.median(relative) < 5e-3
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("boresight", [(0.0, 0.0, -1.0), (1.0, 2.0, -2.0), (1.0, 0.0, 0.0), (-1.0, 3.0, 0.5)])
+def test_a_traced_direct_path_peaks_where_the_transmitter_stands_in_the_receivers_frame(
+    boresight: tuple[float, float, float], solver: SolverName
+) -> None:
+    receiver = replace(load_scene("empty").receiver, boresight=boresight, polarization="H")
+    scene = replace(load_scene("empty"), receiver=receiver)
+    pole = np.array(boresight) / np.linalg.norm(boresight)
+    towards = pole + 0.4 * np.array([0.48, -0.6, 0.64])  # within the hemisphere, off every axis
+    tx = np.asarray(receiver.position_m) + 3.0 * towards[None]
+    channel = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
+    grid = AngularGrid.hemisphere()
+    maps, _ = BartlettBeam(receiver.element_position_wavelengths, grid).maps(channel.cfr[0])
+    for pas_map in maps:
+        peak = receiver.rotation @ grid.directions[np.unravel_index(pas_map.argmax(), grid.shape)]
+        angle_deg = np.degrees(np.arccos(peak @ towards / np.linalg.norm(towards)))
+        assert angle_deg < 2.5  # one degree of the grid, and the curved wave front at 1 GHz

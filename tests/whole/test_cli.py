@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.cli.options import parse_carriers_hz
+from xfreqbench.errors import XFreqBenchError
+
+HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
+
+
+def xfreqbench(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "xfreqbench.cli", *arguments], capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["generate", "--help"], ["run", "--help"]])
+def test_help_loads_no_heavy_library(arguments: list[str]) -> None:
+    program = f"""
+import sys
+from xfreqbench.cli.main import app
+try:
+    app({arguments!r})
+except SystemExit:
+    pass
+print("loaded", sorted({HEAVY!r} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.rstrip().endswith("loaded []")
+
+
+def test_every_option_of_generate_states_its_unit_or_choices() -> None:
+    text = xfreqbench("generate", "--help").stdout
+    for word in ("GHz", "metres", "power, amplitude or phase-only", "specular, refraction, diffraction"):
+        assert word in " ".join(text.replace("│", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["generate", "offce", "-o", "x.h5"], "Did you mean 'office'"),
+        (["generate", "office", "-o", "x.h5", "--freqs", "1;2"], "comma-separated"),
+        (["generate", "office", "-o", "x.h5", "--freqs", "0.5"], "from 1 to 100 GHz"),
+        (["generate", "office", "-o", "x.h5", "--interactions", "refracton"], "Did you mean 'refraction'"),
+        (["generate", "office", "-o", "x.h5", "--pas-kind", "powr"], "Did you mean 'power'"),
+        (["generate", "office", "-o", "x.h5", "--tx", "100000"], "usable transmitter positions"),
+        (["generate", "office", "-o", "x.h5", "--tx-positions", "none.csv"], "x,y,z in metres"),
+        (["info", "nowhere.h5"], "There is no file nowhere.h5"),
+        (["report", "nowhere"], "nowhere"),
+    ],
+)
+def test_mistakes_end_with_code_2_and_words(arguments: list[str], message: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "xfreqbench.cli", *arguments], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_option_names_the_nearest() -> None:
+    done = xfreqbench("generate", "office", "-o", "x.h5", "--freq", "1")
+    assert done.returncode != 0
+    assert "--freqs" in done.stderr + done.stdout
+
+
+def test_a_dry_run_prints_counts_size_and_time_and_writes_nothing(tmp_path: Path) -> None:
+    output = tmp_path / "x.h5"
+    done = xfreqbench(*f"generate empty --tx 10 --freqs 1,94 --dry-run -o {output}".split())
+    assert done.returncode == 0
+    assert "10 transmitters" in done.stdout
+    assert "20 samples" in done.stdout
+    assert "estimated time" in done.stdout
+    assert not output.exists()
+
+
+def test_carriers_are_read_in_gigahertz() -> None:
+    assert parse_carriers_hz("1, 24.25") == [1e9, 24.25e9]
+    assert len(parse_carriers_hz("paper")) == 10
+    with pytest.raises(XFreqBenchError, match="GHz"):
+        parse_carriers_hz("one")
+
+
+def test_the_lists_name_scenes_and_methods() -> None:
+    assert "office" in xfreqbench("scenes").stdout
+    assert "surface" in json.loads(xfreqbench("scenes", "--schema").stdout)["properties"]
+    assert "mean-over-frequency" in xfreqbench("methods").stdout

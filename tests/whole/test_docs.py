@@ -1,0 +1,225 @@
+"""The documents say what is so: every block is run, every command can be given, every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from itertools import takewhile
+from pathlib import Path
+
+import h5py
+import pytest
+from documents import NOT_RUN, ROOT, blocks, follow
+from markdown_it import MarkdownIt
+from synthetic import write_dataset
+
+import xfreqbench
+from tests.whole.test_tutorial import COMMANDS, FILES
+from xfreqbench.cli.main import app
+from xfreqbench.data.splits import lofo
+from xfreqbench.exchange.conventions import convention_rows
+from xfreqbench.exchange.split_file import Handout, write_handout
+from xfreqbench.runs.records import RunRecord
+
+DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
+TEMPLATES = sorted((ROOT / "examples").glob("*/README.md"))  # run by test_template.py
+METHODS = ROOT / "baselines" / "README.md"  # run by test_tutorial.py
+README = ROOT / "README.md"
+API, FORMATS = ROOT / "docs" / "api.md", ROOT / "docs" / "data-format.md"
+RUN_HERE = [  # the interface has a test of its own
+    path for path in [README, *DOCUMENTS] if path != API and any(block.is_followed for block in blocks(path))
+]
+ALL = [README, ROOT / "BENCHMARK.md", METHODS, *DOCUMENTS, *TEMPLATES]
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+every_document = pytest.mark.parametrize("document", ALL, ids=named)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("document", RUN_HERE, ids=named)
+def test_every_block_of_a_document_does_what_it_says(document: Path, tmp_path: Path) -> None:
+    follow(document, tmp_path / "work")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("```sh\nfalse\n```", "ended with code 1"),
+        ("```sh\nfalse | true\n```", "ended with code 1"),
+        ("```python\nint('one')\n```", "invalid literal"),
+        ("```toml\na = \n```", "Invalid value"),
+        ("`a.toml`:\n\n```toml\na = \n```", "Invalid value"),
+        ("```sh\necho 1\n```\n\n```output\n2\n```", "Expected"),
+        ("```python\nprint('one two')\n```\n\n```output\none\n```", "Expected"),
+    ],
+)
+def test_a_reader_stumbles_over_what_is_not_so(text: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "wrong.md").write_text(text)
+    with pytest.raises((AssertionError, ValueError), match=why):
+        follow(tmp_path / "wrong.md", tmp_path / "work")
+
+
+def test_a_reader_knows_what_was_said_and_written_before(tmp_path: Path) -> None:
+    (tmp_path / "right.md").write_text(
+        "`a.txt`:\n\n```text\nseven\n```\n\n"
+        "```python\nfrom pathlib import Path\n\na = Path('a.txt').read_text()\n```\n\n"
+        "```python\nprint(a, 'and', 8)\n```\n\n```output\nseven ... 8\n```\n"
+    )
+    assert follow(tmp_path / "right.md", tmp_path / "work").said("print") == "seven\n and 8\n"
+
+
+@every_document
+def test_what_is_not_run_says_so(document: Path) -> None:
+    silent = [
+        block.place for block in blocks(document) if not block.is_followed and NOT_RUN not in block.above
+    ]
+    assert not silent
+
+
+@every_document
+def test_no_block_is_overlooked(document: Path) -> None:
+    """Fences as a plain search finds them are those that are followed."""
+    fences = re.findall(r"^ *(```+)(\w*)$", document.read_text(), re.MULTILINE)
+    assert [language for _, language in fences[::2]] == [block.language for block in blocks(document)]
+
+
+def test_every_document_of_the_project_is_read() -> None:
+    tracked = {path for folder in ("baselines", "docs", "examples") for path in (ROOT / folder).rglob("*.md")}
+    assert tracked - {path for path in tracked if ".pytest_cache" in path.parts} <= set(ALL)
+
+
+def test_the_tutorial_of_methods_leaves_no_block_unrun() -> None:
+    found = blocks(METHODS)
+    assert [block.file_name for block in found if block.language != "sh"] == list(FILES)
+    lines = [line for block in found if block.language == "sh" for line in block.text.splitlines()]
+    assert [shlex.split(line) for line in lines] == COMMANDS
+
+
+@every_document
+def test_every_command_line_can_be_given(document: Path) -> None:
+    """Those of long runs too, which only stand there: in indented blocks, in `text` blocks and between backticks."""
+    for command in command_lines(document):
+        if any(word.startswith("-") for word in command):
+            app.parse_args(command, exit_on_error=False, print_error=False, help_on_error=False)
+        else:
+            names, _, _ = app.parse_commands(command)
+            assert names or not command, f"there is no command {command}"
+
+
+def command_lines(document: Path) -> list[list[str]]:
+    """What follows the word xfreqbench in every line of code, up to where the shell begins something else."""
+    tokens = MarkdownIt().parse(document.read_text())
+    tokens += [child for token in tokens for child in token.children or []]
+    texts = [token.content for token in tokens if token.type in ("fence", "code_block", "code_inline")]
+    lines = [line.strip() for text in texts for line in text.replace("\\\n", " ").splitlines()]
+    words = [shlex.split(line, comments=True) for line in lines if line.startswith("xfreqbench ")]
+    return [list(takewhile(lambda word: word not in SHELL, line[1:])) for line in words]
+
+
+SHELL = ("|", "||", "&&", "&", ">", "2>&1", ";")
+
+
+def test_the_readme_names_commands_that_are_checked() -> None:
+    assert len(command_lines(README)) >= 10
+
+
+@every_document
+def test_every_link_between_documents_leads_somewhere(document: Path) -> None:
+    text = document.read_text()
+    targets = re.findall(r"\]\((?!https?://)([^)#\s]+)", text)
+    assert not [target for target in targets if not (document.parent / target).exists()]
+
+
+def table(document: Path, heading: str) -> list[list[str]]:
+    """Cells of the first table below a heading, without its head; code marks taken off."""
+    below = document.read_text().split(f"\n{heading}\n", 1)[1]
+    rows = re.findall(r"^\|(.*)\|$", below.split("\n#", 1)[0], re.MULTILINE)
+    return [[cell.strip().replace("`", "") for cell in row.split("|")] for row in rows[2:]]
+
+
+def variables(path: Path) -> list[list[str]]:
+    """Name, axes, type and unit of every variable of an HDF5 file, as the file itself says."""
+    with h5py.File(path) as file:
+        return [
+            [name, axes(variable), str(variable.dtype), text(variable, "units")]
+            for name, variable in file.items()
+        ]
+
+
+def axes(variable: h5py.Dataset) -> str:
+    scales = [variable] if variable.is_scale else [scales[0] for scales in variable.dims]
+    return ", ".join(scale.name.strip("/") for scale in scales)
+
+
+def text(owner: h5py.Dataset | h5py.File, name: str) -> str:
+    return owner.attrs[name].decode()
+
+
+def test_the_table_of_variables_is_that_of_the_files(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    described = table(FORMATS, "### Variables")
+    assert sorted(row[:4] for row in described) == sorted(variables(tmp_path / "data.h5"))
+
+
+def test_the_table_of_attributes_is_that_of_the_files(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    with h5py.File(tmp_path / "data.h5") as file:
+        assert sorted(row[0] for row in table(FORMATS, "### Attributes")) == sorted(file.attrs)
+
+
+def test_the_table_of_split_files_names_every_variable(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=2)
+    splits = lofo(dataset, [10e9])
+    write_handout(Handout(dataset, splits, maps=True), tmp_path / "split.h5")
+    with h5py.File(tmp_path / "split.h5") as file:
+        found = sorted(file[splits[0].name])
+    described = table(FORMATS, "## Split files")
+    assert sorted(name for row in described for name in row[0].split(", ")) == found
+
+
+def test_the_table_of_records_names_every_field() -> None:
+    described = table(FORMATS, "## Records")
+    fields = [name for row in described for name in row[0].split(", ")]
+    assert sorted(fields) == sorted(RunRecord.model_fields)
+
+
+def test_the_table_of_conventions_is_that_of_the_code() -> None:
+    described = table(FORMATS, "## PNG folders")
+    assert [tuple(row) for row in described] == convention_rows()
+
+
+def test_the_interface_describes_every_public_name_and_no_other() -> None:
+    names = [
+        cells[0]
+        for topic in ("Scenes and rays", "Data", "Maps and scores", "Methods", "Runs and results")
+        for cells in table(API, f"### {topic}")
+    ]
+    assert sorted(names) == sorted(xfreqbench.__all__)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_every_module_has_a_page_of_its_docstrings(tmp_path: Path) -> None:
+    """pdoc imports every one, and warns of nothing but types that it shows as texts."""
+    reader = follow(API, tmp_path / "work")
+    pages = {path.relative_to(reader.folder / "site") for path in (reader.folder / "site").rglob("*.html")}
+    modules = {path for folder in ("xfreqbench", "baselines") for path in (ROOT / folder).rglob("*.py")}
+    documented = {path for path in modules if path.name != "__main__.py"}  # pdoc imports none of these
+    assert {module_page(path) for path in documented} <= pages
+    warnings = re.findall(r"^Warn: .*$", reader.said("pdoc"), re.MULTILINE)
+    assert not [warning for warning in warnings if not TYPE_AS_TEXT.search(warning)]
+
+
+TYPE_AS_TEXT = re.compile(r"type annotation (.+ )?for [\w.]+\.__init__[.:] ")  # of what dataclasses write
+
+
+def module_page(path: Path) -> Path:
+    """Where pdoc puts a module; a package is a page beside its folder, and `baselines` is part of the toolkit."""
+    module = path.relative_to(ROOT)
+    page = (module.parent if module.name == "__init__.py" else module).with_suffix(".html")
+    return page if page.parts[0].startswith("xfreqbench") else "xfreqbench" / page

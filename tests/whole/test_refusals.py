@@ -1,0 +1,248 @@
+"""What once ended in a traceback, in warnings or in a lost file, and is refused in words."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzzed_hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_dataset
+from fuzzed_png import PNG_FOLDER, png
+from fuzzed_scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
+from fuzzing import (
+    check_clean,
+    check_refusal,
+    refusal,
+    refused,
+    untouched,
+    xfreqbench,
+)
+from stored_records import make_record
+
+from xfreqbench.cli.options import target_carriers_hz
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.records import append, read
+from xfreqbench.scene.model import MAX_CANDIDATES, parse_scene
+
+
+def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "records.jsonl").write_bytes(sound_records())
+    (tmp_path / "data.h5").write_bytes(sound_dataset())
+    for name in ("mine.png", "mine.html", "mine.md", "mine.h5", "notes"):
+        (tmp_path / name).write_bytes(b"mine")  # half a line
+    commands: list[list[str | Path]] = [
+        ["plot", tmp_path / "data.h5", "-o", tmp_path / "mine.png"],
+        ["report", tmp_path, "-q", "-o", tmp_path / "mine.md"],
+        ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--html", tmp_path / "mine.html"],
+        ["bench", "savings", "-o", tmp_path / "notes"],
+        ["stress", "--only", "no such case", "-o", tmp_path / "notes"],
+        ["split", "--data", tmp_path / "data.h5", "--targets", "10", "-o", tmp_path / "mine.h5", "-q"],
+        ["generate", "empty", "-q", "-o", tmp_path / "mine.h5"],
+    ]
+    for words in commands:
+        with untouched(tmp_path, tmp_path / "new"):
+            outcome = xfreqbench(*words)
+        assert outcome.code == 2, (words, outcome)
+        check_clean(outcome, str(tmp_path), "no such case")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("name = " + "[" * 5000, "nested too deeply"),
+        ("name = " + "1" * 5000, "not TOML"),
+        (
+            toml_file({**EMPTY_SCENE, "receiver": {"position_m": [1e300, 0.0, 0.0]}}),
+            "less than or equal to 10000000",
+        ),
+        (
+            toml_file(
+                {**EMPTY_SCENE, "receiver": {"position_m": [0.0, 0.0, 0.0], "boresight": [0.0, 0.0, 1e-300]}}
+            ),
+            "zero vector",
+        ),
+        (toml_file({**EMPTY_SCENE, "scene": "a\0b"}), "cannot be read"),
+        (toml_file({**EMPTY_SCENE, "scene": "."}), "Is a directory"),
+    ],
+)
+def test_scenes_that_once_ended_in_a_traceback_are_refused(
+    tmp_path: Path, content: str, message: str
+) -> None:
+    (tmp_path / "odd.toml").write_text(content)
+    outcome = xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5")
+    assert message in outcome.stderr
+    check_clean(outcome, "odd.toml", str(tmp_path))
+
+
+def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_takes_memory() -> None:
+    grid = {**SMALL_SCENE["transmitters"], "step_m": [0.003, 0.003, 0.001]}
+    message = refusal(lambda: parse_scene(toml_file({**SMALL_SCENE, "transmitters": grid})))
+    assert f"1,003,003,001 positions, but {MAX_CANDIDATES:,} are the most" in str(message)
+
+
+def test_an_unknown_encoding_of_a_mitsuba_scene_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "room.xml").write_text(XML.replace("utf-8", "no-such"))
+    (tmp_path / "odd.toml").write_text(REFERRING_SCENE)
+    check_clean(xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5"), "room.xml")
+
+
+@pytest.mark.parametrize("corner", ["inf 0 0", "nan 0 0", "1e300 0 0", "1e38 1e38 1e38"])
+def test_vertices_that_no_float_can_square_are_refused_without_a_warning(tmp_path: Path, corner: str) -> None:
+    (tmp_path / "room.xml").write_text(XML)
+    (tmp_path / "odd.toml").write_text(REFERRING_SCENE)
+    (tmp_path / "wall.ply").write_text(ASCII_PLY.replace("0 0 0", corner, 1))
+    outcome = xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5")
+    check_clean(outcome, "wall.ply")
+    assert "not finite, or beyond" in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    "content", [b"1,1,1e308\n", gzip.compress(b"1,1,1\n", mtime=0)[:-4], b"\xff,1,1\n", b"1,1\n"]
+)
+def test_positions_that_once_ended_in_a_traceback_or_warnings_are_refused(
+    tmp_path: Path, content: bytes
+) -> None:
+    (tmp_path / "tx.csv.gz").write_bytes(content)
+    words = ["generate", "empty", "--tx-positions", tmp_path / "tx.csv.gz", "-q", "-o", tmp_path / "x.h5"]
+    refused(tmp_path, *words)
+
+
+@pytest.mark.parametrize("words", [["info"], ["generate", "empty", "-o"], ["report"], ["import", "-o", "x"]])
+def test_a_path_that_the_system_does_not_take_is_refused(words: list[str]) -> None:
+    outcome = xfreqbench(*words, "x" * 400)
+    assert outcome.code == 2
+    check_clean(outcome, "File name too long")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda file: file.attrs.__setitem__("settings_json", "[]"), "'settings_json'"),
+        (lambda file: file.attrs.__setitem__("num_tx", "4"), "the header asks for"),
+        (lambda file: file.__delitem__("cfr"), "no dataset 'cfr'"),
+        (lambda file: file["tx_position_m"].__setitem__(0, np.nan), "'tx_position_m' holds numbers that are"),
+        (lambda file: file["tx_position_m"].__setitem__(0, 1e308), "positions beyond 1e+07 m"),
+        (lambda file: file["carrier_hz"].__setitem__(..., 0.0), "carriers ascend"),
+        (lambda file: file.attrs.__setitem__("scene_name", b"\xff\xfe"), "surrogates not allowed"),
+        (as_other_thing("peak_power", "endless"), "more than the file can hold"),
+    ],
+)
+@pytest.mark.parametrize("is_sealed_again", [False, True])
+def test_what_is_wrong_within_a_data_set_is_named_before_it_is_used(
+    tmp_path: Path, spoil: Spoil, message: str, is_sealed_again: bool
+) -> None:
+    path = tmp_path / "data.h5"
+    path.write_bytes(spoilt_dataset(spoil, is_sealed_again))
+    assert message in str(refusal(lambda: open_dataset(path)))
+
+
+def test_a_text_that_ends_in_half_a_line_is_no_file_of_records(tmp_path: Path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_bytes(b"half a line")
+    for call in (lambda: read(notes), lambda: append(notes, make_record())):
+        check_refusal(refusal(call), str(notes))
+        assert notes.read_bytes() == b"half a line"
+
+
+def test_a_folder_that_is_no_number_is_no_checkpoint(tmp_path: Path) -> None:
+    for name in ("²", "٣", "notes"):
+        (tmp_path / name).mkdir()
+    assert CheckpointFolder(tmp_path, "a").read() is None
+
+
+def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
+    data = tmp_path / "data.h5"
+    data.write_bytes(sound_dataset())
+    for option in ("--seed=", "--budget=steps", "--budget=s", "--executor="):
+        name, _, unit = option.partition("=")
+        common = [
+            "run",
+            "--data",
+            data,
+            "--results",
+            tmp_path / "new",
+            "--targets",
+            "10",
+            "--method",
+            "nearest",
+        ]
+        outcome = xfreqbench(*common, f"{name}={'9' * 5000}{unit}")
+        assert outcome.code == 2
+        check_clean(outcome, name.removeprefix("--"))
+    check_clean(xfreqbench("bench", "render", "--gaussians", "9" * 5000), "--gaussians")
+
+
+def test_an_empty_list_of_targets_is_not_the_default() -> None:
+    check_refusal(refusal(lambda: target_carriers_hz("")), "GHz")
+    assert target_carriers_hz(None) is None
+
+
+@pytest.mark.parametrize("name", [b"x" * 300, b"\xff.h5", b"no/such.h5"])
+def test_a_real_process_says_one_line_and_leaves_with_2(tmp_path: Path, name: bytes) -> None:
+    words = [sys.executable, "-m", "xfreqbench.cli", "info"]
+    done = subprocess.run([*map(os.fsencode, words), name], capture_output=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"xfreqbench: ")
+    assert b"Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_reader_that_stops_reading_gets_no_traceback() -> None:
+    words = [sys.executable, "-m", "xfreqbench.cli", "scenes", "--schema"]
+    for unbuffered in ("", "1"):
+        environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
+        assert process.stdout
+        process.stdout.close()
+        assert process.stderr
+        assert process.stderr.read() == b""
+        process.stderr.close()
+        assert process.wait() == 1
+
+
+def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
+    data = os.fsdecode(bytes(tmp_path) + b"/\xff.h5")
+    Path(data).write_bytes(sound_dataset())
+    done = subprocess.run([sys.executable, "-m", "xfreqbench.cli", "info", data], capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert b"every hash holds" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("gateway_info.yml", b"g:\n  position: [2,1,0]\n  orientation: [1e155, 0, 0, 1]\n"),
+        ("gateway_info.yml", None),
+        ("tx_pos.csv", b"x,y,z\n1e300,2,3\n-1,0,0.5\n"),
+        ("train_index.txt", b"1" * 5000),
+    ],
+)
+def test_folders_of_maps_that_once_ended_in_a_traceback_or_warnings_are_refused(
+    tmp_path: Path, name: str, content: bytes | None
+) -> None:
+    maps = {f"spectrum/{number:05d}.png": png() for number in (1, 2)}
+    (tmp_path / "maps" / "spectrum").mkdir(parents=True)
+    for path, sound in {**PNG_FOLDER, **maps, name: content}.items():
+        if sound is not None:
+            (tmp_path / "maps" / path).write_bytes(sound)
+    outcome = xfreqbench("import", tmp_path / "maps", "-o", tmp_path / "x.h5", "-q")
+    assert outcome.code == 2
+    check_clean(outcome, name)
+
+
+@pytest.mark.parametrize(
+    ("sound", "spoilt"), [(b'"24250000000":', b'":4250000000":'), (b'"power_error":', b'"power_error ":')]
+)
+@pytest.mark.parametrize("page", [[], ["--html", "page.html"]])
+def test_a_record_whose_keys_mean_nothing_is_refused(
+    tmp_path: Path, sound: bytes, spoilt: bytes, page: list[str]
+) -> None:
+    (tmp_path / "records.jsonl").write_bytes(sound_records().replace(sound, spoilt, 1))
+    outcome = xfreqbench("report", tmp_path, "-o", tmp_path / "report.md", "-q", *page)
+    assert outcome.code == 2
+    check_clean(outcome, "records.jsonl")

@@ -1,0 +1,198 @@
+"""What `bench scale-out` prints: the cost of executors on the same work, and estimates for large data sets."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from xfreqbench.bench.planning import SCENE, office_plan, paper_hz, tabulate_costs, tabulate_plans
+from xfreqbench.bench.tables import Bench
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import BATCH, Plan
+from xfreqbench.data.splits import make_splits
+from xfreqbench.errors import XFreqBenchError
+from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.on_workers import run_on
+from xfreqbench.runs.records import BenchFigure, BenchPoint, Job
+from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
+from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.tracing.tracer import Channel
+from xfreqbench.tracing.versions import software_versions
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+NUM_WORKERS = 2
+NUM_SPLITS = 2  # of protocol lofo, for the runs
+NUM_EMPTY_CALLS = 100
+EXECUTOR_COLUMNS = ("work", "executor", "start-up, s", "wall, s", "rate", "an empty call, ms", "same bytes")
+
+
+def bench_scale_out(bench: Bench, num_tx: int) -> None:
+    """Print the cost of executors, the cost of a transmitter, and estimates for many transmitters."""
+    if num_tx < BATCH:
+        raise XFreqBenchError(f"--tx is {num_tx}; give at least {BATCH}, which is one batch.")
+    bench.introduce()
+    with tempfile.TemporaryDirectory() as folder:
+        generate_planned(
+            office_plan(1, paper_hz()), Path(folder) / "compiled.h5"
+        )  # compiles kernels for all measurements
+        _tabulate_executors(bench, num_tx, Path(folder))
+        costs = tabulate_costs(bench, num_tx, Path(folder))
+    tabulate_plans(bench, costs)
+
+
+@dataclass(frozen=True)
+class Way:
+    """An executor by the name in the table, and how to open it; the argument says whether its processes are new."""
+
+    name: str
+    open: Callable[[bool], AbstractContextManager[Workers]]
+
+
+@contextmanager
+def _own_cluster() -> Iterator[Workers]:
+    """Workers of a Dask cluster that is started for the measurement."""
+    with local_cluster(NUM_WORKERS) as address, dask_workers(address) as workers:
+        yield workers
+
+
+WAYS = (
+    Way(SERIAL, lambda is_fresh: open_workers(SERIAL)),
+    Way(f"{NUM_WORKERS} processes", lambda is_fresh: open_workers(str(NUM_WORKERS), is_fresh=is_fresh)),
+    Way(f"Dask, {NUM_WORKERS} workers", lambda is_fresh: _own_cluster()),
+)
+
+
+def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
+    """Print the cost of each executor for generation and for runs."""
+    plan, points, first = office_plan(num_tx, paper_hz()), [], dict[str, str]()
+    note = (
+        f"Generation: {num_tx} transmitters × {len(plan.header.carrier_hz)} carriers of {SCENE} at the defaults, "
+        f"batches of {BATCH}, every process shooting its own rays, maps stored. Runs: {', '.join(TRIVIAL)} on "
+        f"{NUM_SPLITS} lofo splits of those data, in new processes where they are of this machine. Serial tracing has "
+        "a thread a core; processes and workers have one each. Start-up: until every place has answered one call, "
+        f"that of the cluster included. An empty call returns a batch of zeros ({NUM_EMPTY_CALLS} of them, wall time "
+        "over their number), or for runs nothing. Same bytes: the data set's sha256, or all predictions', is that of "
+        "the serial row. Everything was measured, once, with kernels compiled before."
+        + ("" if is_installed() else " The extra `cluster` is not installed here: no row of Dask.")
+    )
+    with bench.table("What an executor costs", note, EXECUTOR_COLUMNS, software_versions("image")) as table:
+        for work in (_Generation(plan, folder), _Runs(folder)):
+            for way in WAYS if is_installed() else WAYS[:-1]:
+                took = _measured(way, work)
+                same = took.sha256 == first.setdefault(work.name, took.sha256)
+                table.add(work.name, way.name, *took.cells(work.unit), "yes" if same else "NO")
+                points.append(took.point(work, way.name))
+        table.figure = BenchFigure(
+            x_label="start-up, s",
+            y_label="transmitters or runs a second",
+            log_x=False,
+            points=tuple(points),
+        )
+
+
+@dataclass(frozen=True)
+class Took:
+    """Times of one work on one executor, its amount, and a digest of its results."""
+
+    start_up_s: float
+    wall_s: float
+    amount: int
+    empty_call_s: float
+    sha256: str
+
+    @property
+    def rate(self) -> float:
+        """Amount of work per second."""
+        return self.amount / self.wall_s
+
+    def cells(self, unit: str) -> tuple[str, ...]:
+        """The measured cells of a row."""
+        rate = f"{self.rate:.3g} {unit}/s"
+        return f"{self.start_up_s:.1f}", f"{self.wall_s:.1f}", rate, f"{self.empty_call_s * 1e3:.2f}"
+
+    def point(self, work: Work, way: str) -> BenchPoint:
+        """A point of the figure: rate against start-up."""
+        return BenchPoint(series=work.name, label=way, x=self.start_up_s, y=self.rate)
+
+
+class _Generation:
+    """Generation of the same data set by any workers."""
+
+    name, unit, is_fresh = "generation", "transmitters", False
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self._plan, self._folder = plan, folder
+        self.amount = len(plan.tx_position_m)
+        self.batch_shape = BATCH, len(plan.header.carrier_hz), plan.header.receiver.num_elements
+        self.num_empty_calls = NUM_EMPTY_CALLS
+
+    def do(self, workers: Workers, way: str) -> str:
+        """Generate the data set; return its sha256."""
+        return open_dataset(generate_planned(self._plan, self._folder / f"{way}.h5", workers=workers)).sha256
+
+
+class _Runs:
+    """The same runs by any workers, on the data set of the serial generation."""
+
+    name, unit, is_fresh = "runs", "runs", True
+    batch_shape = 0, 0, 0
+    num_empty_calls = NUM_WORKERS
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.amount = len(TRIVIAL) * NUM_SPLITS
+
+    def do(self, workers: Workers, way: str) -> str:
+        """Do the runs; return the sha256 of all prediction files with their names."""
+        data, results = self._folder / f"{SERIAL}.h5", self._folder / f"runs of {way}"
+        splits = make_splits(open_dataset(data), "lofo", None)[:NUM_SPLITS]
+        jobs = [
+            Job(str(data), method, "lofo", split.name, budget=Budget())
+            for method in TRIVIAL
+            for split in splits
+        ]
+        outcome = run_on(workers, jobs, results, lambda done, total, job: None)
+        if outcome.failures:
+            raise XFreqBenchError("\n".join(outcome.failures))
+        digest = hashlib.sha256()
+        for path in ResultsFolder(results).predictions_paths():
+            digest.update(path.name.encode() + path.read_bytes())
+        return digest.hexdigest()
+
+
+Work = _Generation | _Runs
+
+
+def _measured(way: Way, work: Work) -> Took:
+    """Open an executor, call it without work, then let it do the work, and measure each."""
+    start = time.perf_counter()
+    with way.open(work.is_fresh) as workers:
+        _call_empty(workers, (0, 0, 0), workers.num_places)
+        ready = time.perf_counter()
+        _call_empty(workers, work.batch_shape, work.num_empty_calls)
+        begun = time.perf_counter()
+        sha256 = work.do(workers, way.name)
+        wall_s = time.perf_counter() - begun
+    return Took(ready - start, wall_s, work.amount, (begun - ready) / work.num_empty_calls, sha256)
+
+
+def _call_empty(workers: Workers, shape: tuple[int, int, int], number: int) -> None:
+    """Let workers return a batch of zeros of this shape, several times."""
+    for _, ended in side_by_side(workers, _zeros, [shape] * number, ahead=1):
+        ended.result()
+
+
+def _zeros(shape: tuple[int, int, int]) -> Channel:
+    """A batch without channels; a function of the module, so that other processes can import it."""
+    return Channel(np.zeros(shape, np.complex128), np.zeros(shape[:2], np.int32))

@@ -1,0 +1,302 @@
+"""What `bench savings` prints: the time and the effect of each saving of generator, renderer and training.
+
+Each saving is switched off alone, while all others stay on. Where the code has no switch for a saving, its public
+functions are called as they would have to be without it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numba import get_num_threads
+from numpy.typing import NDArray
+
+from xfreqbench.bench.learning_savings import Saving, savings
+from xfreqbench.bench.rendering import CARRIERS_HZ, named
+from xfreqbench.bench.splatting import num_threads
+from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.training_step import PAPER_NETWORK
+from xfreqbench.data.plane_waves import plane_wave_data
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.maps.metrics import psnr
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import SolverName, TraceSettings
+from xfreqbench.tracing.versions import software_versions
+from xfreqbench.types import FloatArray
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+NUM_TX = 48
+TRAINING = (*PAPER_NETWORK, "num_gaussians=4000", "batch_size=8")
+FEW_RAYS = 100_000  # where each transmitter shoots its own rays
+COLUMNS = ("part", "saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
+_REPEATS = 2  # the smallest time counts, because other programs can only add to it
+SCENE_AND_RAYS = "meshes read, rays shot, channels"
+
+ChannelArray = Complex[NDArray[np.complex128], "T F M"]
+Answer = TypeVar("Answer")
+MapArray = Float[NDArray[np.float32], "N E A"]
+
+
+@dataclass(frozen=True)
+class Workload:
+    """The work on which the generator's savings are measured; a time is that of all its samples."""
+
+    scene: Scene
+    tx_position_m: Float[FloatArray, "T 3"]
+    carrier_hz: tuple[float, ...]
+    settings: TraceSettings
+
+    @property
+    def num_samples(self) -> int:
+        """Transmitters times carriers."""
+        return len(self.tx_position_m) * len(self.carrier_hz)
+
+    @property
+    def size(self) -> str:
+        """Numbers of transmitters and carriers, in words."""
+        return f"{len(self.tx_position_m)} transmitters × {len(self.carrier_hz)} carriers"
+
+    def few(self, num_tx: int, num_carriers: int) -> Workload:
+        """A smaller workload: the first transmitters, and carriers spread over the band."""
+        spread = np.linspace(0, len(self.carrier_hz) - 1, num_carriers).astype(int)
+        carriers = tuple(self.carrier_hz[index] for index in spread)
+        return replace(self, tx_position_m=self.tx_position_m[:num_tx], carrier_hz=carriers)
+
+    def channel(self) -> ChannelArray:
+        """Channels as `generate` computes them, with rays that are shot once for everything."""
+        tracer = make_tracer(self.scene, self.carrier_hz, self.settings)
+        return tracer.channel(self.tx_position_m).cfr
+
+    def one_transmitter_each(self) -> list[Workload]:
+        """The same work in pieces of one transmitter."""
+        return [replace(self, tx_position_m=place[None]) for place in self.tx_position_m]
+
+    def one_carrier_each(self) -> list[Workload]:
+        """The same work in pieces of one carrier."""
+        return [replace(self, carrier_hz=(carrier,)) for carrier in self.carrier_hz]
+
+    def saving(
+        self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]
+    ) -> Saving:
+        """Measure both ways, and compare their channels and maps."""
+        off_s, without = timed_s(off)
+        on_s, with_it = timed_s(on)
+        change = channel_change(self.scene, with_it, without)
+        per_sample = off_s / self.num_samples * 1e3, on_s / self.num_samples * 1e3
+        return Saving("generator", name, f"{timed}; {self.size}", *per_sample, change)
+
+
+def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
+    """Transmitters of the office at the paper's carriers, with a solver at its defaults."""
+    scene = load_scene("office")
+    tx_position_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), num_tx, seed=1)
+    carriers = tuple(ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ)
+    return Workload(scene, tx_position_m, carriers, TraceSettings(solver))
+
+
+def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
+    """The smallest time of a few calls in seconds, after one that compiles, and the result."""
+    answer, seconds = work(), []
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds), answer
+
+
+def bench_savings(bench: Bench) -> None:
+    """Print the time of each saving off and on."""
+    bench.introduce()
+    note = (
+        f"ms a sample, the least of {_REPEATS} warm runs; the others stay on while one is off. Generator: the "
+        "office at the defaults; changes are the largest error of a sample's channel relative to its norm, and PSNR "
+        "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. "
+        f"Renderer and training: {named(TRAINING)}, on {num_threads()} threads; changes are relative to the "
+        "largest value of a field, or absolute in maps of peak 1. A saving may buy accuracy with time."
+    )
+    versions = software_versions("image") | software_versions("sionna")
+    with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
+        for saving in all_savings():
+            table.add(*saving_cells(saving))
+
+
+def all_savings() -> Iterator[Saving]:
+    """All savings: of the generator, then of the renderer and of training."""
+    yield from image_savings(office_workload("image"))
+    yield from map_savings(office_workload("image", num_tx=6))
+    yield from sionna_savings(office_workload("sionna"))
+    with tempfile.TemporaryDirectory() as folder:
+        train = plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32)
+        yield from savings(train, TRAINING)
+
+
+def saving_cells(saving: Saving) -> tuple[str, ...]:
+    """A row of the table."""
+    times = f"{saving.off_ms:.2f}", f"{saving.on_ms:.2f}", f"{saving.off_ms / saving.on_ms:.2f}"
+    return saving.part, saving.name, saving.timed, *times, saving.change
+
+
+def image_savings(work: Workload) -> Iterator[Saving]:
+    """Savings of the image method: its switches, then what transmitters and carriers share."""
+    per_element = max(work.scene.receiver.rows, work.scene.receiver.cols)
+    for name, without, with_it in (
+        ("candidates pruned by widened facets", ImageSavings(prune=False), ImageSavings()),
+        (
+            "visibility from four corners of the array (both: field at every element)",
+            ImageSavings(share_visibility=False, field_nodes_per_axis=per_element),
+            ImageSavings(field_nodes_per_axis=per_element),  # elements traced one by one share no nodes
+        ),
+        ("field at 2×2 points, interpolated", ImageSavings(field_nodes_per_axis=per_element), ImageSavings()),
+        ("these three together", ImageSavings(False, False, per_element), ImageSavings()),
+    ):
+        off, on = (
+            ImageTracer(work.scene, work.carrier_hz, work.settings, image_savings)
+            for image_savings in (without, with_it)
+        )
+        yield work.saving(
+            f"image: {name}",
+            "channels, rays shot beforehand",
+            lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
+            lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
+        )
+    yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
+    yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
+    yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
+
+
+def sionna_savings(work: Workload) -> Iterator[Saving]:
+    """Savings of Sionna RT's solver: what transmitters, carriers and directions of travel share."""
+    some = work.few(8, 3)
+    yield side_by_side(some, "sionna: eight transmitters a solve")
+    yield one_shooting_for_all_transmitters(some, "sionna: chains from the receiver once")
+    yield one_shooting_for_all_carriers(work.few(4, 10), "sionna: one tracing for all carriers")
+    fewer_rays = replace(work.few(2, 3), settings=replace(work.settings, rays=FEW_RAYS))
+    yield shooting_from_the_receiver(fewer_rays)
+    yield larger_table(fewer_rays)
+
+
+def side_by_side(work: Workload, name: str) -> Saving:
+    """All transmitters in one call, against one call for each, with rays shot beforehand.
+
+    The image method has a thread for each transmitter, so its ratio is mostly due to threads.
+    """
+    tracer = make_tracer(work.scene, work.carrier_hz, work.settings)
+
+    def one_by_one() -> ChannelArray:
+        return np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m])
+
+    def together() -> ChannelArray:
+        return tracer.channel(work.tx_position_m).cfr
+
+    return work.saving(name, "channels, rays shot beforehand", one_by_one, together)
+
+
+def one_shooting_for_all_transmitters(work: Workload, name: str) -> Saving:
+    """Rays shot from the receiver once, against anew for each transmitter."""
+
+    def anew() -> ChannelArray:
+        return np.concatenate([one.channel() for one in work.one_transmitter_each()])
+
+    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+
+
+def one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
+    """Rays shot once for the widest aperture, against anew for the aperture of each carrier."""
+
+    def anew() -> ChannelArray:
+        return np.concatenate([one.channel() for one in work.one_carrier_each()], axis=1)
+
+    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+
+
+def shooting_from_the_receiver(work: Workload) -> Saving:
+    """Rays from the receiver, against as many rays from each transmitter at each carrier."""
+    from xfreqbench.tracing.sionna.forward import ForwardRays
+    from xfreqbench.tracing.sionna.scene import RadioScene
+
+    def forward() -> ChannelArray:
+        radio_scene = RadioScene(surface_meshes(work.scene), work.settings.materials)
+        carriers = np.array(work.carrier_hz)
+        rays = ForwardRays(radio_scene, work.scene.receiver, carriers, work.settings)
+        return rays.channel(work.tx_position_m).cfr
+
+    timed = f"{SCENE_AND_RAYS}, {work.settings.rays:,} rays"
+    return work.saving("sionna: rays from the receiver", timed, forward, work.channel)
+
+
+def larger_table(work: Workload) -> Saving:
+    """Sionna's table of candidates enlarged, in the plain way: it loses hardly any candidates, but saves no time."""
+    from xfreqbench.tracing.sionna.scene import roomy_hash_table
+
+    def roomy() -> ChannelArray:
+        with roomy_hash_table():
+            return _plain(work)
+
+    name = "sionna: larger table of candidates, which buys accuracy"
+    timed = f"plain way, {work.settings.rays:,} rays, depth {work.settings.max_depth}"
+    return work.saving(name, timed, lambda: _plain(work), roomy)
+
+
+def _plain(work: Workload) -> ChannelArray:
+    """Channels by the public solver of Sionna RT, one call for each carrier."""
+    from xfreqbench.tracing.sionna.plain import plain_channel
+
+    settings = work.settings
+    asked = settings.interactions, settings.max_depth, settings.rays, settings.seed
+    channels = [plain_channel(work.scene, carrier, work.tx_position_m, *asked) for carrier in work.carrier_hz]
+    return np.stack(channels, axis=1)
+
+
+def map_savings(work: Workload) -> Iterator[Saving]:
+    """Savings of maps: steering vectors that are kept, and one product for all channels."""
+    cfr = work.channel().reshape(-1, work.scene.receiver.num_elements)
+    kept = _beam(work.scene)
+
+    def one_by_one(beam_of: Callable[[], BartlettBeam]) -> MapArray:
+        return np.concatenate([beam_of().maps(row[None])[0] for row in cfr])
+
+    anew_s, anew = timed_s(lambda: one_by_one(lambda: _beam(work.scene)))
+    singly_s, singly = timed_s(lambda: one_by_one(lambda: kept))
+    together_s, together = timed_s(lambda: kept.maps(cfr)[0])
+    for name, off_s, on_s, off, on in (
+        ("maps: steering vectors kept", anew_s, singly_s, anew, singly),
+        ("maps: one product for all samples", singly_s, together_s, singly, together),
+    ):
+        per_sample = off_s / len(cfr) * 1e3, on_s / len(cfr) * 1e3
+        yield Saving(
+            "generator",
+            name,
+            f"maps; {work.size}",
+            *per_sample,
+            f"maps: at most {np.abs(on - off).max():.0e}",
+        )
+
+
+def _beam(scene: Scene) -> BartlettBeam:
+    """Beams of the scene's array towards the hemisphere."""
+    return BartlettBeam(scene.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+
+
+def channel_change(scene: Scene, cfr: ChannelArray, other: ChannelArray) -> str:
+    """In words, the largest relative error of a sample's channel, and PSNR of power maps; `none` if all are equal."""
+    if np.array_equal(cfr, other):
+        return "none"
+    norm = np.linalg.norm(other, axis=2)
+    relative = np.linalg.norm(cfr - other, axis=2) / np.where(norm == 0, 1, norm)
+    beam = _beam(scene)
+    num_elements = cfr.shape[2]
+    maps, others = (beam.maps(channel.reshape(-1, num_elements))[0] for channel in (cfr, other))
+    ratio_db = psnr(maps, others, beam.grid)
+    return f"channels: {relative.max():.0e}; maps: worst {ratio_db.min():.0f} dB, median {np.median(ratio_db):.0f} dB"

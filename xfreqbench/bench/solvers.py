@@ -1,0 +1,388 @@
+"""What `bench generate` prints: errors of maps against run time, and the pipeline against the plain way.
+
+The plain way is one call of Sionna RT's public solver for each sample. Errors are measured against a stored
+reference: the public `PathSolver(synthetic_array=False)`, one call per transmitter and carrier, with eight times the
+default rays, one more depth and another seed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Complex
+from numpy.typing import NDArray
+
+from xfreqbench.bench.reference import REFERENCE_SETTINGS, Reference, read_reference
+from xfreqbench.bench.tables import Bench
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.maps.metrics import psnr, ssim
+from xfreqbench.runs.records import BenchFigure, BenchPoint
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
+from xfreqbench.tracing.solvers import make_tracer, resolve_solver
+from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
+from xfreqbench.tracing.versions import software_versions
+from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
+
+SOLVERS: tuple[SolverName, ...] = ("image", "sionna")
+MEDIAN_BAR_DB, FIFTH_PERCENTILE_BAR_DB = 40.0, 30.0
+PLAIN_LADDER = (  # rays, depth, whether Sionna's table of candidates is enlarged
+    (100_000, 4, False),
+    (100_000, 5, False),
+    (100_000, 6, False),
+    (200_000, 6, False),
+    (1_000_000, 6, False),
+    (100_000, 5, True),
+    (100_000, 6, True),
+    (200_000, 6, True),
+)
+PLAIN_WAY = (100_000, 5, False)
+PIPELINE_COLUMNS = (
+    "pipeline",
+    "transmitters",
+    "carriers",
+    "seconds",
+    "ms a sample",
+    "samples/s",
+    "peak memory, MiB",
+    "rate / the plain way",
+    "rate / the cheapest plain that meets the bar",
+)
+_FEW_TX = 64
+_REPEATS = 2  # the smallest time counts, because other programs can only add to it
+
+
+@dataclass(frozen=True)
+class MapError:
+    """Errors of maps at one carrier, over transmitters."""
+
+    median_psnr_db: float
+    fifth_percentile_psnr_db: float
+    median_ssim: float
+
+    @property
+    def meets_bar(self) -> bool:
+        """Whether the errors reach the accuracy bar of the default settings."""
+        return (
+            self.median_psnr_db >= MEDIAN_BAR_DB and self.fifth_percentile_psnr_db >= FIFTH_PERCENTILE_BAR_DB
+        )
+
+    def __str__(self) -> str:
+        return f"{self.median_psnr_db:.0f} / {self.fifth_percentile_psnr_db:.0f} / {self.median_ssim:.4f}"
+
+
+def map_errors(
+    scene: Scene,
+    cfr: Complex[NDArray[np.complex128], "T F M"],
+    truth: Complex[NDArray[np.complex128], "T F M"],
+) -> list[MapError]:
+    """Errors of power maps at each carrier, over the transmitters."""
+    grid = AngularGrid.hemisphere()
+    beam = BartlettBeam(scene.receiver.element_position_wavelengths, grid)
+    errors = []
+    for f in range(cfr.shape[1]):
+        ours, true = beam.maps(cfr[:, f])[0], beam.maps(truth[:, f])[0]
+        ratios = psnr(ours, true, grid)
+        errors.append(
+            MapError(
+                float(np.median(ratios)),
+                float(np.percentile(ratios, 5, method="lower")),
+                float(np.median(ssim(ours, true, grid))),
+            )
+        )
+    return errors
+
+
+@dataclass(frozen=True)
+class MeasuredSetting:
+    """Time and errors of one setting: rays (`shoot_s`), channels (`sample_ms`), and errors for each carrier."""
+
+    label: str
+    shoot_s: float
+    sample_ms: float
+    errors: list[MapError]
+
+    @property
+    def meets_bar(self) -> bool:
+        """Whether the errors reach the accuracy bar at every carrier."""
+        return all(error.meets_bar for error in self.errors)
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        costs = self.label, f"{self.shoot_s:.2f}", f"{self.sample_ms:.2f}"
+        return *costs, *map(str, self.errors), "met" if self.meets_bar else "missed"
+
+    def point(self, series: str, label: str) -> BenchPoint:
+        """A point of the figure: time per sample, and the median PSNR at the worst carrier."""
+        worst_db = min(error.median_psnr_db for error in self.errors)
+        return BenchPoint(series=series, label=label, x=self.sample_ms, y=worst_db)
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One setting of a solver; `varied` names what differs from the defaults, which are on every line of the figure."""
+
+    solver: SolverName
+    label: str
+    varied: tuple[str, ...]
+    settings: TraceSettings
+
+
+def ladder(solvers: Sequence[str]) -> Iterator[Rung]:
+    """The settings that `bench generate` compares: the defaults, and variations of one thing at a time."""
+    if "image" in solvers:
+        yield from _rungs("image", depths=(3, 4, 5, 7, 8), rays=(50_000, 100_000, 250_000, 1_000_000))
+    if "sionna" in solvers:
+        yield from _rungs("sionna", depths=(3, 4, 5, 7), rays=(50_000, 100_000, 250_000, 1_000_000))
+        with_diffraction: tuple[Interaction, ...] = ("specular", "refraction", "diffraction")
+        forward = TraceSettings("sionna", with_diffraction, rays=100_000)
+        yield Rung("sionna", "diffraction on, 100,000 rays", ("interactions",), forward)
+
+
+def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> Iterator[Rung]:
+    """The settings of one solver."""
+    base = TraceSettings(solver)
+    yield Rung(solver, "defaults", ("depth", "rays", "interactions"), base)
+    for depth in depths:
+        yield Rung(solver, f"depth {depth}", ("depth",), replace(base, max_depth=depth))
+    for number in rays:
+        yield Rung(solver, f"{number:,} rays", ("rays",), replace(base, rays=number))
+    yield Rung(solver, "refraction off", ("interactions",), replace(base, interactions=("specular",)))
+    yield Rung(solver, "reflection off", ("interactions",), replace(base, interactions=("refraction",)))
+
+
+def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> MeasuredSetting:
+    """Trace the reference's transmitters and measure times and errors, without compilation.
+
+    Times are the smallest of `_REPEATS`. With diffraction, whose rays are shot for each transmitter, it is one.
+    """
+    settings = resolve_solver(Geometry(surface_meshes(scene)), settings)
+    is_dear = "diffraction" in settings.interactions
+    num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), _REPEATS)
+    _traced(scene, settings, reference, num_warm)
+    shoot_s, channel_s, (cfr, *_) = zip(
+        *(_traced(scene, settings, reference, None) for _ in range(repeats)), strict=True
+    )
+    num_samples = cfr.shape[0] * cfr.shape[1]
+    errors = map_errors(scene, cfr, reference.cfr)
+    return MeasuredSetting(label, min(shoot_s), min(channel_s) / num_samples * 1e3, errors)
+
+
+def _traced(
+    scene: Scene, settings: TraceSettings, reference: Reference, num_tx: int | None
+) -> tuple[float, float, Complex[NDArray[np.complex128], "T F M"]]:
+    """Seconds for rays and for the channels of the first `num_tx` transmitters, and these channels."""
+    start = time.perf_counter()
+    tracer = make_tracer(scene, reference.carrier_hz.tolist(), settings)
+    shot = time.perf_counter()
+    channel = tracer.channel(reference.tx_position_m[:num_tx])
+    return shot - start, time.perf_counter() - shot, channel.cfr
+
+
+def measure_plain(
+    scene: Scene, reference: Reference, rays: int, max_depth: int, is_roomy: bool, num_tx: int
+) -> MeasuredSetting:
+    """Time and errors of the plain way for `num_tx` of the reference's transmitters, both lit and shadowed."""
+    from xfreqbench.tracing.sionna.plain import plain_channel
+    from xfreqbench.tracing.sionna.scene import roomy_hash_table
+
+    chosen = np.linspace(0, len(reference.tx_position_m) - 1, num_tx).astype(int)
+    interactions = REFERENCE_SETTINGS.interactions
+
+    def solve(carrier_hz: float, rows: NDArray[np.int64]) -> Complex[NDArray[np.complex128], "T M"]:
+        tx = reference.tx_position_m[rows]
+        with roomy_hash_table() if is_roomy else nullcontext():
+            return plain_channel(scene, carrier_hz, tx, interactions, max_depth, rays, seed=3)
+
+    seconds, channels = 0.0, []
+    for carrier_hz in reference.carrier_hz:
+        solve(float(carrier_hz), chosen[:1])  # compiles
+        start = time.perf_counter()
+        channels.append(solve(float(carrier_hz), chosen))
+        seconds += time.perf_counter() - start
+    errors = map_errors(scene, np.stack(channels, axis=1), reference.cfr[chosen])
+    return MeasuredSetting(
+        f"plain, {rays:,} rays, depth {max_depth}{', larger table' if is_roomy else ''}",
+        0.0,
+        seconds / (num_tx * len(reference.carrier_hz)) * 1e3,
+        errors,
+    )
+
+
+@dataclass(frozen=True)
+class PipelineCost:
+    """Time and memory of `generate` from scene to finished file, maps included."""
+
+    num_tx: int
+    num_carriers: int
+    seconds: float
+    peak_memory_mib: float
+
+    @property
+    def sample_ms(self) -> float:
+        """Wall time per pair of a transmitter and a carrier, in ms."""
+        return self.seconds / (self.num_tx * self.num_carriers) * 1e3
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        return (
+            str(self.num_tx),
+            str(self.num_carriers),
+            f"{self.seconds:.1f}",
+            f"{self.sample_ms:.2f}",
+            f"{1e3 / self.sample_ms:.0f}",
+            f"{self.peak_memory_mib:.0f}",
+        )
+
+
+def measure_pipeline(
+    scene: Scene,
+    settings: TraceSettings,
+    num_tx: int | None,
+    carriers_ghz: Sequence[float] = PAPER_CARRIERS_GHZ,
+) -> PipelineCost:
+    """Generate a data set with maps in a temporary folder and measure everything except compilation."""
+    carriers = [ghz_to_hz(carrier) for carrier in carriers_ghz]
+    with tempfile.TemporaryDirectory() as folder:
+        generate_planned(
+            plan_generation(scene, carriers, settings, num_transmitters=1), Path(folder) / "first.h5"
+        )
+        reset_peak_memory()
+        start = time.perf_counter()
+        plan = plan_generation(scene, carriers, settings, num_transmitters=num_tx)
+        generate_planned(plan, Path(folder) / "timed.h5")
+        seconds = time.perf_counter() - start
+    return PipelineCost(len(plan.tx_position_m), len(carriers), seconds, peak_memory_mib())
+
+
+def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> None:
+    """Print errors against run time for the solvers, for variations of rays, depth and interactions."""
+    scene = load_scene(scene_name)
+    reference = read_reference(scene)
+    bench.introduce()
+    base, points = TraceSettings(), []
+    note = (
+        f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
+        f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once and serve every "
+        "transmitter, but with diffraction, which is not reciprocal in Sionna RT. Times are the least of "
+        f"{_REPEATS} warm runs, of one with diffraction."
+    )
+    title = f"Error of the generated maps against run time, {scene_name}"
+    with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
+        for rung in ladder(solvers):
+            row = measure(scene, rung.settings, reference, f"{rung.solver}, {rung.label}")
+            table.add(*row.cells)
+            points += [row.point(f"{rung.solver}, {varied}", rung.label) for varied in rung.varied]
+        table.figure = _figure(points)
+
+
+def _versions(solvers: Sequence[str]) -> dict[str, str]:
+    """Versions of the software of these solvers."""
+    return {key: text for name in SOLVERS if name in solvers for key, text in software_versions(name).items()}
+
+
+def _columns(reference: Reference) -> tuple[str, ...]:
+    """Columns of tables with errors at each carrier."""
+    carriers = [format_ghz(carrier) for carrier in reference.carrier_hz.tolist()]
+    return "setting", "rays once, s", "ms a sample", *carriers, "bar"
+
+
+def _figure(points: Sequence[BenchPoint]) -> BenchFigure:
+    """The figure of error against time."""
+    return BenchFigure(
+        x_label="ms a sample, rays shot beforehand",
+        y_label="median PSNR at the worst carrier, dB",
+        log_x=True,
+        points=tuple(points),
+    )
+
+
+def _reference_note(reference: Reference) -> str:
+    """How the reference was made, and how to read the cells."""
+    about = reference.about
+    return (
+        "Errors are those of power maps against a stored reference (`xfreqbench bench reference`): "
+        f"{about['way']}, one call per transmitter and carrier, {about['rays']:,} rays, depth "
+        f"{about['max_depth']}, seed {about['seed']}, {' and '.join(about['interactions'])}; "
+        f"{len(reference.tx_position_m)} transmitters, half of them shadowed. Cells: PSNR median / 5th "
+        f"percentile in dB / SSIM median. Bar: median {MEDIAN_BAR_DB:g} dB and 5th percentile "
+        f"{FIFTH_PERCENTILE_BAR_DB:g} dB at each carrier."
+    )
+
+
+def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_plain_tx: int) -> None:
+    """Print the full pipeline's rate as a ratio to the plain way, both measured now, with errors."""
+    scene = load_scene(scene_name)
+    reference = read_reference(scene)
+    bench.introduce()
+    pipelines = dict(_pipelines(scene, num_tx))  # first, because the plain way leaves things in memory
+    plain = _tabulate_plain(bench, scene, reference, num_plain_tx)
+    _tabulate_pipelines(bench, scene_name, pipelines, plain)
+
+
+def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
+    """Costs of the full pipeline, by name."""
+    yield "image", measure_pipeline(scene, TraceSettings("image"), num_tx)
+    for count in (1, 5, 10):
+        carriers_ghz = PAPER_CARRIERS_GHZ[:count]
+        few = min(num_tx or _FEW_TX, _FEW_TX)
+        yield f"price per carrier: {count}", measure_pipeline(scene, TraceSettings(), few, carriers_ghz)
+    yield "sionna", measure_pipeline(scene, TraceSettings("sionna"), min(num_tx or _FEW_TX, _FEW_TX))
+
+
+def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[MeasuredSetting]:
+    """Print settings of the plain way, and below them the solvers at their defaults; return the plain rows."""
+    note = (
+        f"{_reference_note(reference)} The plain way is one public `PathSolver` call a sample, of {num_tx} of "
+        "those transmitters, timed once; a larger table holds the candidates that Sionna's own table loses. The "
+        f"solvers' times are the least of {_REPEATS} warm runs."
+    )
+    title, columns = f"The plain way, {scene.name}", _columns(reference)
+    with bench.table(title, note, columns, _versions(SOLVERS)) as table:
+        plain, points = [], []
+        for rays, depth, is_roomy in PLAIN_LADDER:
+            row = measure_plain(scene, reference, rays, depth, is_roomy, num_tx)
+            table.add(*row.cells)
+            plain.append(row)
+            series = "plain, larger table" if is_roomy else "plain"
+            points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
+        for solver in SOLVERS:
+            row = measure(scene, TraceSettings(solver), reference, f"{solver}, defaults, tracing alone")
+            table.add(*row.cells)
+            points.append(row.point(solver, "defaults"))
+        table.figure = _figure(points)
+    return plain
+
+
+def _tabulate_pipelines(
+    bench: Bench, scene_name: str, pipelines: Mapping[str, PipelineCost], plain: Sequence[MeasuredSetting]
+) -> None:
+    usual = plain[PLAIN_LADDER.index(PLAIN_WAY)]
+    meeting = [row for row in plain if row.meets_bar]
+    best = min(meeting, key=lambda row: row.sample_ms) if meeting else None
+    note = (
+        "From scene to finished file, maps included, compilation apart. Rates are ratios to the plain way "
+        f"({usual.label}: {usual.sample_ms:.0f} ms a sample) and to "
+        + (
+            f"the cheapest plain settings that meet the bar ({best.label}: {best.sample_ms:.0f} ms a sample)."
+            if best
+            else "the cheapest plain settings that meet the bar, of which there are none here."
+        )
+    )
+    with bench.table(f"The full pipeline, {scene_name}", note, PIPELINE_COLUMNS, _versions(SOLVERS)) as table:
+        for name, cost in pipelines.items():
+            ratios = [f"{row.sample_ms / cost.sample_ms:.0f}" if row else "–" for row in (usual, best)]
+            table.add(name, *cost.cells, *ratios)

@@ -1,0 +1,273 @@
+"""The image method at extremes of geometry, against mirror images and Fresnel slabs written out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xfreqbench.bench.stress.case import Area, needing_two_threads
+from xfreqbench.bench.stress.channels import CARRIERS_GHZ, RECEIVER, free_space, friis, wave
+from xfreqbench.methods.splatting.composite_kernels import use_threads
+from xfreqbench.scene.materials import complex_permittivity
+from xfreqbench.scene.model import ReceiverArray, Surface
+from xfreqbench.tracing.image.kernels import slab_coefficients
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
+from xfreqbench.tracing.paths import SPECULAR
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
+
+GEOMETRY = Area("geometry")
+_CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
+_ONE = replace(RECEIVER, rows=1, cols=1)
+_HEIGHT_M = RECEIVER.position_m[2]
+_SETTINGS = TraceSettings(solver="image", rays=2000, max_depth=1)
+# the phase's 5e-10 rad, in the sum of two or three paths
+_LIMIT = 2e-9
+_POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
+_NEAR_THE_FLOOR = {  # the floor reflects between x = 1.2 and 1.8
+    "sheets that end on a floor": tuple(
+        Surface(f"sheet {x}", "glass", 0.005, (x, -2.0, 0.0), (x, 2.0, 1.0)) for x in (1.38, 1.62)
+    ),
+    "tiles that overlap": (
+        Surface("small tile", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6)),
+        Surface("large tile", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6)),
+    ),
+}
+
+
+def _channel(
+    surfaces: tuple[Surface, ...],
+    receiver: ReceiverArray,
+    tx_m: tuple[float, float, float],
+    max_depth: int = 1,
+) -> NDArray[np.complex128]:
+    """Channel of one transmitter at three carriers, (F, M)."""
+    scene = replace(free_space(receiver), surface=surfaces)
+    tracer = ImageTracer(scene, _CARRIERS_HZ, replace(_SETTINGS, max_depth=max_depth))
+    return tracer.channel(np.array([tx_m])).cfr[0]
+
+
+def _slab(
+    material: str, thickness_m: float, carrier_hz: float, cosine: float
+) -> tuple[complex, complex, complex, complex]:
+    """Coefficients R_TE, R_TM, T_TE and T_TM of a slab: Recommendation ITU-R P.2040-3, Eqs. (37), (38), (43)–(45)."""
+    eta = complex_permittivity(material, carrier_hz)
+    root = np.sqrt(eta - (1 - cosine**2))
+    through = np.exp(-2j * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m * root)
+    te = (cosine - root) / (cosine + root)
+    tm = (eta * cosine - root) / (eta * cosine + root)
+    r_te, r_tm = (face * (1 - through**2) / (1 - (face * through) ** 2) for face in (te, tm))
+    t_te, t_tm = ((1 - face**2) * through / (1 - (face * through) ** 2) for face in (te, tm))
+    return complex(r_te), complex(r_tm), complex(t_te), complex(t_tm)
+
+
+def _ray(length_m: float | np.longdouble, carrier_hz: float) -> complex:
+    length = np.asarray(length_m, dtype=np.longdouble)
+    return complex(friis(length, carrier_hz) * wave(length, carrier_hz))
+
+
+def _off(found: NDArray[np.complex128], expected: list[complex], length_m: float) -> float:
+    """Largest error over the carriers of a channel, relative to the amplitude of a lone path of that length."""
+    errors = [
+        abs(row[0] - value) / abs(_ray(length_m, carrier_hz))
+        for row, value, carrier_hz in zip(found, expected, _CARRIERS_HZ, strict=True)
+    ]
+    return float(max(errors))
+
+
+@GEOMETRY.case("reflection at grazing incidence, 100 m", limit=_LIMIT, unit="relative")
+def _grazing() -> float:
+    """Both ends 5 cm above a floor and 100 m apart: cos θ is 1e-3, and R_TE is nearly −1.
+
+    Horizontal antennas see TE alone.
+    """
+    floor = Surface("floor", "concrete", 0.2, (-50.0, -50.0, 0.0), (150.0, 50.0, 0.0))
+    receiver = replace(_ONE, position_m=(0.0, 0.0, 0.05), polarization="H")
+    found = _channel((floor,), receiver, (100.0, 0.0, 0.05))
+    bounce_m = np.hypot(np.longdouble(100), np.longdouble(0.1))
+    cosine = float(0.1 / bounce_m)
+    expected = [
+        -_ray(100.0, f) - _slab("concrete", 0.2, f, cosine)[0] * _ray(bounce_m, f)  # φ̂ turns with the ray
+        for f in _CARRIERS_HZ
+    ]
+    return _off(found, expected, 100.0)
+
+
+@GEOMETRY.each(
+    {f"reflection at normal incidence, {material}": (material,) for material in ("concrete", "metal")},
+    limit=_LIMIT,
+    unit="relative",
+)
+def _normal_incidence(material: str) -> float:
+    """A wall 2 m behind the transmitter reflects its wave straight back."""
+    wall = Surface("wall", material, 0.1, (5.0, -9.0, -9.0), (5.0, 9.0, 9.0))
+    found = _channel((wall,), _ONE, (3.0, 0.0, _HEIGHT_M))
+    expected = [_ray(3.0, f) + _slab(material, 0.1, f, 1.0)[0] * _ray(7.0, f) for f in _CARRIERS_HZ]
+    return _off(found, expected, 3.0)
+
+
+@GEOMETRY.each(
+    {
+        f"transmitter {where} the array's normal, {polarization}": (offset_m, polarization)
+        for where, offset_m in (("on", 0.0), ("1 µm off", 1e-6), ("1 mm off", 1e-3))
+        for polarization in _POLARIZATIONS
+    },
+    limit=_LIMIT,
+    unit="relative",
+)
+def _boresight(offset_m: float, polarization: Literal["V", "H"]) -> float:
+    """A transmitter below the array, exactly on its normal or a little beside it.
+
+    A ray and its opposite have the same θ̂, and φ̂ of opposite sign.
+    """
+    found = _channel((), replace(_ONE, polarization=polarization), (offset_m, 0.0, 0.5))
+    length_m = np.hypot(np.longdouble(offset_m), np.longdouble(_HEIGHT_M - 0.5))
+    sign = 1 if polarization == "V" else -1
+    return _off(found, [sign * _ray(length_m, f) for f in _CARRIERS_HZ], 1.5)
+
+
+@GEOMETRY.each(
+    {
+        "ray along the edge of a wooden screen": ("wood",),
+        "ray along the edge of a metal screen": ("metal",),
+    },
+    limit=_LIMIT,
+    unit="relative",
+)
+def _edge(material: str) -> float:
+    """A ray exactly along the edge of a screen passes by it, through it or not at all, with nothing in between."""
+    screen = Surface("screen", material, 0.02, (2.0, 0.0, -9.0), (2.0, 9.0, 9.0))
+    found = _channel((screen,), _ONE, (4.0, 0.0, _HEIGHT_M))
+    free = [_ray(4.0, f) for f in _CARRIERS_HZ]
+    behind = [_slab(material, 0.02, f, 1.0)[2] * ray for f, ray in zip(_CARRIERS_HZ, free, strict=True)]
+    opaque = [0j] * len(free)
+    return min(_off(found, expected, 4.0) for expected in (free, behind, opaque))
+
+
+@GEOMETRY.case("reflection at the border of a floor", limit=_LIMIT, unit="relative")
+def _border() -> float:
+    """A reflection exactly at the border of a floor is either there or not."""
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (1.5, 9.0, 0.0))
+    receiver = replace(_ONE, polarization="H")
+    found = _channel((floor,), receiver, (3.0, 0.0, _HEIGHT_M))
+    lone = [-_ray(3.0, f) for f in _CARRIERS_HZ]
+    bounce_m = np.hypot(np.longdouble(3), np.longdouble(4))
+    bounce = [-_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * _ray(bounce_m, f) for f in _CARRIERS_HZ]
+    both = [direct + reflected for direct, reflected in zip(lone, bounce, strict=True)]
+    return min(_off(found, expected, 3.0) for expected in (lone, both))
+
+
+# some roundings of 100 m
+@GEOMETRY.case("lengths of unfolded paths over 100 m, in metres", limit=1e-12, unit="m")
+def _unfolded() -> float:
+    """Largest difference between the lengths of paths between two plates and those of the unfolded lines, in metres."""
+    plates = tuple(
+        Surface(name, "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z))
+        for name, z in (("low", 0.0), ("high", 4.0))
+    )
+    scene = replace(free_space(_ONE), surface=plates)
+    tracer = ImageTracer(scene, [94e9], replace(_SETTINGS, max_depth=5, rays=200_000))
+    paths = tracer.paths(np.array([100.0, 0.0, 1.0]))
+    images_m = [8.0 * turn + side * 1.0 for turn in range(-3, 4) for side in (1, -1)]
+    lengths_m = {float(np.hypot(np.longdouble(100), np.longdouble(z - _HEIGHT_M))) for z in images_m}
+    nearest = [
+        min(abs(delay * SPEED_OF_LIGHT_M_S - length) for length in lengths_m) for delay in paths.delay_s
+    ]
+    reflections = (paths.interactions == SPECULAR).sum(axis=1)
+    assert sorted(reflections) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5], (
+        f"reflections a path: {sorted(reflections)}"
+    )
+    return float(max(nearest))
+
+
+@GEOMETRY.case("transmitter and receiver change places", limit=_LIMIT, unit="relative")
+def _reciprocity() -> float:
+    """Difference between both directions of travel among a floor, a wall and a screen."""
+    room = (
+        Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0)),
+        Surface("wall", "glass", 0.01, (-9.0, -4.0, 0.0), (9.0, -4.0, 3.0)),
+        Surface("screen", "wood", 0.03, (1.5, -2.0, 0.0), (1.5, 3.0, 3.0)),
+    )
+    there, here = (3.1, 0.7, 1.1), (-0.3, -1.2, 2.2)
+    forward, backward = (
+        _channel(room, ReceiverArray(position_m=rx, rows=1, cols=1, polarization="V"), tx, max_depth=3)
+        for rx, tx in ((here, there), (there, here))
+    )
+    return float((np.abs(forward - backward) / np.abs(forward)).max())
+
+
+# the phase in the slab is up to 3000 rad in metal, but nothing of it comes back; 600 rad in concrete
+@GEOMETRY.case("slab coefficients, grazing to normal", limit=1e-12, unit="absolute")
+def _slabs() -> float:
+    """Compiled coefficients against the written-out ones, from grazing to normal incidence, four materials."""
+    errors = []
+    for material, thickness_m in (("glass", 0.01), ("concrete", 0.3), ("metal", 0.05), ("vacuum", 0.1)):
+        for carrier_hz in [ghz_to_hz(ghz) for ghz in CARRIERS_GHZ]:
+            phase_thickness = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
+            for cosine in (1e-4, 1e-2, 0.5, 1.0):
+                eta = complex_permittivity(material, carrier_hz)
+                found = slab_coefficients(cosine, eta, phase_thickness)
+                expected = _slab(material, thickness_m, carrier_hz, cosine)
+                errors.append(np.abs(np.subtract(found, expected)).max())
+    return float(max(errors))
+
+
+# 1 − R² of grazing rays keeps 1e-16 of 1e-6, and is divided by a number as small
+@GEOMETRY.case("slabs without loss keep the energy", limit=1e-9, unit="relative")
+def _energy() -> float:
+    """Difference of |R|² + |T|² from 1 for a slab without loss, at all angles."""
+    errors = []
+    for cosine in np.geomspace(1e-6, 1, 50):
+        r_te, r_tm, t_te, t_tm = slab_coefficients(float(cosine), 6.31 + 0j, 37.0)
+        errors += [abs(abs(r_te) ** 2 + abs(t_te) ** 2 - 1), abs(abs(r_tm) ** 2 + abs(t_tm) ** 2 - 1)]
+    return max(errors)
+
+
+@GEOMETRY.each(
+    {
+        f"visibility by corners against every element, {name}": (surfaces,)
+        for name, surfaces in _NEAR_THE_FLOOR.items()
+    },
+    limit=1e-12,  # roundings of double precision in sums of four paths
+    unit="relative",
+)
+def _by_corners(surfaces: tuple[Surface, ...]) -> float:
+    """Channels for which four corners of the array decide visibility, against every element traced by itself.
+
+    The transmitter takes 40 heights, so that some elements see an obstacle within 1 cm of the reflection and others
+    do not.
+    """
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
+    scene = replace(free_space(), surface=(floor, *surfaces))
+    settings = replace(_SETTINGS, max_depth=4)
+    tx_m = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 40)])
+    shared, single = (
+        ImageTracer(
+            scene, _CARRIERS_HZ, settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
+        )
+        .channel(tx_m)
+        .cfr
+        for share in (True, False)
+    )
+    return float((np.abs(shared - single).max(axis=(1, 2)) / np.abs(single).max(axis=(1, 2))).max())
+
+
+@GEOMETRY.case("channels of one thread and of two", limit=0, unit="absolute")
+@needing_two_threads
+def _threads() -> float:
+    """Difference between channels computed by one thread and by two."""
+    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
+    scene = replace(free_space(), surface=(floor,))
+    tracer = ImageTracer(scene, _CARRIERS_HZ, _SETTINGS)
+    tx_m = np.random.default_rng(0).uniform(0.5, 3.0, size=(9, 3)) * (1, 1, 0.5)
+    before = use_threads(1)
+    try:
+        one = tracer.channel(tx_m).cfr
+        use_threads(2)
+        two = tracer.channel(tx_m).cfr
+    finally:
+        use_threads(before)
+    return float(np.abs(one - two).max())

@@ -1,0 +1,224 @@
+"""Commands about scenes and data sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from xfreqbench.cli.options import (
+    Executor,
+    Freqs,
+    Output,
+    Quiet,
+    app,
+    parse_carriers_hz,
+    progress_bars,
+    say,
+    say_written,
+)
+from xfreqbench.errors import XFreqBenchError
+
+Solver = Annotated[
+    Literal["auto", "image", "sionna"],
+    Parameter(
+        help="image: the exact image method, for planar facets; sionna: Sionna RT, for every scene; auto: image where "
+        "it can trace the scene, else sionna."
+    ),
+]
+Interactions = Annotated[
+    str, Parameter(help="Comma-separated, of: specular, refraction, diffraction, diffuse.")
+]
+DEFAULT_INTERACTIONS = "specular,refraction"
+
+
+@app.command
+def scenes(
+    *,
+    schema: Annotated[
+        bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")
+    ] = False,
+) -> None:
+    """List the scenes that ship with the toolkit."""
+    import json
+
+    from xfreqbench.scene.model import scene_schema, shipped_scenes
+
+    if schema:
+        print(json.dumps(scene_schema(), indent=2))
+        return
+    for name, description in shipped_scenes().items():
+        print(f"{name:12} {description}")
+
+
+@app.command
+def generate(
+    scene: str = "office",
+    *,
+    output: Output,
+    freqs: Freqs = "paper",
+    tx: Annotated[
+        int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")
+    ] = None,
+    tx_positions: Annotated[
+        Path | None,
+        Parameter(help="CSV of x,y,z in metres, one transmitter a line, instead of the scene's grid."),
+    ] = None,
+    solver: Solver = "auto",
+    interactions: Interactions = DEFAULT_INTERACTIONS,
+    rays: Annotated[int, Parameter(help="Rays that look for paths.")] = 500_000,
+    max_depth: Annotated[
+        int, Parameter(help="Most interactions of a path, reflections and transmissions together.")
+    ] = 6,
+    seed: Annotated[int, Parameter(help="Seed of the rays and of the choice of transmitters.")] = 1,
+    pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
+    materials: Annotated[
+        Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
+    ] = "error",
+    maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    executor: Executor = "serial",
+    dry_run: Annotated[
+        bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Trace a scene and write its channels and power angular spectra to an HDF5 file.
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.data.generate import estimate_seconds, generate_planned
+    from xfreqbench.data.plan import plan_generation
+    from xfreqbench.scene.model import load_scene
+    from xfreqbench.system.workers import open_workers
+    from xfreqbench.tracing.solvers import interactions_named
+    from xfreqbench.tracing.tracer import TraceSettings
+
+    if tx is not None and tx_positions is not None:
+        raise XFreqBenchError(
+            "--tx chooses from the scene's grid and --tx-positions replaces it; give one of them."
+        )
+    settings = TraceSettings(
+        solver=solver,
+        interactions=interactions_named(name.strip() for name in interactions.split(",") if name.strip()),
+        max_depth=max_depth,
+        rays=rays,
+        seed=seed,
+        materials=materials,
+    )
+    plan = plan_generation(
+        load_scene(scene),
+        parse_carriers_hz(freqs),
+        settings,
+        num_transmitters=tx,
+        tx_position_m=_read_positions(tx_positions),
+        pas_kind=pas_kind,
+        maps=maps,
+    )
+    say(plan.summary, quiet)
+    if dry_run:
+        print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
+        return
+    is_new = not output.exists()
+    with (
+        open_workers(executor) as workers,
+        progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing),
+    ):
+        generate_planned(plan, output, tracing, writing, workers)
+    say_written(output, is_new, quiet)
+
+
+def _read_positions(path: Path | None) -> Any:
+    """Positions (T, 3) in metres from a CSV file; None without a file. Raises `XFreqBenchError`."""
+    if path is None:
+        return None
+    import io
+    import warnings
+
+    import numpy as np
+
+    try:
+        text = io.StringIO(path.read_text())
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # about an empty file, which is refused later, where positions are checked
+            return np.loadtxt(text, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
+    except (OSError, ValueError) as error:
+        fault = error.strerror if isinstance(error, OSError) else error
+        raise XFreqBenchError(
+            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {fault}"
+        ) from error
+
+
+@app.command
+def info(file: Path) -> None:
+    """Print what a data set holds, and verify every byte of it against its hashes."""
+    from xfreqbench.data.dataset import verify
+    from xfreqbench.report.view.describe import describe
+
+    print(describe(file))
+    verify(file)
+    print("every hash holds")
+
+
+@app.command
+def plot(
+    file: Path,
+    *,
+    output: Output,
+    tx: Annotated[int, Parameter(help="Index of the transmitter in the data set.")] = 0,
+) -> None:
+    """Draw the power angular spectra of one transmitter at every carrier, as a PNG."""
+    import numpy as np
+
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.maps.bartlett import power_of
+    from xfreqbench.report.drawing.figures import plot_pas_maps, require_own_png
+    from xfreqbench.units import format_ghz
+
+    if output.suffix != ".png":
+        raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
+    require_own_png(output)
+    dataset = open_dataset(file)
+    if not 0 <= tx < dataset.header.num_tx:
+        raise XFreqBenchError(
+            f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for."
+        )
+    rows = np.flatnonzero(dataset.tx_index == tx)
+    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
+    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
+    say(f"wrote {output}")
+
+
+@app.command
+def view(
+    data_or_scene: str,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for page, figures and model.")],
+    tx: Annotated[
+        int | None, Parameter(help="Index of the transmitter shown; one in the middle if absent.")
+    ] = None,
+    carrier: Annotated[
+        float | None, Parameter(help="Carrier in GHz at which rays are drawn; the middle one if absent.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show a data set or a scene: a page, figures, and the scene with one transmitter's rays in 3D.
+
+    Parameters
+    ----------
+    data_or_scene
+        The path of a data set, a shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.report.view.plan import plan_view
+    from xfreqbench.report.view.write import claim, write_view
+
+    planned = plan_view(data_or_scene, tx, carrier)
+    claim(planned, output)
+    say(planned.missing or "tracing the rays of one transmitter", quiet)
+    for path in write_view(planned.with_rays(), output):
+        say(f"wrote {path}", quiet)

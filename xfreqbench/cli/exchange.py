@@ -1,0 +1,158 @@
+"""Commands that read the files of other groups, and write files for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from xfreqbench.cli.options import (
+    Output,
+    Quiet,
+    app,
+    print_table,
+    progress_bars,
+    say,
+    say_written,
+    target_carriers_hz,
+)
+
+Convention = Annotated[
+    str, Parameter(help="Whose angles, values and array: a name from `xfreqbench conventions`.")
+]
+Changed = Annotated[
+    tuple[str, ...], Parameter(name="--set", help="Change a field of the convention, as in plane=yz.")
+]
+
+
+@app.command
+def conventions() -> None:
+    """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
+    from xfreqbench.exchange.conventions import CONVENTIONS, convention_rows
+
+    print_table("", ("field", *CONVENTIONS), convention_rows())
+    for name, convention in CONVENTIONS.items():
+        print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
+
+
+@app.command(name="import")
+def import_(
+    folder: Path,
+    *,
+    output: Output,
+    convention: Convention = "wideband3dgs",
+    set_: Changed = (),
+    freq: Annotated[
+        float | None, Parameter(help="Carrier in GHz of all samples, for a folder without freq.txt.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Read a folder of PNG maps, as other groups publish theirs, into an HDF5 file without channels.
+
+    Parameters
+    ----------
+    folder
+        Holds spectrum/00001.png, …, tx_pos.csv, gateway_info.yml and mostly freq.txt.
+    """
+    from xfreqbench.exchange.conventions import convention_named
+    from xfreqbench.exchange.png_dataset import import_png_folder
+    from xfreqbench.exchange.png_folder import read_png_folder
+
+    source = read_png_folder(folder, convention_named(convention, set_), freq)
+    if source.convention.caveat:
+        say(source.convention.caveat, quiet)
+    if source.ignored:
+        say(f"{' and '.join(source.ignored)} ignored: protocols make the splits", quiet)
+    with progress_bars("transmitters", ["importing"], quiet) as (progress,):
+        is_new = import_png_folder(source, output, progress)
+    say_written(output, is_new, quiet)
+
+
+@app.command
+def export(
+    data: Path,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
+    convention: Convention,
+    set_: Changed = (),
+    quiet: Quiet = False,
+) -> None:
+    """Write a data set as a folder of PNG maps, in the layout that other groups read.
+
+    Parameters
+    ----------
+    data
+        A data set, generated or imported.
+    """
+    from xfreqbench.exchange.conventions import convention_named
+    from xfreqbench.exchange.png_dataset import export_png_folder
+
+    with progress_bars("maps", ["exporting"], quiet) as (progress,):
+        dataset = export_png_folder(data, output, convention_named(convention, set_), progress)
+    say(f"wrote {output} ({len(dataset)} maps)", quiet)
+
+
+@app.command
+def split(
+    *,
+    data: Annotated[Path, Parameter(help="Data set written by `generate` or `import`.")],
+    output: Output,
+    protocol: Annotated[
+        str, Parameter(help="lofo, sparse, held-out-tx or lofo-unseen-tx; see `run`.")
+    ] = "lofo",
+    targets: Annotated[
+        str | None,
+        Parameter(help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
+    ] = None,
+    maps: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Include the training maps, so that the data set itself need not be handed out."
+        ),
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a file with all that a method which runs elsewhere may know of each split, without any tested map."""
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.data.splits import make_splits
+    from xfreqbench.exchange.split_file import Handout, write_handout
+
+    dataset = open_dataset(data)
+    handout = Handout(dataset, make_splits(dataset, protocol, target_carriers_hz(targets)), maps)
+    with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
+        is_new = write_handout(handout, output, *bars)
+    names = ", ".join(each.name for each in handout.splits)
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    say(f"wrote {output} ({size}): {names}" if is_new else f"{output} already holds these splits", quiet)
+
+
+@app.command
+def score(
+    predictions: Path,
+    *,
+    data: Annotated[Path, Parameter(help="Data set that the splits were made from.")],
+    results: Annotated[Path, Parameter(help="Folder for the record and a copy of the predictions.")],
+    method: Annotated[
+        str | None, Parameter(help="Name on the leaderboard, instead of the one in the file.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Score maps that were predicted elsewhere in the same way as a run's, and record them, marked external.
+
+    Parameters
+    ----------
+    predictions
+        HDF5 with a group for each split: a dataset `pas` in the order of `test_row`, attributes of the split file
+        and `method`.
+    """
+    from xfreqbench.exchange.score_file import score_file
+    from xfreqbench.report.leaderboard.report import leaderboard_summary
+
+    with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
+        scored = score_file(predictions, data, results, method, checking, scoring)
+    if scored.missing:
+        say(f"not in {predictions}: {', '.join(scored.missing)}", quiet)
+    if not scored.is_data_known:
+        say(f"without dataset_sha256, {predictions} is taken to be of {data}", quiet)
+    say(f"{leaderboard_summary(scored.records)}\n\nEvery metric: xfreqbench report {results}", quiet)

@@ -1,0 +1,103 @@
+"""Commands that show what a run has learned, and what its maps lack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from xfreqbench.cli.options import Output, Quiet, app, print_table, progress_bars, say
+
+RunData = Annotated[Path, Parameter(name="--data", help="The data set that the run was on.")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RecordChoice:
+    """Which of a folder's records is meant: the newest one that fits."""
+
+    id: Annotated[
+        str | None, Parameter(name="--id", help="How the record's id begins; the newest record if absent.")
+    ] = None
+    split: Annotated[
+        str | None, Parameter(name="--split", help="Only runs on this split, as in lofo-24.25GHz.")
+    ] = None
+    seed: Annotated[int | None, Parameter(name="--seed", help="Only runs of this seed.")] = None
+
+
+NEWEST = RecordChoice()
+
+
+@app.command
+def findings(
+    results: Path,
+    *,
+    data: RunData,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for tables, figures and model.")],
+    record: RecordChoice = NEWEST,
+    quiet: Quiet = False,
+) -> None:
+    """Compare the planes, materials and images that a run found with the scene of its data.
+
+    Parameters
+    ----------
+    results
+        Folder of `run`, or its file of records.
+    """
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.report.findings.compared import ComparedFindings, choose_record
+    from xfreqbench.report.findings.write import (
+        missing_rows,
+        plane_rows,
+        small_missing,
+        write_findings,
+    )
+
+    chosen = choose_record(results, record.id, record.split, record.seed)
+    compared = ComparedFindings.of(chosen, open_dataset(data))
+    paths = write_findings(compared, output)
+    if not quiet:
+        print_table(compared.title, *plane_rows(compared))
+        print_table("Planes of the scene that were not found", *missing_rows(compared))
+    say(small_missing(compared), quiet)
+    for path in paths:
+        say(f"wrote {path}", quiet)
+
+
+@app.command
+def residual(
+    results: Path,
+    *,
+    data: RunData,
+    output: Output,
+    record: RecordChoice = NEWEST,
+    tx: Annotated[
+        int, Parameter(help="Tested transmitters, drawn at random; all where there are fewer.")
+    ] = 60,
+    quiet: Quiet = False,
+) -> None:
+    """Measure what a run's maps lack: paths at planes that it did not find, or gains of paths at those it did.
+
+    Parameters
+    ----------
+    results
+        Folder of `run`, or its file of records; the predictions lie beside the records.
+    """
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.report.findings import residual_tables as tables
+    from xfreqbench.report.findings.compared import ComparedFindings, choose_record
+    from xfreqbench.report.findings.residual import compute_residual, plan_residual
+
+    chosen = choose_record(results, record.id, record.split, record.seed)
+    compared = ComparedFindings.of(chosen, open_dataset(data))
+    plan = plan_residual(results, compared, tx)
+    tables.claim(output, chosen.id)
+    with progress_bars("transmitters", ["tracing", "scoring"], quiet) as (tracing, scoring):
+        found = compute_residual(plan, tracing, scoring)
+    tables.write_residual(found, output)
+    if not quiet:
+        print_table(compared.title, *tables.score_rows(found))
+        print_table("Where the findings leave gaps", *tables.group_rows(found))
+    say(f"{tables.note(found)}\nwrote {output}", quiet)

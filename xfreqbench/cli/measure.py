@@ -1,0 +1,138 @@
+"""Commands that measure: error against run time, savings, costs of executors, numerical stability."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from xfreqbench.cli.options import Output, Quiet, app, bench, progress_bars, say
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
+
+BenchOutput = Annotated[
+    Path | None,
+    Parameter(
+        name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."
+    ),
+]
+
+
+def _bench(
+    name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object
+) -> Any:
+    """The object that prints a command's tables and appends them to `output`, with the command line that makes them.
+
+    `kind` names the tables where a command makes several kinds. Options that are False or None are left out of the
+    command line.
+    """
+    import shlex
+
+    from xfreqbench.bench.tables import Bench
+
+    words = ["xfreqbench", "bench", name, *arguments]
+    for option, value in options.items():
+        flag = f"--{option.replace('_', '-')}"
+        words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
+    return Bench(kind or name, shlex.join(words), say, output)
+
+
+@app.command
+def stress(
+    *,
+    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="Records file that the table is appended to.")
+    ] = None,
+) -> None:
+    """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
+    from xfreqbench.bench.stress.run import stress as run_stress
+
+    if not run_stress(only, output, say):
+        sys.exit(1)
+
+
+@bench.command(name="generate")
+def bench_generate(
+    scene: str = "office",
+    *,
+    solvers: Annotated[str, Parameter(help="Comma-separated, of: image, sionna.")] = "image,sionna",
+    against_plain: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Compare the full pipeline's rate with one public PathSolver call a sample."
+        ),
+    ] = False,
+    tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; all if absent.")] = None,
+    plain_tx: Annotated[int, Parameter(help="Transmitters of the PathSolver calls, 2 to 24.")] = 12,
+    output: BenchOutput = None,
+) -> None:
+    """Print the error of generated maps against run time, relative to the stored reference."""
+    from xfreqbench.bench import solvers as convergence
+
+    if against_plain:
+        bench = _bench("generate", output, scene, kind="plain", against_plain=True, tx=tx, plain_tx=plain_tx)
+        convergence.bench_against_plain(bench, scene, tx, plain_tx)
+    else:
+        names = [name.strip() for name in solvers.split(",")]
+        for name in names:
+            if name not in ("image", "sionna"):
+                raise UnknownNameError("solver", name, ("image", "sionna"))
+        bench = _bench("generate", output, scene, solvers=",".join(names))
+        convergence.bench_generate(bench, scene, names)
+
+
+@bench.command(name="render")
+def bench_render(
+    *,
+    gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, comma-separated.")] = "1000,4000,16000",
+    batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated.")] = "1,8,32",
+    step: Annotated[bool, Parameter(help="Also take the training step of xfreq-gs apart.")] = True,
+    output: BenchOutput = None,
+) -> None:
+    """Print the speed of splatting and training, with errors, against dense rendering."""
+    from xfreqbench.bench import rendering
+
+    numbers = _counts("--gaussians", gaussians), _counts("--batch", batch)
+    bench = _bench("render", output, gaussians=gaussians, batch=batch, no_step=not step)
+    rendering.bench_render(bench, *numbers, step)
+
+
+@bench.command(name="savings")
+def bench_savings(*, output: BenchOutput = None) -> None:
+    """Print the time of every saving of generator, renderer and training, off and on, and what it changes."""
+    from xfreqbench.bench import savings as efficiency
+
+    efficiency.bench_savings(_bench("savings", output))
+
+
+@bench.command(name="scale-out")
+def bench_scale_out(
+    *,
+    tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64,
+    output: BenchOutput = None,
+) -> None:
+    """Print the time of the same work on processes and clusters, and an estimate for up to a million transmitters."""
+    from xfreqbench.bench import executors as scale_out
+
+    scale_out.bench_scale_out(_bench("scale-out", output, tx=tx), tx)
+
+
+def _counts(option: str, text: str) -> list[int]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and len(part) < 10 and int(part) > 0 for part in parts):
+        raise XFreqBenchError(f"{option} takes whole numbers from 1 on, as in 1,8,32, but got {text!r}.")
+    return [int(part) for part in parts]
+
+
+@bench.command(name="reference")
+def bench_reference(scene: str = "office", *, output: Output | None = None, quiet: Quiet = False) -> None:
+    """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run goes on where it was."""
+    from xfreqbench.bench.reference import make_reference, reference_path
+    from xfreqbench.scene.model import load_scene
+
+    path = output or reference_path(scene)
+    with progress_bars("calls", [f"reference of {scene}"], quiet) as (progress,):
+        make_reference(load_scene(scene), path, progress)
+    say(f"wrote {path}", quiet)

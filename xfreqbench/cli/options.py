@@ -1,0 +1,109 @@
+"""What all commands share: the two apps, common options, comma-separated carriers, progress bars and printing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from xfreqbench.errors import XFreqBenchError
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+app = App(
+    name="xfreqbench",
+    help="How well does a radiance-field method predict channels at carriers it was never trained on?",
+    suppress_keyboard_interrupt=False,
+)
+bench = App(name="bench", help="Measure accuracy against time; every table names its machine.")
+app.command(bench)
+
+Freqs = Annotated[
+    str, Parameter(help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.")
+]
+Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
+Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
+Executor = Annotated[
+    str,
+    Parameter(
+        help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster."
+    ),
+]
+_PIPED_WIDTH = 160  # columns of text for a table that goes to a file or another program
+
+
+def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:
+    """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises `XFreqBenchError` that names `option`."""
+    if freqs.strip() == "paper":
+        return [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
+    try:
+        return [ghz_to_hz(float(part)) for part in freqs.split(",")]
+    except (ValueError, OverflowError) as error:
+        raise XFreqBenchError(
+            f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
+        ) from error
+
+
+def target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
+    """Held-out carriers in hertz from text such as `2.4,77`, in GHz; `all` and None stay. Raises `XFreqBenchError`."""
+    if targets is None:
+        return None
+    return "all" if targets == "all" else parse_carriers_hz(targets, "--targets")
+
+
+@contextmanager
+def progress_bars(unit: str, stages: list[str], quiet: bool) -> Iterator[list[Callable[[int, int], None]]]:
+    """Show a bar for each stage on stderr, with rate and remaining time; yields a callback(done, total) for each."""
+    if quiet:
+        yield [lambda done, total: None for _ in stages]
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    counts = (
+        MofNCompleteColumn(),
+        TextColumn(unit + " {task.fields[rate]}"),
+        TimeElapsedColumn(),
+        Remaining(),
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), *counts)
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        yield [_driver(progress, progress.add_task(stage, total=None, rate="")) for stage in stages]
+
+
+def _driver(progress: Any, task: Any) -> Callable[[int, int], None]:
+    def update(done: int, total: int) -> None:
+        speed = progress.tasks[task].speed
+        progress.update(task, completed=done, total=total, rate=f"{speed:.3g}/s" if speed else "")
+
+    return update
+
+
+def say(text: str, quiet: bool = False) -> None:
+    """Print a text at once, unless `quiet`."""
+    if not quiet:
+        print(text, flush=True)
+
+
+def say_written(output: Path, is_new: bool, quiet: bool) -> None:
+    """Say that a data set was written, with its size, or that it was there already."""
+    size = f"{output.stat().st_size / 1e6:.1f} MB"
+    say(f"wrote {output} ({size})" if is_new else f"{output} already holds this data set", quiet)
+
+
+def print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    """Print a table as wide as the terminal."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left")
+    for name in header:
+        table.add_column(Text(name))
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH).print(table)

@@ -1,0 +1,241 @@
+"""Commands that run methods and report on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from xfreqbench.cli.options import Executor, Output, Quiet, app, progress_bars, say, target_carriers_hz
+from xfreqbench.errors import XFreqBenchError
+
+
+@app.command
+def methods() -> None:
+    """List the installed methods."""
+    from xfreqbench.methods.registry import method_summaries
+
+    for name, summary in method_summaries().items():
+        print(f"{name:22} {summary}")
+
+
+@app.command(name="check-method")
+def check_method(
+    method: str,
+    *,
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+) -> None:
+    """Try every part of a method's contract on a small data set, in seconds.
+
+    Parameters
+    ----------
+    method
+        An installed method's name, or package.module:Class.
+    """
+    from xfreqbench.errors import MethodError
+    from xfreqbench.methods.check import check_method as results_of
+
+    results = results_of(method, set_)
+    for result in results:
+        print(result)
+    num_faults = sum(result.is_fault for result in results)
+    if num_faults:
+        raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
+
+
+@app.command
+def run(
+    *,
+    data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
+    results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
+    method: Annotated[
+        str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
+    ] = "all",
+    protocol: Annotated[
+        str,
+        Parameter(
+            help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
+            "transmitters; lofo-unseen-tx: both unseen."
+        ),
+    ] = "lofo",
+    targets: Annotated[
+        str | None,
+        Parameter(
+            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default "
+            "2.4,24.25,77."
+        ),
+    ] = None,
+    seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
+    budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
+    ] = "cpu",
+    set_: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+    ] = (),
+    executor: Executor = "serial",
+    quiet: Quiet = False,
+) -> None:
+    """Fit methods on a protocol's training rows, store their predictions and score them.
+
+    A killed run goes on where it stopped, in mid-fit too.
+    """
+    from xfreqbench.methods.contract import parse_budget
+    from xfreqbench.methods.registry import device_option, method_names
+    from xfreqbench.report.leaderboard.report import leaderboard_summary
+    from xfreqbench.runs.protocol import protocol_jobs
+    from xfreqbench.runs.run import run_jobs
+
+    names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
+    overrides = {name: (*set_, *device_option(name, device)) for name in names}
+    targets_hz = target_carriers_hz(targets)
+    jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget))
+    if executor == "serial":
+        with _run_bars(f"{protocol} on {data.name}", quiet) as (progress, fitting):
+            records = run_jobs(jobs, results, progress, fitting)
+    else:
+        records = _run_on_workers(executor, jobs, results, quiet)
+    say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
+
+
+def _run_on_workers(executor: str, jobs: list[Any], results: Path, quiet: bool) -> list[Any]:
+    """Run jobs on workers and return their records; raises `XFreqBenchError` naming the jobs that failed."""
+    from xfreqbench.runs.on_workers import run_on
+    from xfreqbench.system.workers import open_workers
+
+    with open_workers(executor, is_fresh=True) as workers, progress_bars("done", ["runs"], quiet) as (bar,):
+        outcome = run_on(workers, jobs, results, lambda done, total, job: bar(done, total))
+    _raise_failures(outcome.failures, "runs")
+    return outcome.records
+
+
+def _raise_failures(failures: list[str], what: str) -> None:
+    if failures:
+        number = f"{len(failures)} of its {what} failed; the same command tries them again."
+        raise XFreqBenchError("\n".join([number, *failures]))
+
+
+def _seeds(text: str) -> list[int]:
+    """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
+        raise XFreqBenchError(
+            f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
+        )
+    return list(dict.fromkeys(map(int, parts)))
+
+
+@contextmanager
+def _run_bars(title: str, quiet: bool) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
+    """A bar of the runs and one of the fit at hand, driven by the two callbacks of `run_jobs`."""
+    if quiet:
+        yield (lambda done, total, record: None), (lambda job, fit: None)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}")
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        runs = progress.add_task(title, total=None, state="")
+        steps = progress.add_task("fitting", total=None, state="")
+
+        def finished(done: int, total: int, record: Any) -> None:
+            progress.update(runs, completed=done, total=total, state=f"{done}/{total} runs")
+
+        def fitting(job: Any, fit: Any) -> None:
+            state = (
+                f"step {fit.step:,}, loss {fit.loss:.4g}, {fit.seconds:.0f} s, {fit.share:.0%} of the budget"
+            )
+            progress.update(
+                steps,
+                description=f"fitting {job.method} {job.split}",
+                completed=fit.share,
+                total=1 if fit.share else None,  # without a budget nobody knows when it ends
+                state=state if fit.share else state.rpartition(", ")[0],
+            )
+
+        yield finished, fitting
+
+
+@app.command
+def benchmark(
+    *,
+    preset: Annotated[
+        str, Parameter(help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores.")
+    ] = "standard",
+    data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
+        "data"
+    ),
+    results: Annotated[
+        Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")
+    ] = None,
+    device: Annotated[
+        Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
+    ] = "cpu",
+    executor: Annotated[
+        str | None,
+        Parameter(
+            help="serial: one run after the other; 4: as many processes here; dask://host:8786: workers of a cluster, "
+            "which generate the data too; a process a core if absent, or one for a GPU."
+        ),
+    ] = None,
+    dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole benchmark: data sets, every run side by side, measurements, report.
+
+    It prints what it takes before it starts; interrupted or killed, the same command goes on.
+    """
+    from xfreqbench.runs import benchmark as benchmarks
+    from xfreqbench.system.workers import open_workers
+
+    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
+    with benchmarks.run_workers(planned, executor) as workers:
+        say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
+    if dry_run:
+        return
+    with progress_bars("done", [*planned.scenes, "runs"], quiet) as (*tracing, runs):
+        by_scene = dict(zip(planned.scenes, tracing, strict=True))
+        with open_workers(executor or "serial") as workers:
+            benchmarks.generate_data(
+                planned, lambda scene, done, total: by_scene[scene](done, total), workers
+            )
+        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total), executor)
+    for name in planned.missing_benches():
+        failures += benchmarks.measure(planned, name)
+    if not failures:
+        benchmarks.record_contents(planned)
+    folder = planned.results_dir
+    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
+    _raise_failures(failures, "parts")
+
+
+@app.command
+def report(
+    results: Path,
+    *,
+    output: Output = Path("BENCHMARK.md"),
+    html: Annotated[
+        Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Rebuild the leaderboard from the records of a results folder, offline."""
+    from xfreqbench.report.leaderboard.report import write_report
+
+    written = write_report(results, output)
+    for path in written.paths:
+        say(f"wrote {path}", quiet)
+    if written.num_truncated:
+        say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
+    if html is not None:
+        from xfreqbench.report.leaderboard.page import write_page
+
+        say(f"wrote {write_page(results, html)}", quiet)

@@ -1,0 +1,320 @@
+"""Reads data sets (schema `xfreqbench/pas/1`): what is small at once, maps when they are asked for.
+
+A generated data set stores channels, and beside them the maps that are derived from them. A data set that others
+published as maps alone has no channels, and is read in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from xfreqbench.data.hdf5 import (
+    Variable,
+    open_sealed,
+    read_array,
+    read_errors,
+    require_layout,
+    sealed_sha256,
+    text_attributes,
+    verify_sealed,
+)
+from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
+from xfreqbench.errors import DataError
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.system.files import require_own
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_ghz_list
+
+Rows = slice | Sequence[int] | NDArray[Any]  # of numbers, or a mask
+_ITERATED_MAPS = 64  # read at once: 8 MB
+_SHOWN_CARRIERS = 12
+
+
+class Sample(NamedTuple):
+    """One sample of a data set: the map (peak 1) of one transmitter at one carrier."""
+
+    map: Float[NDArray[np.float32], "E A"]
+    tx_position_m: Float[FloatArray, "3"]
+    carrier_hz: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PasDataset:
+    """N samples (transmitter, carrier) of a data set: all of it, or a subset.
+
+    `dataset[7]` is a `Sample`, and so is what iteration yields; a slice, whole numbers or a mask give a subset,
+    which is a `PasDataset` too. `rows` are the numbers of the samples in the whole data set: a sample's row is
+    tx_index · F + carrier index, where F is the number of carriers. Maps stay on disk until they are asked for, or
+    are derived from the channels where none are stored. A data set is pickled as its path and rows.
+    """
+
+    path: Path
+    header: DatasetHeader
+    sha256: str
+    beam: BartlettBeam
+    tables: Mapping[str, NDArray[Any]]
+    rows: Int[IntArray, "N"]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, rows: int | np.integer) -> Sample: ...
+
+    @overload
+    def __getitem__(self, rows: Rows) -> PasDataset: ...
+
+    def __getitem__(self, rows: int | np.integer | Rows) -> Sample | PasDataset:
+        """A sample by its number (negative ones count from the end), or a subset; raises `IndexError`."""
+        if not isinstance(rows, int | np.integer):
+            return self.subset(rows)
+        one = self.subset([int(rows)])
+        return Sample(one.pas()[0], one.tx_position_m[0], float(one.carrier_hz[0]))
+
+    def __iter__(self) -> Iterator[Sample]:
+        for rows, maps in self.batches(_ITERATED_MAPS):
+            yield from map(Sample, maps, self.tx_position_m[rows], self.carrier_hz[rows].tolist())
+
+    def __repr__(self) -> str:
+        facts = [f"{name:9} {fact}" for name, fact in self._facts().items()]
+        return "\n".join([f"PasDataset {str(self.path)!r}", *facts])
+
+    def _repr_html_(self) -> str:
+        """The same as `repr`, as a table for notebooks."""
+        facts = {"data set": str(self.path), **self._facts()}
+        rows = [f"<tr><th>{escape(name)}</th><td>{escape(fact)}</td></tr>" for name, fact in facts.items()]
+        return f"<table>{''.join(rows)}</table>"
+
+    def _facts(self) -> dict[str, str]:
+        header, num_samples = self.header, self.header.num_tx * self.num_carriers
+        carriers_hz = header.carrier_hz.tolist()
+        shown = carriers_hz if len(carriers_hz) <= _SHOWN_CARRIERS else carriers_hz[:_SHOWN_CARRIERS]
+        more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
+        elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
+        subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
+        return {
+            "scene": f"{header.scene_name!r}, {header.num_tx} transmitters × {self.num_carriers} carriers",
+            "carriers": format_ghz_list(shown) + more,
+            "maps": f"{header.pas_kind}, {self.grid.shape[0]} elevations × {self.grid.shape[1]} azimuths",
+            "channels": elements,
+            **subset,
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return reopen, (str(self.path), self.sha256, self.rows)
+
+    @property
+    def grid(self) -> AngularGrid:
+        """Directions of the maps, as they are stored."""
+        return self.beam.grid
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was traced; raises `DataError` where none is stored, as in maps that others published.
+
+        The folder of its Mitsuba meshes is not stored: `replace(scene, folder=...)` says where they are.
+        """
+        try:
+            return TypeAdapter(Scene).validate_json(self.header.scene_json)
+        except ValidationError as error:
+            raise DataError(
+                f"{self.path} does not say which scene it was traced in, as data that others published. Use a "
+                "data set that was generated."
+            ) from error
+
+    @property
+    def trace_settings(self) -> TraceSettings:
+        """What was asked of the rays; raises `DataError` where not all of it is stored."""
+        try:
+            told = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
+            return TypeAdapter(TraceSettings).validate_python(told)
+        except (KeyError, ValidationError) as error:
+            raise DataError(f"{self.path} does not say how it was traced. Generate it anew.") from error
+
+    @property
+    def num_carriers(self) -> int:
+        """Number of carriers F of the whole data set."""
+        return len(self.header.carrier_hz)
+
+    @cached_property
+    def tx_index(self) -> Int[IntArray, "N"]:
+        """Index of each sample's transmitter in the whole data set."""
+        return self.rows // self.num_carriers
+
+    @cached_property
+    def tx_position_m(self) -> Float[FloatArray, "N 3"]:
+        """Transmitter position of each sample in the world, in metres."""
+        return self.tables["tx_position_m"][self.tx_index]
+
+    @cached_property
+    def carrier_hz(self) -> Float[FloatArray, "N"]:
+        """Carrier of each sample in hertz."""
+        return self.header.carrier_hz[self.rows % self.num_carriers]
+
+    @cached_property
+    def line_of_sight(self) -> Bool[NDArray[np.bool_], "N"]:
+        """Whether nothing stands between the transmitter of each sample and the array centre."""
+        return self.tables["line_of_sight"][self.tx_index].astype(bool)
+
+    @cached_property
+    def peak_power(self) -> Float[FloatArray, "N"]:
+        """Peak power that each map was divided by; 0 where no path arrives, and 1 where it is not known."""
+        return self._samples("peak_power")
+
+    @cached_property
+    def has_path(self) -> Bool[NDArray[np.bool_], "N"]:
+        """Whether any path arrives; without one the map is all zeros, and is neither trained on nor tested."""
+        return self.peak_power > 0
+
+    @cached_property
+    def num_paths(self) -> Int[NDArray[np.int32], "N"]:
+        """Number of paths that reach at least one element; −1 where it is not known."""
+        return self._samples("num_paths")
+
+    @cached_property
+    def cfr(self) -> Complex[NDArray[np.complex64], "N M"]:
+        """Channel of each sample at the array's elements (Eq. 1); raises `DataError` for a data set of maps alone."""
+        if not self.header.channels:
+            raise DataError(
+                f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated."
+            )
+        return self._samples("cfr")
+
+    def pas(self, rows: Rows = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
+        """Maps of some samples, with peak 1; raises `DataError`. A map takes 130 kB of memory: see `batches`."""
+        rows = self._checked(rows)
+        if not self.header.maps:
+            return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
+        asked = self.rows[rows].tolist()
+        maps = np.empty((len(asked), *self.grid.shape), np.float32)
+        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, "dataset 'pas'"):
+            stored = file["pas"]
+            for index, row in enumerate(asked):
+                maps[index] = stored[divmod(row, self.num_carriers)]
+        return maps
+
+    def batches(self, size: int) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
+        """The numbers of all samples and their maps, `size` at a time."""
+        for start in range(0, len(self), size):
+            rows = np.arange(start, min(start + size, len(self)))
+            yield rows, self.pas(rows)
+
+    def subset(self, rows: Rows) -> PasDataset:
+        """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
+        return replace(self, rows=self.rows[self._checked(rows)])
+
+    def isolated(self) -> PasDataset:
+        """The same samples, with the channels of all others set to zero: what a method is given to train on."""
+        tables = dict(self.tables)
+        for name in self.tables.keys() & {"cfr", "peak_power", "num_paths"}:
+            samples = tables[name].reshape(-1, *tables[name].shape[2:])
+            kept = np.zeros_like(samples)
+            kept[self.rows] = samples[self.rows]
+            tables[name] = kept.reshape(tables[name].shape)
+        return replace(self, tables=tables)
+
+    def _checked(self, rows: Rows) -> slice | NDArray[Any]:
+        """Numbers of samples, or a mask of all; raises `IndexError` that says what there is."""
+        if isinstance(rows, slice):
+            return rows
+        numbers = np.asarray(rows) if len(rows) else np.zeros(0, np.int64)
+        is_mask = numbers.dtype == bool and numbers.shape == (len(self),)
+        if is_mask or not numbers.size:
+            return numbers
+        if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
+            raise IndexError(
+                f"Samples are chosen by whole numbers of shape (n,), or by a mask of shape ({len(self)},), but got "
+                f"{numbers.dtype} of shape {numbers.shape}."
+            )
+        beyond = numbers[(numbers < -len(self)) | (numbers >= len(self))]
+        if beyond.size:
+            there = f"samples 0 to {len(self) - 1}" if len(self) else "no samples"
+            raise IndexError(f"There are {there}, but {beyond[0]} is asked for.")
+        return numbers
+
+    def _samples(self, name: str) -> NDArray[Any]:
+        table = self.tables[name]
+        return table.reshape(-1, *table.shape[2:])[self.rows]
+
+
+def open_dataset(path: str | Path) -> PasDataset:
+    """All samples of a data set; raises `DataError` for a file that is missing, damaged or no data set."""
+    path = Path(path)
+    with open_sealed(path, SCHEMA) as file:
+        header = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
+        grid = AngularGrid(
+            *(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth"))
+        )
+        require_layout(file, variables(header, grid))
+        names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
+        tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
+        beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
+        angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
+        elements = {"element_position_wavelengths": beam.element_position_wavelengths}
+        _require_meaning({CARRIER: header.carrier_hz, **angles, **elements, **tables})
+        rows = np.arange(tables["peak_power"].size, dtype=np.int64)
+        return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows)
+
+
+def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
+    for name, values in tables.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"dataset {name!r} holds numbers that are not finite")
+    if not (np.diff(tables[CARRIER], prepend=0) > 0).all():
+        raise ValueError(f"dataset {CARRIER!r} holds {tables[CARRIER]}; carriers ascend from above 0")
+    if (np.abs(tables["tx_position_m"]) > FAR_M).any():
+        raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
+
+
+def reopen(path: str, sha256: str, rows: Rows) -> PasDataset:
+    """The rows of a data set that was pickled; raises `DataError` if the file has changed since."""
+    dataset = open_dataset(path)
+    if dataset.sha256 != sha256:
+        raise DataError(f"{path} is another data set than before: its sha256 was {sha256}.")
+    return dataset.subset(rows)
+
+
+def verify(path: str | Path) -> None:
+    """Compare every byte of a data set with its hashes, and raise `DataError` naming the first damaged part."""
+    verify_sealed(Path(path), SCHEMA)
+
+
+def holds_same_job(path: Path, sha256: str, kind: str) -> bool:
+    """Whether `path` holds the whole data set whose `DatasetHeader.job_sha256` is `sha256`; False if it is absent.
+
+    Raises `OutputExistsError` for another file; `kind` is what its message calls the data set.
+    """
+
+    def fault_of(file: Path) -> str | None:
+        try:
+            verify(file)
+            existing = open_dataset(file)
+        except DataError as error:
+            return f"holds no data set that can be read: {error}"
+        header = existing.header
+        if header.job_sha256(existing.tables["tx_position_m"]) == sha256:
+            return None
+        content = f"{header.scene_name}, {header.num_tx} transmitters, settings {header.settings}"
+        return f"holds another {kind} ({content})"
+
+    return require_own(path, fault_of)
+
+
+def geometry(dataset: PasDataset) -> list[tuple[Variable, NDArray[Any]]]:
+    """Axes, grid and receiver as a data set stores them, each variable with its values: what every method may know."""
+    known = constants(dataset.header, dataset.grid)
+    every = variables(dataset.header, dataset.grid)
+    return [(each, known[each.name]) for each in every if each.name in known.keys() - {TX, CARRIER}]

@@ -1,0 +1,148 @@
+"""Generates a data set: plan → tracer → batches → maps → writer, each entered once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.data.batches import BatchStore
+from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
+from xfreqbench.data.plan import Plan, Tracing, plan_generation
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import ClusterError
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system.cluster import differences
+from xfreqbench.system.files import require_space
+from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
+from xfreqbench.tracing.versions import software_versions
+from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+
+def generate(
+    scene: str | Scene,
+    path: str | Path,
+    freqs_ghz: Sequence[float] = PAPER_CARRIERS_GHZ,
+    *,
+    num_transmitters: int | None = None,
+    tx_position_m: Float[FloatArray, "T 3"] | None = None,
+    settings: TraceSettings = TraceSettings(),
+    pas_kind: str = "power",
+    maps: bool = True,
+    executor: str = SERIAL,
+) -> PasDataset:
+    """Trace a scene at some carriers, write channels and maps to the file `path`, and open it.
+
+    `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. See `plan_generation` for the
+    transmitters, `pas_kind` and `maps`, and `generate_planned` for what happens where `path` exists. `executor` is
+    `serial`, a number of processes, or `dask://host:port`. Raises `XFreqBenchError`, before the first ray where
+    that is possible.
+    """
+    plan = plan_generation(
+        load_scene(scene) if isinstance(scene, str) else scene,
+        [ghz_to_hz(carrier) for carrier in freqs_ghz],
+        settings,
+        num_transmitters=num_transmitters,
+        tx_position_m=tx_position_m,
+        pas_kind=pas_kind,
+        maps=maps,
+    )
+    with open_workers(executor) as workers:
+        return open_dataset(generate_planned(plan, Path(path), workers=workers))
+
+
+def generate_planned(
+    plan: Plan,
+    path: Path,
+    progress: ProgressCallback = ignore_progress,
+    write_progress: ProgressCallback = ignore_progress,
+    workers: Workers = HERE,
+) -> Path:
+    """Trace every transmitter of a plan, then write the data set; a killed run goes on where it stopped.
+
+    `progress` and `write_progress` are told, for either stage, how many transmitters are done and how many there
+    are. `workers` trace; the file is written in this process, and is the same whoever traced.
+
+    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. An output that
+    already holds this job is left as it is. Raises `OutputExistsError` for one that holds another,
+    `StorageError` where there is no room, and `ClusterError` for workers whose solvers differ, or that die.
+    """
+    num_tx = len(plan.tx_position_m)
+    if holds_same_job(path, plan.sha256, "job"):
+        progress(num_tx, num_tx)
+        write_progress(num_tx, num_tx)
+        return path
+    require_space(path, plan.num_bytes)
+    _require_same_software(plan, workers)
+    store = BatchStore(path.with_name(path.name + ".parts"), plan)
+    _trace_missing(plan, store, progress, workers)
+    _write(plan, store, path, write_progress)
+    store.remove()
+    return path
+
+
+def _require_same_software(plan: Plan, workers: Workers) -> None:
+    for worker, software in workers.ask(software_versions, plan.settings.solver).items():
+        differing = differences(plan.header.software, software)
+        if differing:
+            raise ClusterError(
+                f"Worker {worker} traces with other software: {differing}. Install the same versions on both."
+            )
+
+
+def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, workers: Workers) -> None:
+    missing = store.missing()
+    done = len(plan.tx_position_m) - sum(rows.stop - rows.start for _, rows in missing)
+    report(done, len(plan.tx_position_m))
+    batches = ((index, plan.tx_position_m[rows]) for index, rows in missing)
+    try:
+        for (index, tx), traced in side_by_side(workers, partial(_traced, plan.tracing), batches, ahead=1):
+            store.write(index, traced.result())
+            done += len(tx)
+            report(done, len(plan.tx_position_m))
+    finally:
+        _tracer.cache_clear()  # in this process; in a worker it stays for the next batch
+
+
+def _traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
+    """Channel of a batch of transmitters; this is the call that workers make."""
+    _, tx_position_m = batch
+    return _tracer(tracing).channel(tx_position_m)
+
+
+@lru_cache(maxsize=1)
+def _tracer(tracing: Tracing) -> Tracer:
+    """The tracer of a job, whose rays are shot once in each process."""
+    return make_tracer(tracing.scene, tracing.carrier_hz, tracing.settings, tracing.geometry())
+
+
+def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback) -> None:
+    """Derive the maps of each batch, and write it."""
+    beam = BartlettBeam(plan.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+    with PasWriter(path, plan.header) as writer:
+        for index, rows in enumerate(plan.batches):
+            channel = store.read(index)
+            samples = SampleBlock.of_channels(channel.cfr, channel.num_paths, beam, plan.header.pas_kind)
+            writer.append(plan.tx_position_m[rows], plan.line_of_sight[rows], samples)
+            report(rows.stop, len(plan.tx_position_m))
+
+
+def estimate_seconds(plan: Plan, probes: int = 4) -> float:
+    """Time in seconds that the job will take here, estimated by tracing a few of its transmitters."""
+    start = time.perf_counter()
+    tracer = make_tracer(plan.scene, plan.tracing.carrier_hz, plan.settings, plan.geometry)
+    spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
+    tracer.channel(plan.tx_position_m[spread[:1]])  # compiles
+    shot = time.perf_counter()
+    tracer.channel(plan.tx_position_m[spread])
+    per_transmitter = (time.perf_counter() - shot) / probes
+    return shot - start + per_transmitter * len(plan.tx_position_m)

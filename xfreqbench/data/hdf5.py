@@ -1,0 +1,320 @@
+"""Sealed HDF5 files: written once and atomically, with a sha256 over every byte of data and header.
+
+This is the only module that imports h5py. Metadata are in HDF5's checksummed format (1.10). Text has a fixed length,
+because HDF5 keeps texts of variable length in a heap without checksums, where one flipped bit can send it into an
+endless loop. A trailer behind HDF5's last byte holds the sha256 of all bytes before it. There are no time stamps, so
+that equal content gives equal files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from xfreqbench.errors import DataError
+from xfreqbench.system.files import atomic_path, storage_errors
+
+_METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
+_BLOCK_BYTES = 1 << 25
+_SEAL = "data_sha256"
+_TRAILER = b"xfreqbench sha256 "
+_TRAILER_BYTES = len(_TRAILER) + 64
+_READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
+_MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: the limit of deflate
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One HDF5 dataset: name, type, shape, names of its axes, unit, description, and chunk if it is stored in chunks.
+
+    A variable whose only axis has its own name is the coordinate of that axis. A name may begin with a group, as in
+    `lofo-77GHz/train_row`; the names of the axes then begin with it too.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    axes: tuple[str, ...]
+    units: str
+    long_name: str
+    chunk: tuple[int, ...] | None = None
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the data in bytes."""
+        return prod(self.shape) * np.dtype(self.dtype).itemsize
+
+
+class SealedWriter:
+    """Fills the variables of a file row by row, and hashes what it writes."""
+
+    def __init__(self, file: Any, path: Path, variables: Sequence[Variable]) -> None:
+        self._file = file
+        self._path = path
+        self._variables = {variable.name: variable for variable in variables}
+        self._num_rows = dict.fromkeys(self._variables, 0)
+        for variable in variables:
+            _create(file, variable)
+        for variable in variables:
+            _attach_axes(file, variable)
+        self._digests = {name: _description_digest(file[name]) for name in self._variables}
+
+    def append(self, name: str, rows: NDArray[Any]) -> None:
+        """Write the next rows of a variable; raises `DataError` where they do not fit and `StorageError`."""
+        variable, start = self._variables[name], self._num_rows[name]
+        rows = np.ascontiguousarray(rows, dtype=variable.dtype)
+        if rows.shape[1:] != variable.shape[1:] or start + len(rows) > variable.shape[0]:
+            raise DataError(
+                f"{name!r} has shape {variable.shape} and holds {start} rows; rows of shape {rows.shape} "
+                "do not fit."
+            )
+        with storage_errors(self._path, variable.num_bytes):
+            self._file[name][start : start + len(rows)] = rows
+        self._digests[name].update(rows.data.cast("B") if rows.size else b"")
+        self._num_rows[name] += len(rows)
+
+    def seal(self) -> None:
+        """Store the hashes; raises `DataError` where rows are missing."""
+        for name, variable in self._variables.items():
+            if self._num_rows[name] != variable.shape[0]:
+                raise DataError(f"{name!r} got {self._num_rows[name]} of its {variable.shape[0]} rows.")
+        for name, digest in self._digests.items():
+            _set_texts(self._file[name], {"sha256": digest.hexdigest()})
+        _set_texts(self._file, {_SEAL: _seal_of(self._file)})
+
+
+@contextmanager
+def create_sealed(
+    path: Path,
+    variables: Sequence[Variable],
+    attributes: Mapping[str, str],
+    groups: Mapping[str, Mapping[str, str]] | None = None,
+) -> Iterator[SealedWriter]:
+    """Write a sealed file: a context manager. The file appears at `path`, whole, when the block ends.
+
+    `groups` are the attributes of the groups that variables are in, by the group's name. Raises `StorageError`.
+    """
+    num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
+    with atomic_path(path, num_bytes) as temporary:
+        with storage_errors(path, num_bytes):
+            file = h5py.File(temporary, "w", libver=("v110", "v110"))
+        try:
+            with storage_errors(path, num_bytes):
+                _set_texts(file, attributes)
+                for group, texts in (groups or {}).items():
+                    _set_texts(file.create_group(group), texts)
+                writer = SealedWriter(file, path, variables)
+            yield writer
+            with storage_errors(path, num_bytes):
+                writer.seal()
+                file.close()
+                _append_trailer(temporary)
+        finally:
+            with suppress(OSError, RuntimeError):  # a full disk fails here once more
+                file.close()
+
+
+@contextmanager
+def open_sealed(path: Path, schema: str) -> Iterator[Any]:
+    """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema."""
+    with read_errors(path):  # a path that is too long raises an error too
+        is_there = path.is_file()
+    if not is_there:
+        raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
+    with read_errors(path), h5py.File(path, "r") as file:
+        found = _text(file, "schema") if "schema" in file.attrs else "none"
+        if found != schema:
+            raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
+        if _SEAL not in file.attrs:
+            raise DataError(f"{path} has no {_SEAL}: it was not written to its end. Generate it again.")
+        yield file
+
+
+@contextmanager
+def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
+    """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read."""
+    try:
+        yield
+    except _READ_FAILURES as error:
+        fault = getattr(error, "strerror", None) or error
+        raise DataError(
+            f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). Generate it again."
+        ) from error
+
+
+@contextmanager
+def open_foreign(path: Path) -> Iterator[Any]:
+    """Open an HDF5 file that another program wrote, to read; raises `DataError` if it is missing or not HDF5."""
+    if not path.is_file():
+        raise DataError(f"There is no file {path}. Mend the path.")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise DataError(
+            f"{path} is not HDF5, or was not written to its end ({error.strerror or error}). Write it again with "
+            "h5py, h5write of MATLAB, or another HDF5 library."
+        ) from error
+    with file:
+        yield file
+
+
+def is_group(item: Any) -> bool:
+    """Whether an item of a file is a group, rather than a dataset."""
+    return isinstance(item, h5py.Group)
+
+
+def stands_elsewhere(group: Any, name: str) -> bool:
+    """Whether a member of a group is only a link, or a dataset whose values are kept in another dataset or file.
+
+    Reading it would read whatever file or dataset is named there.
+    """
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        return True
+    item = group[name]
+    return isinstance(item, h5py.Dataset) and bool(item.is_virtual or item.external)
+
+
+def read_array(file: Any, name: str) -> NDArray[Any]:
+    """All values of a dataset; raises `ValueError` if it is missing, or claims more bytes than the file can hold."""
+    return _dataset(file, name)[...]
+
+
+def require_layout(file: Any, variables: Sequence[Variable]) -> None:
+    """Raise `ValueError` naming the first variable that is missing, or has another type or shape in the file."""
+    for variable in variables:
+        stored = _dataset(file, variable.name)
+        if (stored.dtype, stored.shape) != (np.dtype(variable.dtype), variable.shape):
+            raise ValueError(
+                f"dataset {variable.name!r} is {stored.dtype} of shape {stored.shape}, but the header asks for "
+                f"{variable.dtype} of shape {variable.shape}"
+            )
+
+
+def _dataset(file: Any, name: str) -> Any:
+    """A dataset that the file can hold: a few damaged bytes may claim terabytes, which are not to be allocated."""
+    stored = file.get(name)
+    if not isinstance(stored, h5py.Dataset):
+        raise ValueError(f"it has no dataset {name!r}")
+    if stored.nbytes > _MOST_COMPRESSED * stored.id.get_storage_size():
+        raise ValueError(f"dataset {name!r} claims {stored.nbytes:,} bytes, more than the file can hold")
+    return stored
+
+
+def sealed_sha256(file: Any) -> str:
+    """The stored hash over all data and the header."""
+    return _text(file, _SEAL)
+
+
+def text_attributes(file: Any) -> dict[str, str]:
+    """The text attributes of a file or group, without the hash over all data."""
+    return {name: _text(file, name) for name in file.attrs if name != _SEAL}
+
+
+def verify_sealed(path: Path, schema: str) -> None:
+    """Hash every byte of a file, and raise `DataError` naming the first damaged part."""
+    with open_sealed(path, schema):
+        pass
+    if _is_whole(path):
+        return
+    with open_sealed(path, schema) as file:
+        for name in _dataset_names(file):
+            with read_errors(path, f"dataset {name!r}"):
+                if _digest_of(_dataset(file, name)) != _text(file[name], "sha256"):
+                    raise DataError(f"{path} is damaged: dataset {name!r} differs from its sha256.")
+        if _seal_of(file) != sealed_sha256(file):
+            raise DataError(f"{path} is damaged: its header attributes differ from the file's {_SEAL}.")
+    raise DataError(
+        f"{path} is damaged, or was rewritten by another program: its data are as they were, but its bytes "
+        "differ from the sha256 at its end. Generate it again."
+    )
+
+
+def _append_trailer(path: Path) -> None:
+    with path.open("r+b") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.write(_TRAILER + digest.encode())
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the trailer of a file has the hash of all bytes before it."""
+    digest, left = hashlib.sha256(), path.stat().st_size - _TRAILER_BYTES
+    with path.open("rb") as file:
+        while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+            digest.update(block)
+            left -= len(block)
+        return file.read() == _TRAILER + digest.hexdigest().encode()
+
+
+def _set_texts(owner: Any, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        content = text.encode()
+        owner.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
+
+
+def _text(owner: Any, name: str) -> str:
+    value = owner.attrs[name]
+    text = value.decode() if isinstance(value, bytes) else str(value)
+    text.encode()  # `ValueError` for bytes that are no UTF-8, which h5py lets pass
+    return text
+
+
+def _create(file: Any, variable: Variable) -> None:
+    dataset = file.create_dataset(
+        variable.name,
+        shape=variable.shape,
+        dtype=variable.dtype,
+        chunks=variable.chunk,
+        fletcher32=variable.chunk is not None,
+        track_times=False,
+    )
+    _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
+    if variable.axes == (variable.name,):
+        dataset.make_scale(variable.name.rpartition("/")[2])
+
+
+def _attach_axes(file: Any, variable: Variable) -> None:
+    if variable.axes == (variable.name,):
+        return
+    for position, axis in enumerate(variable.axes):
+        file[variable.name].dims[position].attach_scale(file[axis])
+
+
+def _description_digest(dataset: Any) -> Any:
+    """A sha256 of name, type, shape, unit and description of a dataset; its values are to be added."""
+    meaning = [_text(dataset, "units"), _text(dataset, "long_name")]
+    description = [dataset.name, dataset.dtype.str, dataset.shape, *meaning]
+    return hashlib.sha256(json.dumps(description).encode())
+
+
+def _digest_of(dataset: Any) -> str:
+    digest = _description_digest(dataset)
+    row_bytes = max(1, prod(dataset.shape[1:]) * dataset.dtype.itemsize)
+    step = max(1, _BLOCK_BYTES // row_bytes)
+    for start in range(0, dataset.shape[0], step):
+        digest.update(np.ascontiguousarray(dataset[start : start + step]).data.cast("B"))
+    return digest.hexdigest()
+
+
+def _seal_of(file: Any) -> str:
+    """A sha256 over the hashes of all datasets in sorted order, the header and the attributes of the groups."""
+    hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
+    groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
+    content = [hashes, text_attributes(file), *([groups] if groups else [])]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _dataset_names(file: Any) -> list[str]:
+    """Names of all datasets, sorted; the name of one in a group begins with the group's."""
+    names: list[str] = []
+    file.visit(names.append)
+    return sorted(name for name in names if not is_group(file[name]))

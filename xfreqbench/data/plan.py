@@ -1,0 +1,200 @@
+"""The plan of a generation: everything is looked up and checked before the first ray."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from xfreqbench.data.schema import DatasetHeader
+from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.maps.bartlett import pas_kind_named
+from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.materials import check_dispersion
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.scene.placement import (
+    Placement,
+    check_receiver,
+    check_transmitters,
+    choose_transmitters,
+    place_transmitters,
+)
+from xfreqbench.scene.visibility import sees
+from xfreqbench.tracing.solvers import resolve_solver
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.versions import software_versions
+from xfreqbench.types import FloatArray
+from xfreqbench.units import format_ghz_list
+
+BATCH = 16  # transmitters a batch: the most that a killed process has to trace again
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
+
+    `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
+    It is not pickled: another process reads the meshes itself.
+    """
+
+    scene: Scene
+    scene_sha256: str
+    carrier_hz: tuple[float, ...]
+    settings: TraceSettings
+    known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings)
+
+    def geometry(self) -> Geometry:
+        """Meshes and facets of the scene; raises `ClusterError` where a worker finds other meshes than planned."""
+        if self.known_geometry is not None:
+            return self.known_geometry
+        geometry = Geometry(surface_meshes(self.scene))
+        if meshes_sha256(geometry.meshes) != self.scene_sha256:
+            raise ClusterError(
+                f"A worker on {platform.node()} finds other meshes of scene {self.scene.name!r} in "
+                f"{self.scene.folder}. Keep them on a file system that all workers share."
+            )
+        return geometry
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked job: nothing in it can fail for a reason that is known before the first ray.
+
+    `tracing` is what workers are told, `header` what the file will say about itself.
+    """
+
+    tracing: Tracing
+    tx_position_m: Float[FloatArray, "T 3"]
+    line_of_sight: Bool[NDArray[np.bool_], "T"]
+    header: DatasetHeader
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that is traced, its folder as an absolute path."""
+        return self.tracing.scene
+
+    @property
+    def geometry(self) -> Geometry:
+        """Meshes and facets of the scene."""
+        return self.tracing.geometry()
+
+    @property
+    def settings(self) -> TraceSettings:
+        """What is asked of the rays, with the solver that serves the scene in place of `auto`."""
+        return self.tracing.settings
+
+    @property
+    def num_samples(self) -> int:
+        """Number of channels to compute: transmitters × carriers."""
+        return len(self.tx_position_m) * len(self.header.carrier_hz)
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the finished file in bytes."""
+        return self.header.num_bytes
+
+    @property
+    def summary(self) -> str:
+        """Counts and size in three lines, for a user to check before the work starts."""
+        rejected = sum(self.header.rejected.values())
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.header.rejected.items() if count)
+        return (
+            f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({self.line_of_sight.sum()} in sight) "
+            f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB\n"
+            f"solver {self.settings.solver}, {' and '.join(self.settings.interactions)}, depth "
+            f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
+            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
+        )
+
+    @cached_property
+    def sha256(self) -> str:
+        """Name of the job: two plans with the same digest give the same data."""
+        return self.header.job_sha256(self.tx_position_m)
+
+    @property
+    def batches(self) -> list[slice]:
+        """Transmitters of each batch."""
+        count = len(self.tx_position_m)
+        return [slice(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
+
+
+def plan_generation(
+    scene: Scene,
+    carrier_hz: Sequence[float],
+    settings: TraceSettings = TraceSettings(),
+    *,
+    num_transmitters: int | None = None,
+    tx_position_m: Float[FloatArray, "T 3"] | None = None,
+    pas_kind: str = "power",
+    maps: bool = True,
+) -> Plan:
+    """Check a job and look up all that it needs; no ray is shot.
+
+    The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
+    chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
+    out of the file. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
+    """
+    carriers = _checked_carriers(carrier_hz)
+    geometry = Geometry(surface_meshes(scene))
+    settings = resolve_solver(geometry, settings)
+    materials = (mesh.material for mesh in geometry.meshes)
+    extrapolated = check_dispersion(materials, carriers, settings.materials)
+    check_overlaps(geometry)
+    check_receiver(scene, geometry.meshes, min(carriers))
+    if tx_position_m is None:
+        usable = place_transmitters(scene, geometry.meshes, min(carriers))
+        placed = replace(usable, tx_position_m=choose_transmitters(usable, num_transmitters, settings.seed))
+    else:
+        check_transmitters(scene, geometry.meshes, tx_position_m, carriers)
+        placed = Placement(tx_position_m, rejected={})
+    sha256 = meshes_sha256(geometry.meshes)
+    absolute = replace(scene, folder=scene.folder.absolute())  # for workers that started in another folder
+    tracing = Tracing(absolute, sha256, tuple(carriers), settings, geometry)
+    header = _header(tracing, placed, pas_kind, maps, extrapolated)
+    in_sight = sees(geometry.meshes, placed.tx_position_m, np.asarray(scene.receiver.position_m))
+    return Plan(tracing, placed.tx_position_m, in_sight, header)
+
+
+def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:
+    """Carriers in ascending order; raises `XFreqBenchError` for one that is not positive or is given twice."""
+    carriers = [float(carrier) for carrier in carrier_hz]
+    if not carriers or not all(np.isfinite(carriers)) or min(carriers) <= 0:
+        raise XFreqBenchError(
+            f"Carriers must be positive frequencies, but {format_ghz_list(carriers)} are given."
+        )
+    if len(set(carriers)) < len(carriers):
+        raise XFreqBenchError(
+            f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice."
+        )
+    return sorted(carriers)
+
+
+def _header(
+    tracing: Tracing, placed: Placement, pas_kind: str, maps: bool, extrapolated_materials: list[str]
+) -> DatasetHeader:
+    """What the file will say about itself."""
+    settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
+    return DatasetHeader(
+        scene_name=tracing.scene.name,
+        scene_json=tracing.scene.canonical_json,
+        scene_sha256=tracing.scene_sha256,
+        receiver=tracing.scene.receiver,
+        carrier_hz=np.array(tracing.carrier_hz),
+        num_tx=len(placed.tx_position_m),
+        pas_kind=pas_kind_named(pas_kind),
+        maps=maps,
+        settings={**settings, "extrapolated_materials": extrapolated_materials},
+        software=software_versions(tracing.settings.solver),
+        rejected=placed.rejected,
+    )

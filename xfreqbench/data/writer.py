@@ -1,0 +1,108 @@
+"""Writes a data set of channels and maps, some transmitters at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.hdf5 import create_sealed
+from xfreqbench.data.schema import UNKNOWN_NUM_PATHS, DatasetHeader, constants, variables
+from xfreqbench.maps.bartlett import BartlettBeam, PasKind
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBlock:
+    """The samples of T transmitters at F carriers, as a data set stores them.
+
+    Each map has peak 1, or is zero where no path arrives. `cfr` is None for maps that came without channels.
+    """
+
+    maps: Float[NDArray[np.float32], "T F E A"]
+    peak_power: Float[FloatArray, "T F"]
+    num_paths: Int[NDArray[np.integer], "T F"]
+    cfr: Complex[NDArray[np.complex64], "T F M"] | None = None
+
+    @classmethod
+    def of_channels(
+        cls,
+        cfr: Complex[NDArray[np.complexfloating], "T F M"],
+        num_paths: Int[NDArray[np.integer], "T F"],
+        beam: BartlettBeam,
+        kind: PasKind,
+    ) -> SampleBlock:
+        """Samples of channels, with the maps (Eqs. 2–3) of the channels as they are stored, in complex64.
+
+        All maps are in memory at once: 1.3 MB a transmitter at ten carriers.
+        """
+        stored = cfr.astype(np.complex64)
+        maps, peak_power = beam.maps(stored.reshape(-1, stored.shape[-1]), kind)
+        sample_shape = stored.shape[:2]
+        return cls(
+            maps.reshape(*sample_shape, *beam.grid.shape), peak_power.reshape(sample_shape), num_paths, stored
+        )
+
+    @classmethod
+    def of_maps(
+        cls,
+        maps: Float[NDArray[np.float32], "T F E A"],
+        peak_power: Float[FloatArray, "T F"] | None = None,
+    ) -> SampleBlock:
+        """Samples of maps without channels; `peak_power` is 1 unless it is given, and 0 where the map is zero."""
+        is_heard = np.asarray(maps.any(axis=(2, 3)))
+        power = is_heard.astype(np.float64) if peak_power is None else peak_power
+        return cls(maps, power, np.where(is_heard, UNKNOWN_NUM_PATHS, 0))
+
+
+class PasWriter:
+    """Writes one data set: a context manager that takes samples in blocks and leaves a whole file, or none.
+
+    Maps are on `grid`, the hemisphere unless it is given, and are stored where the header says so. Raises
+    `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
+    where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
+    end, not before.
+    """
+
+    def __init__(self, path: Path, header: DatasetHeader, grid: AngularGrid | None = None) -> None:
+        self._header = header
+        self._grid = grid or AngularGrid.hemisphere()
+        self._context = create_sealed(path, variables(header, self._grid), header.attributes())
+
+    def __enter__(self) -> PasWriter:
+        self._file = self._context.__enter__()
+        for name, values in constants(self._header, self._grid).items():
+            self._file.append(name, values)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None:
+        return self._context.__exit__(kind, error, trace)
+
+    def append(
+        self,
+        tx_position_m: Float[FloatArray, "T 3"],
+        line_of_sight: Bool[NDArray[np.bool_], "T"],
+        samples: SampleBlock,
+    ) -> None:
+        """Write the next T transmitters with their samples; raises `DataError` where they do not fit the header."""
+        if (
+            samples.cfr is None
+        ):  # what is written first stands first: equal data have had equal bytes since 0.1
+            self._file.append("pas", samples.maps)
+            self._file.append("peak_power", samples.peak_power)
+        else:
+            self._file.append("cfr", samples.cfr)
+            self._file.append("peak_power", samples.peak_power)
+            if self._header.maps:
+                self._file.append("pas", samples.maps)
+        self._file.append("tx_position_m", tx_position_m)
+        self._file.append("line_of_sight", line_of_sight)
+        self._file.append("num_paths", samples.num_paths)
+        self._file.append("complete", np.ones(len(tx_position_m)))

@@ -1,0 +1,342 @@
+"""Reads and checks a folder of the PNG layout, in which other projects publish their maps (it is NeRF2's).
+
+A folder of the layout holds, for its samples n = 1, 2, …:
+
+    spectrum/%05d.png    map of sample n, 8-bit grey
+    tx_pos.csv           header x,y,z, then its transmitter's position in metres on line n + 1
+    freq.txt             its carrier in GHz on line n; absent where all have one
+    gateway_info.yml     the receiver: position in metres, orientation as a quaternion, frame to world
+
+How the maps are drawn is not in the files of other projects: see `conventions`. It is in `gateway_info.yml` of a
+folder that this toolkit exported. `train_index.txt` and `test_index.txt` are not used, because the protocols of this
+toolkit make the splits. They are checked nevertheless: if they name a sample that is not there, files were lost, or
+the folder has another convention.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from xfreqbench.errors import DataError
+from xfreqbench.exchange.conventions import Convention
+from xfreqbench.exchange.png_images import BRIGHTEST, read_levels, shape_of
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.array import quaternion_rotation
+from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.types import FloatArray
+from xfreqbench.units import format_ghz, ghz_to_hz
+
+POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
+CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
+IGNORED = ("train_index.txt", "test_index.txt")
+_MAX_GHZ = 1e6  # 1 PHz, beyond visible light
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PngFolder:
+    """A checked folder; `sample[t, f]` is the number of the map of transmitter t at carrier f."""
+
+    folder: Path
+    convention: Convention
+    tx_position_m: Float[FloatArray, "T 3"]
+    carrier_hz: Float[FloatArray, "F"]
+    sample: Int[NDArray[np.int64], "T F"]
+    receiver: ReceiverArray
+    grid: AngularGrid
+    sha256: str
+
+    @property
+    def ignored(self) -> list[str]:
+        """Names of the files of the layout that are there, but are not used."""
+        return [name for name in IGNORED if (self.folder / name).exists()]
+
+    def maps(
+        self, transmitters: slice
+    ) -> tuple[Float[NDArray[np.float32], "t F E A"], Float[FloatArray, "t F"]]:
+        """Maps of some transmitters, each divided by its peak, and the power at the peaks.
+
+        The power is relative to that of a white pixel. Raises `DataError` for a PNG that cannot be read.
+        """
+        samples = self.sample[transmitters]
+        levels = np.stack([read_levels(map_path(self.folder, number)) for number in samples.ravel().tolist()])
+        brightest = levels.max(axis=(1, 2), initial=0)
+        maps = self.convention.ascending(levels) / np.maximum(brightest, 1).astype(np.float32)[:, None, None]
+        peak_power = self.convention.peak_power(brightest / BRIGHTEST)
+        return maps.reshape(*samples.shape, *self.grid.shape), peak_power.reshape(samples.shape)
+
+
+def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | None = None) -> PngFolder:
+    """Check every file of a folder; raises `DataError` naming file and line.
+
+    `carrier_ghz` is the carrier of all samples, for a folder without `freq.txt`.
+    """
+    position_m = _read_positions(folder / POSITIONS)
+    sample_carrier_hz = _carriers_hz(folder / CARRIERS, carrier_ghz, len(position_m))
+    if len(position_m) != len(sample_carrier_hz) or not position_m:
+        raise DataError(
+            f"{folder / POSITIONS} has {len(position_m)} samples and {folder / CARRIERS} "
+            f"{len(sample_carrier_hz)}; both need one line a sample."
+        )
+    paths = [map_path(folder, number) for number in range(1, len(position_m) + 1)]
+    _check_numbers(folder / MAPS, paths)
+    _check_index_files(folder, convention, len(paths))
+    grid = convention.grid(*_common_shape(paths))
+    transmitters, carriers = list(dict.fromkeys(position_m)), sorted(set(sample_carrier_hz))
+    read = [path for path in (folder / POSITIONS, folder / CARRIERS, folder / RECEIVER) if path.exists()]
+    return PngFolder(
+        folder=folder,
+        convention=convention,
+        tx_position_m=np.array(transmitters),
+        carrier_hz=np.array(carriers),
+        sample=_sample_table(folder, position_m, sample_carrier_hz, transmitters, carriers),
+        receiver=_read_receiver(folder / RECEIVER, convention),
+        grid=grid,
+        sha256=_content_sha256([*read, *paths]),
+    )
+
+
+def map_path(folder: Path, number: int) -> Path:
+    """The PNG file of a sample; samples are numbered from 1."""
+    return folder / MAPS / f"{number:05d}.png"
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of a text file, without blank lines at its end."""
+    try:
+        return path.read_text("utf-8-sig").rstrip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        fault = error.strerror if isinstance(error, OSError) else error
+        raise DataError(
+            f"{path} cannot be read: {fault}. A folder of this layout holds {POSITIONS}, {CARRIERS}, "
+            f"{RECEIVER} and {MAPS}/00001.png, …"
+        ) from error
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...] | None:
+    """The numbers of a comma-separated text; None unless they are `count` finite numbers."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+
+
+def _read_positions(path: Path) -> list[tuple[float, ...]]:
+    header, *lines = _lines(path) or [""]
+    if header.replace(" ", "").lower() != "x,y,z":
+        raise DataError(f"{path}, line 1, is {header!r}; it must be x,y,z.")
+    return [_position(path, number, line) for number, line in enumerate(lines, start=2)]
+
+
+def _position(path: Path, number: int, line: str) -> tuple[float, ...]:
+    position_m = _numbers(line, 3)
+    if position_m is None or max(map(abs, position_m)) > FAR_M:
+        raise DataError(
+            f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres."
+        )
+    return position_m
+
+
+def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:
+    """Carrier of every sample in hertz, from `freq.txt`, or `told_ghz` for all if there is no such file."""
+    if told_ghz is not None and path.exists():
+        raise DataError(f"{path} gives the carriers, and --freq {told_ghz:g} another; leave out --freq.")
+    if told_ghz is not None:
+        return [_carrier_hz("--freq", str(told_ghz))] * num_samples
+    if not path.exists():
+        raise DataError(f"There is no {path}. If all samples have one carrier, give it in GHz by --freq.")
+    return [_carrier_hz(f"{path}, line {number},", line) for number, line in enumerate(_lines(path), start=1)]
+
+
+def _carrier_hz(place: str, text: str) -> float:
+    carrier_ghz = _numbers(text, 1)
+    if carrier_ghz is None or not 1e-9 <= carrier_ghz[0] <= _MAX_GHZ:
+        raise DataError(
+            f"{place} is {text!r}; it must be a carrier in GHz, above 0 and up to {_MAX_GHZ:,.0f}."
+        )
+    return ghz_to_hz(carrier_ghz[0])
+
+
+def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
+    """The receiver that `gateway_info.yml` describes, with the array of the convention."""
+    content = _yaml(path)
+    _check_told(path, content, convention)
+    gateway = _gateway(path, content)
+    published, position_m = (
+        _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
+    )
+    quaternion = convention.quaternion_xyzw(published)
+    if not 1e-6 < max(map(abs, quaternion)) < 1e6:
+        raise DataError(
+            f"{path} has the orientation {list(published)}, a quaternion of no length near 1; [0, 0, 0, 1], in the "
+            "order x, y, z, w, is no turn."
+        )
+    is_turned = quaternion != _NO_TURN
+    boresight = quaternion_rotation(quaternion)[:, 2].tolist() if is_turned else (0.0, 0.0, 1.0)
+    try:
+        return ReceiverArray(
+            position_m=position_m,  # type: ignore[arg-type]
+            rows=convention.array_rows,
+            cols=convention.array_cols,
+            spacing_wavelengths=convention.spacing_wavelengths,
+            boresight=tuple(boresight),
+            plane=convention.plane,
+            orientation=quaternion if is_turned else None,
+        )
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise DataError(f"{path} describes no receiver: {place}: {fault['msg']}.") from error
+
+
+def _yaml(path: Path) -> dict[Any, Any]:
+    """The mapping in a YAML file; empty if the file holds something else."""
+    try:
+        content = yaml.safe_load("\n".join(_lines(path)))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
+    return content if isinstance(content, dict) else {}
+
+
+def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> None:
+    """Raise `DataError` if the folder says that its maps are drawn in another way than the convention."""
+    told, stated = content.get(CONVENTION), convention.drawing_fields()
+    told = told if isinstance(told, dict) else {}
+    differing = [name for name, value in stated.items() if not _is_alike(told.get(name, value), value)]
+    if any(not isinstance(told[name], str | int | float) for name in differing):
+        raise DataError(
+            f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
+            "meant by --set."
+        )
+    if differing:
+        raise DataError(
+            f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
+            f"Give {' '.join(f'--set {name}={told[name]}' for name in differing)} too."
+        )
+
+
+def _is_alike(told: object, stated: object) -> bool:
+    """Whether two values are equal; numbers are compared as numbers, because YAML reads some of JSON's as texts."""
+    if isinstance(stated, str) or not isinstance(told, str | int | float):
+        return told == stated
+    try:
+        return float(told) == stated
+    except ValueError:
+        return False
+
+
+def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
+    """The receiver in a YAML file: the only mapping in it that has a position and an orientation."""
+    found = [content, *content.values()]
+    gateways = [
+        each for each in found if isinstance(each, dict) and {"position", "orientation"} <= each.keys()
+    ]
+    if len(gateways) != 1:
+        raise DataError(
+            f"{path} describes {len(gateways)} receivers; it must describe one, as in 'gateway1: {{position: "
+            "[x, y, z], orientation: [x, y, z, w]}'."
+        )
+    return gateways[0]
+
+
+def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
+    """The numbers in the list under a key of the receiver."""
+    listed = gateway[key] if isinstance(gateway[key], list) else []
+    listed = listed if all(isinstance(each, str | int | float) for each in listed) else []
+    numbers = _numbers(",".join(map(str, listed)), count)
+    if numbers is None:
+        raise DataError(
+            f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}."
+        )
+    return numbers
+
+
+def _check_numbers(folder: Path, paths: list[Path]) -> None:
+    missing = next((path for path in paths if not path.is_file()), None)
+    surplus = sorted({*folder.glob("*.png")} - {*paths})
+    found = f"; {surplus[0].name} is there, but maps are named 00001.png, 00002.png, …" if surplus else ""
+    if missing:
+        raise DataError(f"There is no {missing}, though {POSITIONS} has {len(paths)} samples{found}.")
+    if surplus:
+        raise DataError(f"{surplus[0]} belongs to no line of {POSITIONS}, which has {len(paths)} samples.")
+
+
+def _check_index_files(folder: Path, convention: Convention, num_samples: int) -> None:
+    first = 0 if convention.index == "zero-based" else 1
+    for path in (folder / name for name in IGNORED if (folder / name).exists()):
+        for number, line in enumerate(_lines(path), start=1):
+            text = line.strip()
+            is_number = text.isdecimal() and len(text) < 19
+            if not is_number or not first <= int(text) < first + num_samples:
+                raise DataError(
+                    f"{path}, line {number}, is {line!r}; {num_samples} samples are numbered {first} to "
+                    f"{first + num_samples - 1} (--set index=…). Splits are made here, so that this file may "
+                    "also be deleted."
+                )
+
+
+def _common_shape(paths: list[Path]) -> tuple[int, int]:
+    """Numbers of rows and columns, which all maps must have in common; read from the headers of the PNGs."""
+    shape = shape_of(paths[0])
+    for path in paths[1:]:
+        if shape_of(path) != shape:
+            raise DataError(
+                f"{path} has {shape_of(path)} rows and columns, but {paths[0].name} {shape}; all must agree."
+            )
+    return shape
+
+
+def _sample_table(
+    folder: Path,
+    position_m: list[tuple[float, ...]],
+    carrier_hz: list[float],
+    transmitters: list[tuple[float, ...]],
+    carriers: list[float],
+) -> Int[NDArray[np.int64], "T F"]:
+    """The number of the sample of every (transmitter, carrier); raises `DataError` unless each occurs once."""
+    row = {position: index for index, position in enumerate(transmitters)}
+    column = {carrier: index for index, carrier in enumerate(carriers)}
+    table = np.zeros((len(row), len(column)), dtype=np.int64)
+    for number, (position, carrier) in enumerate(zip(position_m, carrier_hz, strict=True), start=1):
+        place = row[position], column[carrier]
+        if table[place]:
+            raise DataError(
+                f"{folder / POSITIONS}, line {number + 1}, repeats line {table[place] + 1}: the transmitter at "
+                f"{position} m has two samples at {format_ghz(carrier)}; it must have one."
+            )
+        table[place] = number
+    _check_complete(folder, table, position_m, carriers)
+    return table
+
+
+def _check_complete(
+    folder: Path,
+    table: Int[NDArray[np.int64], "T F"],
+    position_m: list[tuple[float, ...]],
+    carriers: list[float],
+) -> None:
+    missing = np.argwhere(table == 0)
+    if len(missing):
+        transmitter, carrier = missing[0].tolist()
+        number = int(table[transmitter].max())
+        raise DataError(
+            f"{folder / POSITIONS}, line {number + 1}: the transmitter at {position_m[number - 1]} m has no "
+            f"sample at {format_ghz(carriers[carrier])}; every one needs each carrier of {CARRIERS} once."
+        )
+
+
+def _content_sha256(paths: list[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()

@@ -1,0 +1,48 @@
+"""The angular grid of maps: directions of a hemisphere in the receiver's own frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.types import FloatArray
+
+
+def unit_vector(elevation_rad: FloatArray, azimuth_rad: FloatArray) -> Float[FloatArray, "... 3"]:
+    """Unit vector (cos β cos α, cos β sin α, sin β) towards elevation β above the equator and azimuth α."""
+    elevation, azimuth = np.broadcast_arrays(elevation_rad, azimuth_rad)
+    horizontal = np.cos(elevation)
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+@dataclass(frozen=True)
+class AngularGrid:
+    """Directions of a PAS: E elevations above the equator by A azimuths, in the receiver's frame.
+
+    Elevation β is the angle above the equator of the hemisphere, whose pole is the frame's +z (polar
+    angle θ = 90° − β); azimuth α is periodic and half-open. Row 0 of a map is `elevation_rad[0]`.
+    """
+
+    elevation_rad: Float[FloatArray, "E"]
+    azimuth_rad: Float[FloatArray, "A"]
+
+    @classmethod
+    def hemisphere(cls, num_elevations: int = 90, num_azimuths: int = 360) -> AngularGrid:
+        """The grid of generated data: by default β = 0°…89° and α = 0°…359°, one degree apart, both half-open."""
+        return cls(
+            np.arange(num_elevations, dtype=np.float64) * (np.pi / 2 / num_elevations),
+            np.arange(num_azimuths, dtype=np.float64) * (2 * np.pi / num_azimuths),
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(E, A)."""
+        return len(self.elevation_rad), len(self.azimuth_rad)
+
+    @cached_property
+    def directions(self) -> Float[FloatArray, "E A 3"]:
+        """Unit vectors from the receiver, in its frame."""
+        return unit_vector(self.elevation_rad[:, None], self.azimuth_rad[None, :])

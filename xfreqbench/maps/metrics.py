@@ -1,0 +1,202 @@
+"""Scores of predicted maps against true ones, map by map, and statistics of scores.
+
+Maps (N, E, A) have N samples, E elevations and A azimuths, and values in [0, 1]. Metrics in dB take maps of linear
+power. Every metric is defined for constant, identical and zero maps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from skimage.metrics import structural_similarity as _untyped_structural_similarity
+
+from xfreqbench.maps.bartlett import PasKind, power_of
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.types import FloatArray
+
+METRICS_VERSION = "2"
+SSIM_WINDOW = 7  # scikit-image's default, uniform
+POWER_RANGE_DB = 30.0
+POWER_FLOOR_DB = -40.0
+NUM_RESAMPLES = 1000
+
+Maps = NDArray[np.float32]
+structural_similarity: Any = _untyped_structural_similarity
+
+ScoreFunction = Callable[[Maps, Maps, AngularGrid], FloatArray]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A score of predicted maps: `score(predicted, truth, grid)` takes maps (N, E, A) and returns N values."""
+
+    name: str
+    unit: str
+    higher_is_better: bool
+    description: str
+    score: ScoreFunction
+    takes_power: bool = False  # maps of another kind are converted first
+
+
+def ssim(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1."""
+    scores = [
+        float(structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0))
+        for pair in zip(predicted, truth, strict=True)
+    ]
+    return np.array(scores, dtype=np.float64)
+
+
+def ssim_wrapped(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """`ssim` with the azimuth periodic, which does not change when the scene is turned about the pole."""
+    margin = SSIM_WINDOW // 2  # scikit-image crops it again, so that every column counts once
+    padding = ((0, 0), (0, 0), (margin, margin))
+    return ssim(np.pad(predicted, padding, mode="wrap"), np.pad(truth, padding, mode="wrap"), grid)
+
+
+def psnr(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """Peak signal-to-noise ratio in dB with a peak of 1; infinite for identical maps."""
+    error = predicted.astype(np.float64) - truth
+    with np.errstate(divide="ignore"):
+        return -10 * np.log10((error**2).mean(axis=(1, 2)))
+
+
+def power_error(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """Mean absolute error in dB over the directions where the truth is within 30 dB of its peak.
+
+    Powers below −40 dB count as −40 dB.
+    """
+    strong = truth >= truth.max(axis=(1, 2), keepdims=True) * 10 ** (-POWER_RANGE_DB / 10)
+    error_db = np.abs(_decibel(predicted) - _decibel(truth))
+    return (error_db * strong).sum(axis=(1, 2)) / strong.sum(axis=(1, 2))
+
+
+def aoa_error(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """Great-circle angle in degrees between the directions of the two peaks.
+
+    180 where the prediction is flat and has no peak, 0 where the truth is flat and any direction is right.
+    """
+    directions = grid.directions.reshape(-1, 3)
+    there, here = directions[_peak(predicted)], directions[_peak(truth)]
+    sine = np.linalg.norm(np.cross(there, here), axis=1)  # arccos alone loses half the digits near 0
+    angle_deg = np.degrees(np.arctan2(sine, (there * here).sum(axis=1)))
+    return np.where(_is_flat(truth), 0.0, np.where(_is_flat(predicted), 180.0, angle_deg))
+
+
+def beam_loss(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
+) -> Float[FloatArray, "N"]:
+    """Power in dB that steering at the predicted peak instead of the true one loses, at most 40.
+
+    40 where the prediction is flat and has no peak to steer at, 0 where the truth is flat.
+    """
+    flat = truth.reshape(len(truth), -1)
+    reached = np.take_along_axis(flat, _peak(predicted)[:, None], axis=1)[:, 0]
+    loss_db = np.minimum(_decibel(flat.max(axis=1)) - _decibel(reached), -POWER_FLOOR_DB)
+    return np.where(_is_flat(truth), 0.0, np.where(_is_flat(predicted), -POWER_FLOOR_DB, loss_db))
+
+
+METRICS: dict[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        Metric("ssim", "", True, "structural similarity, 7×7 uniform window, data range 1", ssim),
+        Metric("ssim_wrapped", "", True, "the same with the azimuth periodic", ssim_wrapped),
+        Metric("psnr", "dB", True, "peak signal-to-noise ratio of each map, peak 1", psnr),
+        Metric(
+            "power_error",
+            "dB",
+            False,
+            "mean absolute error where the truth is within 30 dB of its peak, predictions floored at −40 dB",
+            power_error,
+            takes_power=True,
+        ),
+        Metric("aoa_error", "°", False, "great-circle angle between predicted and true peak", aoa_error),
+        Metric(
+            "beam_loss",
+            "dB",
+            False,
+            "power lost by steering at the predicted peak, at most 40",
+            beam_loss,
+            takes_power=True,
+        ),
+    )
+}
+
+
+def score_all(
+    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid, kind: PasKind = "power"
+) -> dict[str, Float[FloatArray, "N"]]:
+    """Scores of N maps of one kind by every metric; metrics in dB are given the maps' power."""
+    power = power_of(predicted, kind), power_of(truth, kind)
+    return {
+        name: metric.score(*(power if metric.takes_power else (predicted, truth)), grid)
+        for name, metric in METRICS.items()
+    }
+
+
+def skill(score: float, best_trivial: float) -> float:
+    """How far a score is from the best trivial one (0) to a perfect one (1): 1 − (1 − score)/(1 − best_trivial).
+
+    Both scores are at most 1. Negative where the score is below the trivial one; nan where that is perfect.
+    """
+    return 1 - (1 - score) / (1 - best_trivial) if best_trivial != 1 else float("nan")
+
+
+def bootstrap_interval(
+    values: Float[FloatArray, "N"],
+    transmitter: Int[NDArray[np.int64], "N"],
+    statistic: Callable[[FloatArray], float],
+    seed: int,
+) -> tuple[float, float]:
+    """95 % percentile interval (low, high) of a statistic of N values, from 1,000 bootstrap resamples.
+
+    Whole transmitters are resampled, because the samples of one transmitter are alike: `transmitter` (N,) says
+    which values belong together.
+    """
+    order = np.argsort(transmitter, kind="stable")
+    _, start, length = np.unique(transmitter[order], return_index=True, return_counts=True)
+    ordered, generator = values[order], np.random.default_rng(seed)
+    resampled = np.array([statistic(ordered[_draw(start, length, generator)]) for _ in range(NUM_RESAMPLES)])
+    low, high = quantiles(resampled, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def quantiles(values: Float[FloatArray, "N"], levels: list[float]) -> Float[FloatArray, "L"]:
+    """Quantiles of N values, each of them one of the values: interpolating with an infinite PSNR would give nan."""
+    return np.quantile(values, levels, method="inverted_cdf")
+
+
+def _draw(
+    start: Int[NDArray[np.int64], "G"], length: Int[NDArray[np.int64], "G"], generator: np.random.Generator
+) -> Int[NDArray[np.int64], "n"]:
+    """Indices of a resample of G groups with replacement, each group with all its members."""
+    chosen = generator.integers(len(start), size=len(start))
+    ends = np.cumsum(length[chosen])
+    return np.arange(ends[-1]) + np.repeat(start[chosen] - ends + length[chosen], length[chosen])
+
+
+def _decibel(power: NDArray[np.floating]) -> FloatArray:
+    return 10 * np.log10(np.maximum(power.astype(np.float64), 10 ** (POWER_FLOOR_DB / 10)))
+
+
+def _peak(maps: Float[Maps, "N E A"]) -> Int[NDArray[np.int64], "N"]:
+    return maps.reshape(len(maps), -1).argmax(axis=1)
+
+
+def _is_flat(maps: Float[Maps, "N E A"]) -> NDArray[np.bool_]:
+    return np.ptp(maps, axis=(1, 2)) == 0

@@ -1,0 +1,369 @@
+"""Checks whether a method keeps its contract, by trying every part of it on a small data set of plane waves."""
+
+from __future__ import annotations
+
+import tempfile
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import chdir
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.methods.config import as_json
+from xfreqbench.methods.contract import Budget, Method, Progress
+from xfreqbench.methods.fitting import fit_within, predict_checked
+from xfreqbench.methods.registry import build_method
+from xfreqbench.types import IntArray
+from xfreqbench.units import ghz_to_hz
+
+NUM_STEPS = 10  # of every fit; a broken contract shows in a few steps
+_SEED = 1
+_CARRIER_HZ = np.array([ghz_to_hz(carrier) for carrier in (2.4, 24.25, 77.0)])
+_UNSEEN_CARRIER, _UNSEEN_TX, _NUM_TX = 1, 5, 6
+_PEAK_TOLERANCE = (
+    1e-2  # a peak between two grid points is a little lower; a map that is not scaled is far off
+)
+_REPEAT_TOLERANCE = 1e-6  # rounding of the same arithmetic in single precision
+_BATCH_TOLERANCE = 1e-4  # libraries add in another order for another number of rows
+_SEED_TOLERANCE = 1e-4  # rounding over a few steps
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """A requirement of the contract, and what is wrong with the method if it does not meet it, else None.
+
+    A warning is worth mending, but does not break the contract.
+    """
+
+    requirement: str
+    fault: str | None = None
+    is_warning: bool = False
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the contract is broken."""
+        return self.fault is not None and not self.is_warning
+
+    def __str__(self) -> str:
+        if self.fault is None:
+            return f"ok     {self.requirement}"
+        return f"{'warn  ' if self.is_warning else 'FAULT '} {self.requirement}: {self.fault}"
+
+
+def check_method(name: str, overrides: Iterable[str] = ()) -> list[CheckResult]:
+    """Check a method, given by name or as `package.module:Class`; returns a result for each requirement.
+
+    The checks construct, fit, predict and save, in this order, and end early for a method that cannot be
+    constructed or fitted, or does not predict maps. Raises `UnknownNameError` for an unknown name or option.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        trial = _Trial(name, tuple(overrides), Path(folder))
+        trial.working_folder.mkdir()
+        return list(_results(trial))
+
+
+def _results(trial: _Trial) -> Iterator[CheckResult]:
+    for gate, *checks in _STAGES:
+        result = _result(gate, trial)
+        yield result
+        if result.is_fault:
+            return
+        yield from (_result(check, trial) for check in checks)
+
+
+@dataclass(frozen=True)
+class _Check:
+    requirement: str
+    fault_of: Callable[[_Trial], str | None]
+    is_warning: bool = False
+
+
+def _result(check: _Check, trial: _Trial) -> CheckResult:
+    return CheckResult(check.requirement, _fault_or_exception(check, trial), check.is_warning)
+
+
+def _fault_or_exception(check: _Check, trial: _Trial) -> str | None:
+    try:
+        return check.fault_of(trial)
+    except UnknownNameError:
+        raise
+    except XFreqBenchError as error:
+        return str(error)
+    except Exception as error:  # a method's own code can raise anything
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        return f"it raised {type(error).__name__}: {error} ({frame.filename}, line {frame.lineno})."
+
+
+@dataclass
+class _Trial:
+    """The method that is checked. Its data set, its fit and its predictions are made when they are first needed."""
+
+    name: str
+    overrides: tuple[str, ...]
+    folder: Path
+    steps: list[Any] = field(default_factory=list)
+
+    @property
+    def working_folder(self) -> Path:
+        """The working folder of all checks: a method that writes to a relative path writes here."""
+        return self.folder / "working"
+
+    @cached_property
+    def built(self) -> Method:
+        return build_method(self.name, self.overrides)
+
+    def new(self) -> Any:
+        """A new untrained method with the same configuration."""
+        return type(self.built)(self.built.config)  # type: ignore[call-arg]
+
+    @cached_property
+    def dataset(self) -> PasDataset:
+        return _write_dataset(self.folder / "data.h5")
+
+    @cached_property
+    def fitted(self) -> Any:
+        return self.fit(self.dataset, lambda before, now: self.steps.append(now.step))
+
+    @cached_property
+    def maps(self) -> Float[NDArray[np.float32], "B E A"]:
+        """What the fitted method predicts for all samples at the unseen carrier or of the unseen transmitter."""
+        return self.predict(self.fitted, self.test.rows)
+
+    @cached_property
+    def repeated_maps(self) -> Float[NDArray[np.float32], "B E A"]:
+        """As `maps`, from another fit with the same seed."""
+        return self.predict(self.fit(self.dataset), self.test.rows)
+
+    @property
+    def test(self) -> PasDataset:
+        return self.dataset.subset(np.flatnonzero(~_is_training(self.dataset)))
+
+    def fit(self, dataset: PasDataset, observe: Callable[[Any, Any], None] | None = None) -> Any:
+        """Fit a new method to the training rows of a data set, and return it."""
+        method = self.new()
+        with chdir(self.working_folder):
+            fit_within(method, _training_rows(dataset), Budget(max_steps=NUM_STEPS), _SEED, observe=observe)
+        return method
+
+    def predict(self, method: Any, rows: Int[IntArray, "B"]) -> Float[NDArray[np.float32], "B E A"]:
+        """Predictions for some rows of the data set, checked in the same way as in a run."""
+        asked = self.dataset.subset(rows)
+        with chdir(self.working_folder):
+            return predict_checked(
+                method, asked.tx_position_m.copy(), asked.carrier_hz.copy(), self.dataset.grid.shape
+            )
+
+
+def _training_rows(dataset: PasDataset) -> PasDataset:
+    """The samples that a method is given: all but those of the unseen transmitter or at the unseen carrier."""
+    return dataset.subset(np.flatnonzero(_is_training(dataset))).isolated()
+
+
+def _is_training(dataset: PasDataset) -> NDArray[np.bool_]:
+    unseen_hz = dataset.header.carrier_hz[_UNSEEN_CARRIER]
+    return (dataset.tx_index != _UNSEEN_TX) & (dataset.carrier_hz != unseen_hz)
+
+
+def _construction_fault(trial: _Trial) -> str | None:
+    trial.new()
+    return None
+
+
+def _config_fault(trial: _Trial) -> str | None:
+    as_json(trial.built.config)
+    kind = type(trial.built.config)
+    if not kind.__dataclass_params__.frozen:
+        return f"{kind.__name__} can be changed after it is made. Write @dataclass(frozen=True)."
+    return None
+
+
+def _fit_fault(trial: _Trial) -> str | None:
+    yields = trial.new().fit(_training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED)
+    if not hasattr(yields, "__iter__"):
+        return f"fit returned {yields!r}. Let it `yield Progress(step, loss)`, which makes it a generator."
+    _ = trial.fitted
+    return None
+
+
+def _first_yield_fault(trial: _Trial) -> str | None:
+    method = trial.new()
+    with chdir(trial.working_folder):
+        yields = iter(method.fit(_training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED))
+        first = next(yields)
+        assert isinstance(first, Progress), "the whole fit was run before"
+        trial.predict(method, trial.test.rows[:1])
+        getattr(yields, "close", lambda: None)()
+    trial.predict(method, trial.test.rows[:1])
+    return None
+
+
+def _steps_fault(trial: _Trial) -> str | None:
+    if any(later <= earlier for earlier, later in zip(trial.steps, trial.steps[1:], strict=False)):
+        return f"they are {trial.steps}. Count every optimiser step, once, from the start of the fit."
+    return None
+
+
+def _parameters_fault(trial: _Trial) -> str | None:
+    count = trial.fitted.num_parameters
+    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+        return (
+            f"it is {count!r}, a {type(count).__name__}. Return the number of values that training sets, or 0; "
+            "a method's num_parameters is an attribute or a property."
+        )
+    return None
+
+
+def _map_fault(trial: _Trial) -> str | None:
+    trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index != _UNSEEN_TX])
+    return None
+
+
+def _unseen_transmitter_fault(trial: _Trial) -> str | None:
+    trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index == _UNSEEN_TX])
+    return None
+
+
+def _peak_fault(trial: _Trial) -> str | None:
+    peaks = trial.maps.max(axis=(1, 2))
+    if abs(peaks - 1).max() > _PEAK_TOLERANCE:
+        return (
+            f"the maxima of the maps run from {peaks.min():g} to {peaks.max():g}. Divide each map by its own."
+        )
+    return None
+
+
+def _repeat_fault(trial: _Trial) -> str | None:
+    again = trial.predict(trial.fitted, trial.test.rows)
+    return _difference_fault(
+        again, trial.maps, _REPEAT_TOLERANCE, "Draw nothing at random in predict, and leave dropout out."
+    )
+
+
+def _batch_fault(trial: _Trial) -> str | None:
+    order = np.arange(len(trial.test))[::-1]
+    in_another_order = trial.predict(trial.fitted, trial.test.rows[order])
+    return _difference_fault(in_another_order, trial.maps[order], _BATCH_TOLERANCE, _OWN_ROW)
+
+
+def _single_row_fault(trial: _Trial) -> str | None:
+    alone = np.concatenate([trial.predict(trial.fitted, trial.test.rows[[row]]) for row in (0, 1)])
+    return _difference_fault(alone, trial.maps[:2], _BATCH_TOLERANCE, _OWN_ROW)
+
+
+_OWN_ROW = "Let every row depend on its own transmitter and carrier alone: no mean over the batch, no state."
+
+
+def _saved_fault(trial: _Trial) -> str | None:
+    folder = trial.folder / "saved"
+    folder.mkdir()
+    with chdir(trial.working_folder):
+        trial.fitted.save(folder)
+        loaded = type(trial.fitted).load(folder)
+    if loaded.config != trial.fitted.config:
+        return f"the loaded method has {loaded.config!r}, the saved one {trial.fitted.config!r}. Save it too."
+    maps = trial.predict(loaded, trial.test.rows)
+    return _difference_fault(maps, trial.maps, _REPEAT_TOLERANCE, "Save everything that predict uses.")
+
+
+def _seed_fault(trial: _Trial) -> str | None:
+    advice = "Draw from the seed alone, and from nothing global."
+    return _difference_fault(trial.repeated_maps, trial.maps, _SEED_TOLERANCE, advice)
+
+
+def _peeking_fault(trial: _Trial) -> str | None:
+    """Predict and save at every yield of a fit, and compare the outcome, if equal seeds give equal maps."""
+    if _seed_fault(trial):
+        return None
+    folder = trial.folder / "peeked"
+    folder.mkdir()
+    method = trial.new()
+
+    def look(before: object, now: object) -> None:
+        trial.predict(method, trial.test.rows[:1])
+        method.save(folder)
+
+    with chdir(trial.working_folder):
+        fit_within(method, _training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED, observe=look)
+    maps = trial.predict(method, trial.test.rows)
+    return _difference_fault(
+        maps, trial.maps, _SEED_TOLERANCE, "Let predict and save change no weight, no mode and no generator."
+    )
+
+
+def _leak_fault(trial: _Trial) -> str | None:
+    """Fit to a data set that differs in the test rows only, and compare the outcome, if equal seeds give equal maps."""
+    if _seed_fault(trial):
+        return None
+    method = trial.fit(_write_dataset(trial.folder / "other.h5", has_other_test_rows=True))
+    maps = trial.predict(method, trial.test.rows)
+    return _difference_fault(
+        maps, trial.maps, _SEED_TOLERANCE, "Read the training data through `train` alone, never its file."
+    )
+
+
+def _stray_file_fault(trial: _Trial) -> str | None:
+    strays = sorted(path.name for path in trial.working_folder.iterdir())
+    if strays:
+        return (
+            f"it wrote {', '.join(strays)} there. Write in the folder that save is given, and nowhere else."
+        )
+    return None
+
+
+def _difference_fault(
+    maps: Float[NDArray[np.float32], "B E A"],
+    expected: Float[NDArray[np.float32], "B E A"],
+    tolerance: float,
+    remedy: str,
+) -> str | None:
+    difference = float(abs(maps - expected).max())
+    if difference <= tolerance:
+        return None
+    return f"the maps differ by up to {difference:.2g}, and may by {tolerance:g}. {remedy}"
+
+
+_STAGES = (
+    (
+        _Check("it can be constructed, with and without its config", _construction_fault),
+        _Check("its config is a frozen dataclass that can be written as JSON", _config_fault),
+    ),
+    (
+        _Check("fit is a generator that yields Progress", _fit_fault),
+        _Check("predict is valid at fit's first yield, and fit can be closed there", _first_yield_fault),
+        _Check("the steps that fit yields ascend", _steps_fault),
+        _Check("num_parameters is an integer of 0 or more", _parameters_fault),
+    ),
+    (
+        _Check("predict returns float32 maps in [0, 1] at a carrier it was not trained on", _map_fault),
+        _Check(
+            "predict returns maps for a transmitter that it was not trained on", _unseen_transmitter_fault
+        ),
+        _Check("every map has peak 1", _peak_fault),
+        _Check("predict answers the same when asked twice", _repeat_fault),
+        _Check("a row's map does not depend on the other rows", _batch_fault),
+        _Check("a row that is asked for alone gets the same map", _single_row_fault),
+        _Check("a method that was saved and loaded predicts the same", _saved_fault),
+        _Check("the same seed gives the same maps", _seed_fault, is_warning=True),
+        _Check("predict and save do not change how training goes on", _peeking_fault),
+        _Check("only training rows are used", _leak_fault),
+        _Check("nothing is written into the working folder", _stray_file_fault),
+    ),
+)
+
+
+def _write_dataset(path: Path, has_other_test_rows: bool = False) -> PasDataset:
+    """A data set of six transmitters × three carriers; another has the same channels in the training rows only."""
+    tx_position_m, cfr = plane_waves(_CARRIER_HZ, _NUM_TX)
+    if has_other_test_rows:
+        other = np.roll(cfr, 2, axis=0)
+        cfr[_UNSEEN_TX], cfr[:, _UNSEEN_CARRIER] = other[_UNSEEN_TX], other[:, _UNSEEN_CARRIER]
+    return stored_channels(path, RECEIVER, _CARRIER_HZ, tx_position_m, cfr, maps=True)

@@ -1,0 +1,122 @@
+"""What a method has to offer: the `Method` protocol, with the budget that it is given and the progress it yields."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import MethodError
+from xfreqbench.types import FloatArray
+
+TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
+
+Maps = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The limits of training, in steps, in seconds, or both; without one, the method decides when training ends."""
+
+    max_steps: int | None = None
+    max_seconds: float | None = None
+
+    def share(self, step: int, seconds: float) -> float:
+        """The part of the limit that is spent, 1 at its end; of two limits the one that is nearer, 0 without any."""
+        limits = (step, self.max_steps), (seconds, self.max_seconds)
+        return max((spent / limit for spent, limit in limits if limit is not None), default=0.0)
+
+
+def parse_budget(text: str | None) -> Budget:
+    """The budget that a text such as `300s`, `5m`, `2h` or `2000steps` stands for; unlimited for None.
+
+    Raises `MethodError` for any other text.
+    """
+    if text is None:
+        return Budget()
+    matched = re.fullmatch(r"(\d{1,15})\s*(steps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
+    number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
+    if float(number) == 0:
+        raise MethodError(f"A budget is written as in 300s, 5m, 2h or 2000steps, but {text!r} was given.")
+    if unit == "steps":
+        return Budget(max_steps=int(number))
+    return Budget(max_seconds=float(number) * {"s": 1, "m": 60, "h": 3600}[unit])
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a method yields while it trains: the steps done, its loss (nan if it has none), and `counts`.
+
+    `counts` are sizes that change during training, as in `{"gaussians": 1024}`.
+    """
+
+    step: int
+    loss: float
+    counts: Mapping[str, float] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A predictor of maps, constructed as `Class(config)`, or as `Class()` with the defaults of its configuration.
+
+    `config` is a frozen dataclass.
+    """
+
+    config: Any
+
+    @property
+    def num_parameters(self) -> int:
+        """How many numbers training sets; 0 if nothing is learned."""
+        ...
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Train, and yield often: at every yield, `predict` and `save` may be called and the generator be closed.
+
+        `train` holds the training rows only; the geometry of the receiver in it may be used. The caller measures
+        the time and ends the fit. `budget` is given so that a method can plan schedules, and each yield returns
+        how much of it is spent, from 0 to below 1 (0 without a limit): `share = yield Progress(…)`, typed
+        `Generator[Progress, float, None]`. A method that does not need the share just yields.
+
+        For a method that was loaded, `fit` goes on from where it was saved, with a higher step, or starts again;
+        the first step that it yields shows which. The share of a yield arrives after the method was saved, so a
+        fit that goes on begins with `max(saved share, budget.share(saved step, 0.0))`, which is exact for a budget
+        of steps. Raise `DivergenceError` if something is no longer finite.
+        """
+        ...
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[Maps, "B E A"]:
+        """Maps (B, E, A), float32 in [0, 1] with peak 1, on the grid of the training data.
+
+        `tx_position_m` is (B, 3), `carrier_hz` is (B,): one map for each pair.
+        """
+        ...
+
+    def save(self, directory: Path) -> None:
+        """Store in an existing folder all that `predict` needs, and what `fit` needs to go on.
+
+        It is also called between steps. Neither `save` nor `predict` may change how training goes on.
+        """
+        ...
+
+    @classmethod
+    def load(cls, directory: Path) -> Method:
+        """The method as `save` stored it in that folder."""
+        ...
+
+
+@runtime_checkable
+class ExplainedMethod(Protocol):
+    """A method that can also say what it has learned, in terms of physics."""
+
+    def findings(self) -> Mapping[str, Any]:
+        """What the method has learned, as values that JSON can hold; called once after the fit, for the record."""
+        ...

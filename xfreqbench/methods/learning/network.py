@@ -1,0 +1,195 @@
+"""The network that gives each Gaussian its attributes for a transmitter and a carrier (Eq. 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import torch
+from jaxtyping import Complex, Float
+from pydantic import Field as Limits
+from torch import Tensor, nn
+from torch.nn.functional import normalize, relu
+
+from xfreqbench.methods.learning.encoding import FeatureGrid, Scaling, encoded_size, positional_encoding
+
+Precision = Literal["auto", "float32", "bfloat16"]
+
+_CHUNK_PAIRS = 1 << 12  # pairs at a time; larger tensors do not fit into the cache and take 1.5 times as long
+_CLEAR = 2.0  # logit of |δ| at the start, 0.88, so that Gaussians behind are seen
+_GRID_RATE = 5.0  # of the learning rate
+_BEARING_WIDTHS = (0.005, 0.02, 0.1)  # of 1 − cos: about 6, 11 and 26 degrees
+BEARING_SIZE = 1 + len(_BEARING_WIDTHS)
+
+
+def bearing(query_m: Float[Tensor, "B 3"], position_m: Float[Tensor, "V 3"]) -> Float[Tensor, "B V 4"]:
+    """Angle under which the receiver sees a transmitter and a Gaussian apart: its cosine, and three bumps of it.
+
+    A bump is exp((cosine − 1) / width). Positions are relative to the receiver.
+    """
+    cosine = normalize(query_m, dim=-1) @ normalize(position_m, dim=-1).T
+    bumps = [torch.exp((cosine - 1) / width) for width in _BEARING_WIDTHS]
+    return torch.stack([cosine, *bumps], dim=-1)
+
+
+class PairwiseMLP(nn.Module):
+    """A ReLU network that is applied to all pairs of B queries and V Gaussians.
+
+    Its first layer is factorised, W_q q_b + W_p (g_i, p_bi), so that the part of the query is computed once for all
+    Gaussians. Layers on pairs compute in bfloat16 with float32 weights where `precision` says so; `auto` chooses
+    bfloat16 on processors and devices that multiply it natively.
+    """
+
+    def __init__(
+        self,
+        query_size: int,
+        gaussian_size: int,
+        pair_size: int,
+        hidden: Sequence[int],
+        num_outputs: int,
+        precision: Precision,
+    ) -> None:
+        super().__init__()
+        self.of_query = nn.Linear(query_size, hidden[0])
+        self.of_pair = nn.Linear(gaussian_size + pair_size, hidden[0], bias=False)
+        self.hidden = nn.ModuleList([nn.Linear(*widths) for widths in pairwise(hidden)])
+        self.head = nn.Linear(hidden[-1], num_outputs)
+        self.precision = precision
+
+    def forward(
+        self,
+        query: Float[Tensor, "B Q"],
+        gaussian: Float[Tensor, "V G"],
+        pair: Float[Tensor, "B V P"],
+    ) -> Float[Tensor, "B V O"]:
+        """Outputs for every pair, float32."""
+        size = max(1, _CHUNK_PAIRS // max(1, len(gaussian)))
+        chunks = zip(self.of_query(query).split(size), pair.split(size), strict=True)
+        return torch.cat([self._outputs(of_query, gaussian, part) for of_query, part in chunks])
+
+    def _outputs(
+        self, of_query: Float[Tensor, "c W"], gaussian: Float[Tensor, "V G"], pair: Float[Tensor, "c V P"]
+    ) -> Float[Tensor, "c V O"]:
+        narrow = is_narrow(self.precision, of_query.device)
+        kind = torch.bfloat16 if narrow else of_query.dtype
+        with torch.autocast(of_query.device.type, torch.bfloat16, enabled=narrow):
+            inputs = torch.cat([gaussian.to(kind).expand(len(pair), -1, -1), pair.to(kind)], dim=-1)
+            weight = self.of_pair.weight.T.expand(len(pair), -1, -1)
+            features = relu(torch.baddbmm(of_query[:, None], inputs, weight), inplace=True)
+            for layer in self.hidden:
+                features = relu(layer(features), inplace=True)
+            return self.head(features).float()
+
+
+def is_narrow(precision: Precision, device: torch.device) -> bool:
+    """Whether hidden layers compute in bfloat16 on a device."""
+    if precision != "auto":
+        return precision == "bfloat16"
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return bool(_cpu_capabilities().get("avx512_bf16"))
+
+
+@cache
+def _cpu_capabilities() -> dict[str, object]:
+    """What this processor can do, by torch's names; empty where torch does not say."""
+    known = getattr(torch.cpu, "get_capabilities", dict)
+    return dict(known())
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Inputs and size of the network. The paper has width 256, 10 octaves and no bearing."""
+
+    width: Annotated[int, Limits(ge=1)] = 64
+    layers: Annotated[int, Limits(ge=1)] = 4
+    tx_octaves: Annotated[int, Limits(ge=0)] = 6
+    tx_levels: Annotated[int, Limits(ge=0, le=8)] = (
+        4  # of a grid of learned features of the transmitter's place
+    )
+    position_octaves: Annotated[int, Limits(ge=0)] = 4
+    carrier_octaves: Annotated[int, Limits(ge=0)] = 0
+    sees_carrier: bool = True
+    bearing: bool = True  # whether the angle at the receiver between transmitter and Gaussian is an input
+    latent: Annotated[int, Limits(ge=0)] = 4
+    max_spread: Annotated[float, Limits(ge=1)] = 2.0  # the spread lies between 1/max_spread and max_spread
+    precision: Precision = "auto"
+
+
+@dataclass(frozen=True, eq=False)
+class Attributes:
+    """Attributes of V Gaussians for B queries: Q signals that do not interfere, attenuation δ, and 1/λ."""
+
+    signal: Complex[Tensor, "Q V B"]
+    attenuation: Complex[Tensor, "V B"]
+    inverse_spread: Float[Tensor, "V B"]
+
+
+class WideFreqNetwork(nn.Module):
+    """Network for attenuation δ = ΔA e^{jΔψ}, signal S = A e^{jψ}, latent z and spread λ of each Gaussian (Eq. 7).
+
+    S is given by its real and imaginary part; there may be several signals that do not interfere. The latent adds
+    a bilinear term for each carrier to signal and attenuation: Δ = z · W E(f). Carriers are encoded on a
+    logarithmic axis in few octaves or none, because a fine encoding memorises the training carriers.
+    """
+
+    def __init__(self, config: NetworkConfig, scaling: Scaling, num_signals: int = 1) -> None:
+        super().__init__()
+        self.config, self.scaling = config, scaling
+        self._num_modulated = 2 + 2 * num_signals
+        carrier_size = encoded_size(1, config.carrier_octaves) * config.sees_carrier
+        self.tx_features = FeatureGrid(config.tx_levels) if config.tx_levels else None
+        num_features = self.tx_features.num_outputs if self.tx_features is not None else 0
+        self.mlp = PairwiseMLP(
+            encoded_size(3, config.tx_octaves) + carrier_size + num_features,
+            encoded_size(3, config.position_octaves),
+            BEARING_SIZE * config.bearing,
+            [config.width] * config.layers,
+            self._num_modulated + 1 + config.latent,
+            config.precision,
+        )
+        if config.latent:
+            self.of_carrier = nn.Linear(carrier_size, self._num_modulated * config.latent)
+
+    def forward(
+        self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
+    ) -> Attributes:
+        """Attributes of V Gaussians for B transmitters, positions in the receiver's frame in metres."""
+        carrier = self._encoded_carrier(carrier_hz)
+        unit_tx = self.scaling.unit_position(tx_m)
+        query = positional_encoding(unit_tx, self.config.tx_octaves)
+        if self.tx_features is not None:
+            query = torch.cat([query, self.tx_features(unit_tx)], dim=-1)
+        gaussian = positional_encoding(self.scaling.unit_position(position_m), self.config.position_octaves)
+        pair = bearing(tx_m, position_m)[..., : BEARING_SIZE * self.config.bearing]
+        outputs = self.mlp(torch.cat([query, carrier], dim=-1), gaussian, pair)
+        modulated, spread, latent = outputs.split([self._num_modulated, 1, self.config.latent], dim=-1)
+        if self.config.latent:
+            weights = self.of_carrier(carrier).reshape(len(carrier), self.config.latent, -1)
+            modulated = modulated + latent @ weights
+        return self._attributes(modulated.permute(2, 1, 0), spread[..., 0].T)
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
+        """Parameters with their learning rates; features of places learn faster, because few transmitters use each."""
+        grids = list(self.tx_features.parameters()) if self.tx_features is not None else []
+        known = {id(parameter) for parameter in grids}
+        rest = [parameter for parameter in self.parameters() if id(parameter) not in known]
+        return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": _GRID_RATE * learning_rate}]
+
+    def _encoded_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B C"]:
+        """The encoding E(f); it has no columns where the network does not see the carrier."""
+        if not self.config.sees_carrier:
+            return self.scaling.log_band.new_zeros(len(carrier_hz), 0, dtype=torch.float32)
+        return positional_encoding(self.scaling.unit_carrier(carrier_hz), self.config.carrier_octaves)
+
+    def _attributes(self, modulated: Float[Tensor, "A V B"], spread: Float[Tensor, "V B"]) -> Attributes:
+        """Attributes from the network's outputs: rows of attenuation and signals, and the spread."""
+        attenuation, phase = modulated[:2]
+        return Attributes(
+            signal=torch.complex(modulated[2::2], modulated[3::2]),
+            attenuation=torch.polar(torch.sigmoid(attenuation + _CLEAR), phase),
+            inverse_spread=self.config.max_spread ** torch.tanh(spread),
+        )

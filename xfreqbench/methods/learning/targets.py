@@ -1,0 +1,156 @@
+"""What training sees of maps: a view of the angular grid, beams towards its directions, and training targets.
+
+The map of a small array is smooth: with 16 elements it has 49 real degrees of freedom. A few rows and columns,
+chosen anew at each step, therefore teach almost as much as all of them at a fraction of the cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Complex, Float, Int
+from torch import Tensor
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.maps.bartlett import BartlettBeam, PasKind
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.types import FloatArray
+
+_MIN_PEAK = 1e-30  # so that the gradient of a square root at zero, divided by the peak, is a finite float32
+
+
+@dataclass(frozen=True)
+class GridView:
+    """A part of a map: every `stride`-th row and column, beginning at `row` and `column`."""
+
+    stride: int = 1
+    row: int = 0
+    column: int = 0
+
+    def of_grid(self, grid: AngularGrid) -> AngularGrid:
+        """The grid of directions in view."""
+        azimuth_rad = grid.azimuth_rad[self.column :: self.stride]
+        return AngularGrid(grid.elevation_rad[self.row :: self.stride], azimuth_rad)
+
+    def of_maps(self, maps: Tensor) -> Tensor:
+        """The values in view of maps (..., E, A)."""
+        return maps[..., self.row :: self.stride, self.column :: self.stride]
+
+    @classmethod
+    def draw(cls, stride: int, generator: torch.Generator) -> GridView:
+        """A view that begins at a random row and column below `stride`."""
+        row, column = torch.randint(stride, (2,), generator=generator).tolist()
+        return cls(stride, row, column)
+
+
+def element_lags(element_position_wavelengths: Float[FloatArray, "M 3"]) -> Float[FloatArray, "M*M 3"]:
+    """Differences r_m − r_n of the positions of all pairs of elements, rounded so that equal ones compare equal."""
+    element = element_position_wavelengths
+    return (element[:, None] - element[None]).reshape(-1, 3).round(6)
+
+
+class Beams:
+    """Bartlett beams towards the directions in view (Eqs. 2–3), on a device.
+
+    The power of a beam, aᴴ C a / M², depends on the covariance C = h hᴴ of the channel only through its sums over
+    pairs of elements with the same lag. For a 4×4 array these are 49 real numbers, for any number of directions
+    and for any number of channels that add up in C.
+    """
+
+    def __init__(self, beam: BartlettBeam, device: torch.device) -> None:
+        self.grid, self.device = beam.grid, device
+        self.element_position_wavelengths = beam.element_position_wavelengths
+        element = self.element_position_wavelengths
+        lag = element_lags(element)
+        x, y, z = lag.T
+        # of each lag and its opposite, whose sums are conjugates, the one whose first nonzero coordinate is positive
+        is_forward = (x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z >= 0))))
+        pairs = np.flatnonzero(is_forward)
+        unique, of_pair = np.unique(lag[pairs], axis=0, return_inverse=True)
+        phase = 2 * np.pi * beam.grid.directions @ unique.T
+        weight = np.where((unique == 0).all(axis=1), 1.0, 2.0) / len(element) ** 2
+        waves = weight * np.stack([np.cos(phase), np.sin(phase)])
+        self._pairs = torch.as_tensor(pairs, device=device)
+        self._lag_of_pair = torch.as_tensor(of_pair.reshape(-1), device=device)
+        self._waves = torch.as_tensor(waves, dtype=torch.float32, device=device).movedim(-1, 1).flatten(0, 1)
+        self._num_lags = len(unique)
+        self._in_view: dict[GridView, Tensor] = {}
+
+    def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
+        """Power |a(d)ᴴ h|² / M² in view, summed over the leading axes of `cfr`: channels that do not interfere."""
+        if view not in self._in_view:
+            self._in_view[view] = view.of_maps(self._waves).contiguous()
+        waves = self._in_view[view]
+        channels = cfr.reshape(-1, *cfr.shape[-2:])
+        covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
+        lags = covariance.new_zeros(len(covariance), self._num_lags)
+        lags = lags.index_add(1, self._lag_of_pair, covariance.index_select(1, self._pairs))
+        power = torch.cat([lags.real, lags.imag], dim=1) @ waves.flatten(1)
+        return power.clamp_min(0).reshape(-1, *waves.shape[1:])
+
+
+class Targets:
+    """Training maps in view, for the rows that have a path.
+
+    They are derived from the channels where the data set stores them, and read from disk otherwise or where
+    `from_channels` is false.
+    """
+
+    def __init__(self, train: PasDataset, beams: Beams, from_channels: bool = True) -> None:
+        self.rows = np.flatnonzero(train.has_path)
+        self._train, self._beams = train, beams
+        self._device = beams.device
+        self._derived = train.header.channels and from_channels
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def queries(
+        self, nth: Int[Tensor, "B"], blur: float, generator: torch.Generator
+    ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B"]]:
+        """Transmitters in metres (float32) and carriers in Hz (float64) of the `nth` rows that have a path.
+
+        Carriers are moved at random on a logarithmic axis, with a standard deviation of `blur` half bands.
+        """
+        rows = self.rows[nth.numpy()]
+        position_m = torch.as_tensor(self._train.tx_position_m[rows], dtype=torch.float32)
+        carrier_hz = torch.as_tensor(self._train.carrier_hz[rows])
+        shift = torch.randn(len(nth), generator=generator, dtype=torch.float64) * blur * self._half_band
+        return position_m.to(self._device), (carrier_hz * shift.exp()).to(self._device)
+
+    @property
+    def positions_and_carriers(self) -> tuple[Float[FloatArray, "n 3"], Float[FloatArray, "n"]]:
+        """Transmitters in metres and carriers in Hz of all rows that have a path, float64."""
+        return self._train.tx_position_m[self.rows], self._train.carrier_hz[self.rows]
+
+    @cached_property
+    def _half_band(self) -> float:
+        """Half the range of the logarithms of the training carriers."""
+        return float(np.ptp(np.log(self._train.carrier_hz))) / 2
+
+    def maps(self, nth: Int[Tensor, "B"], view: GridView) -> Float[Tensor, "B E A"]:
+        """Maps in view of the `nth` rows that have a path, scaled so that the peak of the whole map is 1."""
+        if not self._derived:
+            maps = self._train.pas(self.rows[nth.numpy()])
+            return view.of_maps(torch.from_numpy(maps)).to(self._device)
+        power = self._beams.power(self._unit_channels[nth.to(self._device)], view)
+        return power.sqrt() if self._train.header.pas_kind == "amplitude" else power
+
+    @cached_property
+    def _unit_channels(self) -> Complex[Tensor, "n M"]:
+        """Channels scaled so that their power maps have peak 1."""
+        cfr = self._train.cfr[self.rows].astype(np.complex128)
+        if self._train.header.pas_kind == "phase-only":
+            cfr = cfr / np.where(cfr == 0, 1, np.abs(cfr))
+        scaled = cfr / np.sqrt(self._train.peak_power[self.rows])[:, None]
+        return torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
+
+
+def as_kind(power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:
+    """Maps of a kind, scaled to peak 1, from power of any scale; a zero map remains zero, or 1e-6 as amplitude."""
+    peak = power.amax(dim=(1, 2), keepdim=True).clamp_min(_MIN_PEAK)
+    unit = power / peak
+    return (unit + 1e-12).sqrt() if kind == "amplitude" else unit

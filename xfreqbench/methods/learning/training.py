@@ -1,0 +1,313 @@
+"""What all learned methods share: the training loop, and checkpoints with all of its state."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from pydantic import Field as Limits
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DivergenceError, MethodError
+from xfreqbench.maps.bartlett import BartlettBeam, PasKind
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.config import as_json
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.learning.loss import map_loss
+from xfreqbench.methods.learning.targets import Beams, GridView, Targets, as_kind
+from xfreqbench.types import FloatArray
+
+TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
+_PREDICT_BATCH = 16
+MAX_GRADIENT_NORM = 1.0
+_MIN_RATE = 0.01  # of the learning rate, reached at the end of the budget
+
+Fraction = Annotated[float, Limits(ge=0, le=1)]
+Positive = Annotated[float, Limits(gt=0)]
+Count = Annotated[int, Limits(ge=1)]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Options of training. A fit ends after `steps`, or before when the budget is spent.
+
+    Carriers are moved at random, with a standard deviation of `carrier_blur` on a logarithmic axis where the
+    training band is 2 wide, so that a network also holds between them. A fading channel changes between two of so
+    few carriers in ways that their maps do not show, and a network that follows them closely errs between them.
+    """
+
+    steps: Count = 200_000  # the paper's
+    batch_size: Count = 32
+    learning_rate: Positive = 2e-3
+    ssim_weight: Fraction = (
+        0.8  # w of Eq. 12, reached after the share `ssim_ramp` of the budget; the paper has 0.4
+    )
+    ssim_ramp: Fraction = 0.25
+    carrier_blur: Annotated[float, Limits(ge=0)] = 0.5
+    stride: Count = 5  # training uses every fifth row and column, from a new offset at each step
+    ssim_window: Annotated[int, Limits(ge=2)] = 3  # rows and columns in view
+    derive_targets: bool = True  # from the channels, where they are stored, instead of reading maps from disk
+    device: str = "cpu"
+
+
+class ChannelField(nn.Module):
+    """A radiance field: it gives the received power from directions in view for any transmitter and carrier."""
+
+    def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
+        """Prepare for training: take scales from the training rows, and random values from the generator."""
+        raise NotImplementedError
+
+    def power(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """Power |R_k|² from the directions in view, in any scale.
+
+        Positions are world positions in metres.
+        """
+        raise NotImplementedError
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
+        """Parameters with their learning rates, in the form that an optimiser of torch takes."""
+        return [{"params": list(self.parameters()), "lr": learning_rate}]
+
+    def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
+        """Change the field after a step, while it still has its gradients; `share` is that of the budget spent."""
+
+    def counts(self) -> dict[str, float]:
+        """Sizes that tables show, by name, such as the number of Gaussians."""
+        return {}
+
+    def match(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take the sizes of stored tensors, so that they can be loaded."""
+
+
+@dataclass
+class Training:
+    """All state of a training, which a checkpoint holds."""
+
+    field: ChannelField
+    optimizer: torch.optim.Adam
+    generator: torch.Generator
+    beams: Beams
+    kind: PasKind
+    step: int = 0
+    share: float = 0.0  # of the budget spent, as last told
+
+
+class LearnedMethod:
+    """A method that trains a radiance field on maps; subclasses say which `field` and which `Config`."""
+
+    Config: ClassVar[type]
+    position_kind: ClassVar[torch.dtype] = torch.float32  # of positions that `predict` hands to the field
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = self.Config() if config is None else config
+        self._device = _device(self.config.device)
+        self._training: Training | None = None
+
+    def field(self) -> ChannelField:
+        """The field for the options in `config`, before training."""
+        raise NotImplementedError
+
+    @property
+    def num_parameters(self) -> int:
+        """Number of values that training sets."""
+        field = self._training.field if self._training else self.field()
+        return sum(parameter.numel() for parameter in field.parameters())
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
+        """Minimise Eq. 12 by Adam; the learning rate falls as half a cosine over the share of the budget spent.
+
+        Raises `DivergenceError` where the loss or a gradient is no longer finite.
+        """
+        if self._training is None:
+            self._training = self.started(train, seed)
+        training = self._training
+        targets = Targets(train, training.beams, self.config.derive_targets)
+        if not len(targets):
+            raise MethodError("No training row has a path; there is nothing to learn from.")
+        own_share = training.step / self.config.steps
+        training.share = max(training.share, own_share, budget.share(training.step, 0.0))
+        while training.step < self.config.steps:
+            loss = self._step(training, targets)
+            spent = yield Progress(training.step, loss, training.field.counts())
+            training.share = max(spent or 0.0, training.step / self.config.steps)
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """Maps with peak 1, on the grid of the training data and of their kind."""
+        training = self._trained()
+        position_m = torch.as_tensor(tx_position_m, dtype=self.position_kind).to(self._device)
+        carrier = torch.as_tensor(carrier_hz).to(self._device)
+        with torch.no_grad():
+            maps = [
+                as_kind(training.field.power(*query, GridView(), training.beams), training.kind)
+                for query in zip(position_m.split(_PREDICT_BATCH), carrier.split(_PREDICT_BATCH), strict=True)
+            ]
+        return torch.cat(maps).cpu().numpy()
+
+    def save(self, directory: Path) -> None:
+        """Store field, optimiser and random state as safetensors and the rest as JSON; loading runs no stored code."""
+        training = self._trained()
+        tensors = {f"field.{name}": tensor.clone() for name, tensor in training.field.state_dict().items()}
+        tensors |= _moments(training)
+        tensors["generator"] = training.generator.get_state()
+        tensors |= {
+            "beam.element_position_wavelengths": torch.as_tensor(training.beams.element_position_wavelengths),
+            "beam.elevation_rad": torch.as_tensor(training.beams.grid.elevation_rad),
+            "beam.azimuth_rad": torch.as_tensor(training.beams.grid.azimuth_rad),
+        }
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, directory / TENSORS_FILE)
+        state = {
+            "config": as_json(self.config),
+            "step": training.step,
+            "share": training.share,
+            "kind": training.kind,
+        }
+        (directory / STATE_FILE).write_text(json.dumps(state))
+
+    @classmethod
+    def load(cls, directory: Path) -> LearnedMethod:
+        """The method as it was saved; its `fit` continues from there."""
+        state = json.loads((directory / STATE_FILE).read_text())
+        method = cls(cls.Config(**state["config"]))
+        tensors = load_file(directory / TENSORS_FILE, device=str(method._device))
+        grid = AngularGrid(
+            tensors["beam.elevation_rad"].cpu().numpy(), tensors["beam.azimuth_rad"].cpu().numpy()
+        )
+        beam = BartlettBeam(tensors["beam.element_position_wavelengths"].cpu().numpy(), grid)
+        training = method._new_training(beam, state["kind"], tensors)
+        training.step, training.share = state["step"], state["share"]
+        training.generator.set_state(tensors["generator"].cpu())
+        method._training = training
+        return method
+
+    def _trained(self) -> Training:
+        """The training so far; raises `MethodError` before `fit` or `load`."""
+        if self._training is None:
+            raise MethodError(f"{type(self).__name__} knows nothing yet; fit or load it first.")
+        return self._training
+
+    def started(self, train: PasDataset, seed: int) -> Training:
+        """Field, optimiser and beams as `fit` has them before its first step."""
+        generator = torch.Generator().manual_seed(seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            field = self.field()
+            field.adapt(train, generator)
+        return self._assembled(field, generator, train.beam, train.header.pas_kind)
+
+    def _assembled(
+        self, field: ChannelField, generator: torch.Generator, beam: BartlettBeam, kind: PasKind
+    ) -> Training:
+        """A training that has made no step, on the device."""
+        field.to(self._device)
+        return Training(field, self.new_optimizer(field), generator, Beams(beam, self._device), kind)
+
+    def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
+        """Adam for the field's parameters, without any moments yet."""
+        optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
+        for group in optimizer.param_groups:
+            group["initial_lr"] = group["lr"]
+        return optimizer
+
+    def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
+        """The training that stored tensors hold."""
+        of_field = {name[6:]: tensor for name, tensor in tensors.items() if name.startswith("field.")}
+        field = self.field()
+        field.match(of_field)
+        field.load_state_dict(of_field)
+        training = self._assembled(field, torch.Generator(), beam, kind)
+        for name, parameter in field.named_parameters():
+            stored = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM if f"adam.{key}.{name}" in tensors}
+            if stored:
+                training.optimizer.state[parameter] = stored
+        return training
+
+    def batch_loss(self, training: Training, targets: Targets) -> Tensor:
+        """Eq. 12 for random rows in a random view."""
+        config = self.config
+        nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
+        view = GridView.draw(config.stride, training.generator)
+        position_m, carrier_hz = targets.queries(nth, config.carrier_blur, training.generator)
+        power = training.field.power(position_m, carrier_hz, view, training.beams)
+        return self.loss_of(power, targets.maps(nth, view), training)
+
+    def loss_of(
+        self, power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training
+    ) -> Tensor:
+        """Eq. 12 for predicted power; the weight of SSIM follows from the share of the budget spent."""
+        config, share = self.config, training.share
+        weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
+        return map_loss(as_kind(power, training.kind), truth, weight, config.ssim_window)
+
+    def _step(self, training: Training, targets: Targets) -> float:
+        """Make one step; return the loss before it."""
+        share = training.share
+        loss = self.batch_loss(training, targets)
+        training.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        training.step += 1
+        _require_finite(training, loss)
+        rate = _MIN_RATE + (1 - _MIN_RATE) * (0.5 + 0.5 * math.cos(math.pi * min(share, 1.0)))
+        for group in training.optimizer.param_groups:
+            group["lr"] = group["initial_lr"] * rate
+        training.optimizer.step()
+        training.field.after_step(training.optimizer, training.step, share)
+        return float(loss.detach())
+
+
+_ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+def _moments(training: Training) -> dict[str, Tensor]:
+    """State of Adam by names of tensors in a checkpoint."""
+    state = training.optimizer.state
+    return {
+        f"adam.{key}.{name}": state[parameter][key]
+        for name, parameter in training.field.named_parameters()
+        if parameter in state
+        for key in _ADAM
+    }
+
+
+def _require_finite(training: Training, loss: Tensor) -> None:
+    """Limit the norm of the gradients; raise `DivergenceError` where the loss or a gradient is not finite."""
+    parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
+    norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+    if bool(torch.isfinite(loss) & torch.isfinite(norm)):
+        nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
+        return
+    faults = [
+        name
+        for name, parameter in training.field.named_parameters()
+        if parameter.grad is not None and not bool(torch.isfinite(parameter.grad).all())
+    ]
+    gradient = f"gradient of {faults[0]}" if faults else "norm of all gradients"
+    raise DivergenceError(training.step, gradient if torch.isfinite(loss) else "loss")
+
+
+def _device(name: str) -> torch.device:
+    """The device of a name; raises `MethodError` where torch does not know it or sees none."""
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise MethodError(f"{name!r} is no device of torch; use cpu, cuda or cuda:0.") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise MethodError(f"device={name} is asked for, but torch {torch.__version__} sees no CUDA device.")
+    return device

@@ -1,0 +1,93 @@
+"""What predictors that learn nothing are built from: they look up training samples by transmitter and carrier."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from xfreqbench.data.dataset import PasDataset, reopen
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.types import FloatArray, IntArray
+
+SAME_TRANSMITTER_M = 1e-6
+_CONFIG_FILE, _ROWS_FILE = "config.json", "training_rows.json"
+
+
+class TrainingTransmitters:
+    """The distinct transmitters of a training set, and the row of each at each carrier."""
+
+    def __init__(self, train: PasDataset) -> None:
+        self.train = train
+        tx_index, first, column = np.unique(train.tx_index, return_index=True, return_inverse=True)
+        self.carrier_hz, carrier = np.unique(train.carrier_hz, return_inverse=True)
+        self._tree = KDTree(train.tx_position_m[first])
+        self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
+        self._row[column, carrier] = np.arange(len(train))
+
+    def nearest(self, tx_position_m: Float[FloatArray, "3"], count: int = 1) -> Int[IntArray, "k"]:
+        """Indices (k,) of the `count` nearest training transmitters; a single one if it stands at this position."""
+        distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
+        return index[:1] if distance_m[0] <= SAME_TRANSMITTER_M else index
+
+    def rows(self, transmitters: Int[IntArray, "k"]) -> Int[IntArray, "n"]:
+        """The rows (n,) of some transmitters (k,), at all of their carriers."""
+        rows = self._row[transmitters]
+        return rows[rows >= 0]
+
+    def blend(
+        self, rows: Int[IntArray, "n"], weights: Float[FloatArray, "n"]
+    ) -> Float[NDArray[np.float32], "E A"]:
+        """The weighted sum of training maps, scaled to peak 1, as a map (E, A); rows and weights are (n,)."""
+        blended = np.einsum("n,nea->ea", weights.astype(np.float32), self.train.pas(rows))
+        return blended / blended.max()
+
+    def save(self, directory: Path) -> None:
+        """Store which rows of which data set these are, without the maps."""
+        reference = [str(self.train.path), self.train.sha256, self.train.rows.tolist()]
+        (directory / _ROWS_FILE).write_text(json.dumps(reference))
+
+    @classmethod
+    def load(cls, directory: Path) -> TrainingTransmitters:
+        """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
+        return cls(reopen(*json.loads((directory / _ROWS_FILE).read_text())))
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """The configuration of a method that has nothing to set."""
+
+
+class TransmitterLookup:
+    """A predictor that learns nothing, without its `predict`; that one looks up training samples in `transmitters`."""
+
+    Config: ClassVar[type] = NoOptions
+    num_parameters = 0
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = self.Config() if config is None else config
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Remember which rows were trained on."""
+        self.transmitters = TrainingTransmitters(train)
+        yield Progress(step=1, loss=math.nan)
+
+    def save(self, directory: Path) -> None:
+        """Store the configuration and which rows were trained on."""
+        (directory / _CONFIG_FILE).write_text(json.dumps(asdict(self.config)))
+        self.transmitters.save(directory)
+
+    @classmethod
+    def load(cls, directory: Path) -> TransmitterLookup:
+        """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
+        method = cls(cls.Config(**json.loads((directory / _CONFIG_FILE).read_text())))
+        method.transmitters = TrainingTransmitters.load(directory)
+        return method

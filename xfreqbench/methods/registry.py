@@ -1,0 +1,133 @@
+"""Methods by name: found through entry points or as `package.module:Class`, and built with their options."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, cast
+
+from xfreqbench.errors import MethodError, UnknownNameError, XFreqBenchError
+from xfreqbench.methods.config import override
+from xfreqbench.methods.contract import Method
+from xfreqbench.methods.moved import new_places
+from xfreqbench.system.source import reachable_sha256
+
+ENTRY_POINT_GROUP = "xfreqbench.methods"
+_CONTRACT = ("fit", "predict", "save", "load")
+
+
+def method_names() -> list[str]:
+    """Names of the installed methods, in alphabetical order."""
+    return sorted(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))
+
+
+def method_summaries() -> dict[str, str]:
+    """By the name of every installed method, the first line of its docstring, or why it cannot be used."""
+    return {name: _summary_line(name) for name in method_names()}
+
+
+def _summary_line(name: str) -> str:
+    try:
+        return (resolve_method(name).__doc__ or "").strip().partition("\n")[0]
+    except MethodError as error:
+        return f"cannot be imported: {error.__cause__}" if error.__cause__ else str(error)
+
+
+def resolve_method(name: str) -> Callable[..., Method]:
+    """The class of a method, by the name of its entry point or as `package.module:Class`.
+
+    Raises `UnknownNameError` for a name that is not installed, and `MethodError` for a method that cannot be
+    imported or lacks a part of the contract.
+    """
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        entries = {entry.name: entry.value for entry in entry_points(group=ENTRY_POINT_GROUP)}
+        if name not in entries:
+            raise UnknownNameError("method", name, [*entries, "package.module:Class"])
+        module, _, attribute = entries[name].partition(":")
+    elif str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # last, so that a module of the working folder hides no other
+    try:
+        method_class = getattr(import_module(module), attribute)
+    except Exception as error:  # a module runs its own code while it is imported
+        moved = new_places(error, module, attribute) if isinstance(error, ImportError) else ""
+        raise MethodError(
+            f"Method {name!r} cannot be imported: {type(error).__name__}: {error}. "
+            f"{moved or 'Install it, or mend it or its name.'}"
+        ) from error
+    _check_contract(name, method_class)
+    return cast("Callable[..., Method]", method_class)
+
+
+def _check_contract(name: str, method_class: Any) -> None:
+    if not isinstance(method_class, type):
+        raise MethodError(f"Method {name!r} is {method_class!r}; it must be a class.")
+    declared = {
+        key for base in method_class.__mro__ for key in (*vars(base), *vars(base).get("__annotations__", ()))
+    }
+    missing = [part for part in _CONTRACT if part not in declared]
+    if missing:
+        raise MethodError(
+            f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}; "
+            "baselines/README.md shows one."
+        )
+
+
+def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
+    """An untrained method by name, with its default configuration changed by texts `key=value`.
+
+    Raises what `resolve_method` and `override` raise, and `MethodError` for a method that cannot be constructed, or
+    has no `config` or no `num_parameters`.
+    """
+    method_class = resolve_method(name)
+    overrides = tuple(overrides)
+    defaults = _constructed(name, method_class)
+    for attribute in ("config", "num_parameters"):
+        if not hasattr(defaults, attribute):
+            raise MethodError(f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes.")
+    if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
+        raise MethodError(
+            f"Method {name!r} has config {defaults.config!r}; it must be an instance of a frozen dataclass."
+        )
+    if not overrides:
+        return defaults
+    return _constructed(name, method_class, override(defaults.config, overrides))
+
+
+def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
+    try:
+        return method_class(*config)
+    except XFreqBenchError:
+        raise
+    except Exception as error:
+        given = f"with {config[0]!r}" if config else "without arguments"
+        raise MethodError(
+            f"Method {name!r} cannot be constructed {given}: {type(error).__name__}: {error}. Its constructor "
+            "takes one config, with a default."
+        ) from error
+
+
+def device_option(name: str, device: str) -> tuple[str, ...]:
+    """The `key=value` texts that make a method compute on a device.
+
+    None for the device `cpu`, and for a method whose configuration has no field `device`.
+    """
+    if device == "cpu":
+        return ()
+    names = [each.name for each in fields(build_method(name).config)]
+    return (f"device={device}",) if "device" in names else ()
+
+
+def code_sha256(method: Method) -> str:
+    """Hash of the code that a method's `fit` and `predict` can reach; a class typed into a shell has none of its own.
+
+    It covers the modules of the method's class and of its bases, and all that they import, in whichever
+    folder: of `xfreqbench`, of the method's own package, and of files beside it that are not an installed library.
+    Libraries such as PyTorch are not part of it; their versions stand in every record.
+    `xfreqbench.system.source` says how imports are followed, and which of them cannot be seen.
+    """
+    return reachable_sha256(base.__module__ for base in type(method).__mro__)

@@ -1,0 +1,102 @@
+"""What all figures share: writing them to files, labels of logarithmic axes, and pictures of maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from numpy.typing import NDArray
+from PIL import Image
+
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.system.files import atomic_path, require_own, storage_errors
+
+_SOFTWARE = "xfreqbench"  # the mark in our PNG files, by which they are known when they are written over
+_MAX_DISCS = 5  # maps side by side
+_DISPLAY_RANGE_DB = 30.0
+_NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
+
+
+def plot_pas_maps(
+    maps: Float[NDArray[np.float32], "N E A"], grid: AngularGrid, titles: Sequence[str], path: Path
+) -> None:
+    """Draw N maps of the whole hemisphere as discs seen from the pole, in dB below the peak, into one PNG file.
+
+    The rim is the equator; azimuth runs counter-clockwise from the right. Raises `StorageError`.
+    """
+    columns = min(_MAX_DISCS, len(maps))
+    rows = -(-len(maps) // columns)
+    figure = Figure(figsize=(2.2 * columns + 0.9, 2.5 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"}).ravel()
+    for axis in axes[len(maps) :]:
+        axis.set_visible(False)
+    for axis, pas_map, title in zip(axes, maps, titles, strict=False):
+        image = draw_disc(axis, pas_map, grid)
+        axis.set_title(title, fontsize="medium")
+    figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
+    save_figure(figure, path, "png")
+
+
+def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
+    """The bytes of a PNG with a palette: one pixel for each value, clipped to 0 to 1, the first row at the top."""
+    levels = np.round(np.clip(values, 0, 1) * (_NUM_COLOURS - 1)).astype(np.uint8)
+    colours = mpl.colormaps[colormap](np.linspace(0, 1, _NUM_COLOURS), bytes=True)[:, :3]
+    picture = Image.fromarray(levels)
+    picture.putpalette(colours.tobytes())
+    buffer = BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def label_decades(axis: Any) -> None:
+    """Label a logarithmic x axis with plain numbers at 1, 2 and 5 of each decade; only at 1 with over three decades."""
+    low, high = axis.get_xlim()
+    is_wide = np.log10(high / low) > 3
+    axis.xaxis.set_major_locator(LogLocator(subs=(1,) if is_wide else (1, 2, 5)))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+
+
+def draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: AngularGrid) -> Any:
+    """Draw a map of linear power on polar axes, in dB below the peak; returns what a colour bar needs."""
+    level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-_DISPLAY_RANGE_DB / 10)))
+    axis.set(xticks=[], yticks=[])
+    axis.grid(False)
+    image = axis.pcolormesh(
+        grid.azimuth_rad,
+        90 - np.degrees(grid.elevation_rad),
+        level_db,
+        shading="nearest",
+        vmin=-_DISPLAY_RANGE_DB,
+        vmax=0,
+        cmap="magma",
+        rasterized=True,
+    )
+    axis.set_rlim(0, 90)
+    return image
+
+
+def require_own_png(path: Path) -> None:
+    """Raise `OutputExistsError` where `path` holds anything but a PNG that `save_figure` wrote."""
+    require_own(path, lambda file: None if _is_own_png(file) else "is no figure of xfreqbench")
+
+
+def _is_own_png(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(256)  # the chunk that names the software follows the image's size
+    return head.startswith(b"\x89PNG") and b"Software\0" + _SOFTWARE.encode() in head
+
+
+def save_figure(figure: Figure, path: Path, kind: str) -> None:
+    """Write a figure to a file of `kind` `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
+    metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": _SOFTWARE}
+    fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
+    with mpl.rc_context(fixed), atomic_path(path) as temporary, storage_errors(path):
+        figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

@@ -1,0 +1,107 @@
+"""3D models as GLB files, which any viewer of 3D models opens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual.material import PBRMaterial
+
+from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.system.files import atomic_path, storage_errors
+from xfreqbench.types import FloatArray
+
+Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
+
+_SURFACE, _PLANE, _POINT = (150, 160, 175, 60), (213, 94, 0, 150), (0, 114, 178, 255)
+_RADIUS_M = 0.06
+_TUBE_SIDES = 6
+_OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
+_OCTAHEDRON_FACES = np.array(
+    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+)
+_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
+
+
+class GlbModel:
+    """A 3D model to which shapes are added: each is a node with a name and one colour, visible from both sides.
+
+    Positions are in metres in world axes, z upwards. The file has y upwards, as glTF demands.
+    """
+
+    def __init__(self) -> None:
+        self._scene = trimesh.Scene()
+
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE) -> None:
+        """Add a surface of a scene, as the node `surface NAME`."""
+        self._add(f"surface {mesh.name}", trimesh.Trimesh(mesh.vertices_m, mesh.triangles), colour)
+
+    def add_rectangle(self, name: str, corners_m: Float[FloatArray, "4 3"], colour: Colour) -> None:
+        """Add a rectangle; its corners are given in order around it."""
+        self._add(name, trimesh.Trimesh(corners_m, [[0, 1, 2], [0, 2, 3]], process=False), colour)
+
+    def add_ball(self, name: str, centre_m: Float[FloatArray, "3"], radius_m: float, colour: Colour) -> None:
+        """Add a sphere."""
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=radius_m)
+        self._add(name, ball.apply_translation(centre_m), colour)
+
+    def add_markers(
+        self, name: str, position_m: Float[FloatArray, "N 3"], radius_m: float, colour: Colour
+    ) -> None:
+        """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
+        if not len(position_m):
+            return
+        vertices_m = position_m[:, None] + radius_m * _OCTAHEDRON
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + _OCTAHEDRON_FACES
+        vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
+        self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
+
+    def add_tube(
+        self, name: str, points_m: Float[FloatArray, "n 3"], radius_m: float, colour: Colour
+    ) -> None:
+        """Add a line through points as a tube, which all viewers draw alike. Neighbouring points must differ."""
+        parts = [
+            trimesh.creation.cylinder(radius=radius_m, segment=segment, sections=_TUBE_SIDES)
+            for segment in pairwise(points_m)
+        ]
+        tube = trimesh.util.concatenate(parts)
+        assert isinstance(tube, trimesh.Trimesh), "cylinders are meshes"
+        self._add(name, tube, colour)
+
+    def write(self, path: Path) -> None:
+        """Write the model to a file; equal models give equal bytes. Raises `StorageError`."""
+        content: bytes = export_glb(self._scene)  # type: ignore[no-untyped-call]
+        with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
+            temporary.write_bytes(content)
+
+    def _add(self, name: str, shape: trimesh.Trimesh, colour: Colour) -> None:
+        mode = "OPAQUE" if colour[3] == 255 else "BLEND"
+        material = PBRMaterial(baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
+        shape.visual = trimesh.visual.TextureVisuals(material=material)  # type: ignore[no-untyped-call]
+        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+
+
+def write_glb(
+    meshes: Sequence[SurfaceMesh],
+    rectangles_m: Mapping[str, Float[FloatArray, "4 3"]],
+    points_m: Mapping[str, Float[FloatArray, "3"]],
+    path: Path,
+) -> None:
+    """Write a model of surfaces, which are translucent, rectangles and points, which are small spheres.
+
+    Rectangles are given by their corners in order around them. Nodes have the names that the mappings give;
+    surfaces are `surface NAME`. Raises `StorageError`.
+    """
+    model = GlbModel()
+    for mesh in meshes:
+        model.add_surface(mesh)
+    for name, corners_m in rectangles_m.items():
+        model.add_rectangle(name, corners_m, _PLANE)
+    for name, point_m in points_m.items():
+        model.add_ball(name, point_m, _RADIUS_M, _POINT)
+    model.write(path)

@@ -1,0 +1,309 @@
+"""Run records grouped into boards: runs that may be ranked together, one row for each configured method."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain, count, groupby
+from math import inf, isnan, nan
+from statistics import mean, stdev
+from typing import Any
+
+import numpy as np
+
+from xfreqbench.data.splits import PROTOCOLS
+from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import quantiles, skill
+from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
+
+Configured = tuple[str, str, str | None]  # label, config as JSON, hash of the code
+Runs = dict[tuple[str, int], RunRecord]  # by split and seed
+GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
+Quantity = Callable[[RunRecord], float]
+
+
+@dataclass(frozen=True)
+class BoardRow:
+    """One configured method, with its records for each split: one for each seed, by increasing seed."""
+
+    label: str
+    by_split: Mapping[str, tuple[RunRecord, ...]]
+
+    @property
+    def job(self) -> Job:
+        """The job of its first record; the jobs of a row differ only in their split and seed."""
+        return self.records[0].job
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """The records of all splits and seeds."""
+        return [record for records in self.by_split.values() for record in records]
+
+    @property
+    def budget(self) -> str:
+        """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
+        return "" if self.is_trivial else _budget(self.job)
+
+    @property
+    def label_without_budget(self) -> str:
+        """The label for a table that shows the budget in a column of its own."""
+        if not self.budget:
+            return self.label
+        return self.label.replace(f" ({self.budget})", "").replace(f", {self.budget}", "")
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether this is a trivial predictor without options. Budget and seed do not matter, as it is not fitted."""
+        return _is_trivial(self.records[0])
+
+    @property
+    def is_external(self) -> bool:
+        """Whether the predictions were made elsewhere and only scored here."""
+        return self.records[0].external is not None
+
+    @property
+    def family(self) -> str:
+        """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""
+        if self.is_trivial:
+            return "trivial"
+        if self.is_external:
+            return "external"
+        changed = [option for option in self.job.overrides if not option.startswith("device=")]
+        return "ablation" if changed else "learned"
+
+    def value(self, split: str, quantity: Quantity) -> float:
+        """Mean of a quantity over the seeds of a split; nan where the split was not run."""
+        return mean(map(quantity, self.by_split[split])) if split in self.by_split else nan
+
+    def average(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Mean of a quantity over splits; nan where one was not run, as means over other splits do not compare."""
+        return mean(self.value(split, quantity) for split in splits)
+
+    def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
+        """The smallest and the largest number of seeds that one of the splits was run with."""
+        numbers = [len(self.by_split.get(split, ())) for split in splits]
+        return min(numbers), max(numbers)
+
+    def seed_spread(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Standard deviation over seeds of the average over splits; nan with fewer than two seeds.
+
+        It takes the seeds that all the splits were run with.
+        """
+        values: dict[int, list[float]] = {}
+        for split in splits:
+            for record in self.by_split.get(split, ()):
+                values.setdefault(record.job.seed, []).append(quantity(record))
+        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
+        return stdev(averages) if len(averages) > 1 else nan
+
+
+@dataclass(frozen=True)
+class Board:
+    """Rows that may be ranked together: they share a data set, a protocol, and the versions of protocol and metrics."""
+
+    scene: str
+    dataset_sha256: str
+    protocol: str
+    pas_kind: str
+    settings: Mapping[str, Any]
+    splits: tuple[str, ...]
+    rows: tuple[BoardRow, ...]
+
+    @property
+    def title(self) -> str:
+        """Scene, protocol and kind of map, as a heading."""
+        return f"{self.scene} · {self.protocol} · {self.pas_kind} maps"
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """The records of all rows."""
+        return [record for row in self.rows for record in row.records]
+
+    @property
+    def slug(self) -> str:
+        """What the file names of its figures begin with."""
+        return re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}-{self.dataset_sha256[:8]}")
+
+    def best_trivial(self, split: str) -> float:
+        """The largest median SSIM of a trivial predictor on a split; nan where none was run."""
+        trivial = (row.value(split, median_ssim) for row in self.rows if row.is_trivial)
+        return max((value for value in trivial if not isnan(value)), default=nan)
+
+    def skill(self, record: RunRecord) -> float:
+        """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""
+        return skill(median_ssim(record), self.best_trivial(record.job.split))
+
+    def split_sets(self) -> list[tuple[str, ...]]:
+        """The sets of splits that rows were run on, the set that most rows cover first.
+
+        Averages are compared over the same set only. Sets of a single split are left out, unless there are no
+        larger ones.
+        """
+        sets = {frozenset(row.by_split) for row in self.rows}
+        num_rows = {each: sum(each <= set(row.by_split) for row in self.rows) for each in sets}
+        ordered = sorted(sets, key=lambda each: (-num_rows[each], -len(each), sorted(each)))
+        shown = [each for each in ordered if len(each) > 1] or ordered
+        return [tuple(split for split in self.splits if split in each) for each in shown]
+
+    def lone_splits(self) -> list[str]:
+        """Splits of rows that cover none of the sets of splits, such as ablations that were run at one carrier."""
+        summed_up = {row.label for splits in self.split_sets() for row in self.rows_on(splits)}
+        lone = {split for row in self.rows if row.label not in summed_up for split in row.by_split}
+        return [split for split in self.splits if split in lone]
+
+    def rows_on(self, splits: Sequence[str]) -> list[BoardRow]:
+        """The rows that were run on all of these splits, the best average of median SSIM first."""
+        rows = [row for row in self.rows if set(splits) <= set(row.by_split)]
+        return sorted(rows, key=lambda row: (-row.average(splits, median_ssim), row.label))
+
+
+def boards(records: Iterable[RunRecord]) -> list[Board]:
+    """One board for each data set and protocol, by scene, data set and the order of `PROTOCOLS`.
+
+    Of a job that was run twice, the later record counts. Raises `DataError` where records of a board are of
+    different versions of the protocol or of the metrics.
+    """
+    ordered = sorted(records, key=lambda record: (*_group_key(record), record.time_utc, record.id))
+    grouped = [_board(key, list(group)) for key, group in groupby(ordered, _group_key)]
+    order = {protocol: place for place, protocol in enumerate(PROTOCOLS)}
+    return sorted(
+        grouped, key=lambda board: (board.scene, board.dataset_sha256, order.get(board.protocol, len(order)))
+    )
+
+
+def median_ssim(record: RunRecord) -> float:
+    """The median SSIM of a record's test maps."""
+    return record.scores["ssim"].median
+
+
+def or_nan(value: float | None) -> float:
+    """A number of a record, nan in place of None."""
+    return nan if value is None else value
+
+
+def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
+    """Quantiles from 0 to 1 of the scores of all seeds together; every seed tests equally many maps."""
+    pooled = np.concatenate([record.scores[metric].quantiles for record in records])
+    return quantiles(pooled, np.linspace(0, 1, NUM_QUANTILES).tolist()).tolist()
+
+
+def short_name(split: str) -> str:
+    """A split's name without its protocol: `lofo-2.4GHz` becomes `2.4GHz`."""
+    starts = [f"{protocol}-" for protocol in PROTOCOLS if split.startswith(f"{protocol}-")]
+    return split.removeprefix(max(starts, key=len, default=""))
+
+
+def short_commit(commit: str | None) -> str:
+    """The first seven digits of a commit with the mark of an edited source; `?` where the commit is unknown."""
+    digits, plus, changes = (commit or "?").partition("+")
+    return digits[:7] + plus + changes
+
+
+def _group_key(record: RunRecord) -> GroupKey:
+    return record.scene, record.dataset_sha256, record.job.protocol
+
+
+def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
+    versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
+    if len(versions) > 1:
+        described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
+        raise DataError(
+            f"Records of {key[0]!r} and {key[2]!r} are of different versions ({described}) and cannot be "
+            "ranked together. Delete the older lines and run those jobs again."
+        )
+    splits = sorted({record.job.split for record in records}, key=_natural)
+
+    def place(row: BoardRow) -> tuple[float, str]:
+        average = row.average(splits, median_ssim)
+        return inf if isnan(average) else -average, row.label
+
+    rows = sorted(_rows(records), key=place)
+    data = records[0]  # all records of a board describe the same data set
+    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows))
+
+
+def _rows(records: Sequence[RunRecord]) -> list[BoardRow]:
+    """One row for each label, configuration and code; rows of equal labels are told apart by their commits."""
+    by_config: dict[Configured, Runs] = {}
+    editions = _editions(records)
+    for record in records:
+        label = _label(record)
+        source = editions[label, record.external.sha256] if record.external else record.code_sha256
+        key = label, json.dumps(record.config, sort_keys=True), source
+        by_config.setdefault(key, {})[record.job.split, record.job.seed] = record
+    return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
+
+
+def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
+    """For each label and file of external predictions, the hash of the first file of its row.
+
+    Files of one method share a row, whether each holds a seed or a split, unless two hold the same split and seed.
+    """
+    files: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for record in records:
+        if record.external:
+            parts = files.setdefault((_label(record), record.external.sha256), set())
+            parts.add((record.job.split, record.job.seed))
+    editions: dict[tuple[str, str], str] = {}
+    taken: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for file, parts in files.items():
+        row = next((row for row in taken if row[0] == file[0] and not taken[row] & parts), file)
+        taken[row] = taken.get(row, set()) | parts
+        editions[file] = row[1]
+    return editions
+
+
+def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
+    """The runs of each row by a label of its own.
+
+    Equal labels get their commit added, and then a number where they are still equal; external predictions get the
+    first digits of their file's hash in place of a commit.
+    """
+    times = Counter(label for label, *_ in by_config)
+    named: dict[str, Runs] = {}
+    for (label, *_), found in by_config.items():
+        record = next(iter(found.values()))
+        version = record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+        name = label if times[label] == 1 else f"{label} @ {version}"
+        others = (f"{name} #{number}" for number in count(2))
+        named[next(each for each in chain([name], others) if each not in named)] = found
+    return named
+
+
+def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
+    by_split: dict[str, tuple[RunRecord, ...]] = {}
+    for split, seed in sorted(found):
+        by_split[split] = (*by_split.get(split, ()), found[split, seed])
+    return by_split
+
+
+def _label(record: RunRecord) -> str:
+    """The method's name and, in parentheses, options and budget that are not the defaults."""
+    job = record.job
+    if _is_trivial(record):
+        return job.method
+    if record.external:
+        return f"{job.method} (external)"
+    differences = sorted(job.overrides)
+    if job.budget != Budget():
+        differences.append(_budget(job))
+    return f"{job.method} ({', '.join(differences)})" if differences else job.method
+
+
+def _budget(job: Job) -> str:
+    limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
+    return ", ".join(f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None)
+
+
+def _is_trivial(record: RunRecord) -> bool:
+    return record.job.method in TRIVIAL and not record.job.overrides and record.external is None
+
+
+def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:
+    """Sort key under which 2.4GHz comes before 24.25GHz, and few training carriers before many."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    return len(parts), [(float(part), "") if index % 2 else (0.0, part) for index, part in enumerate(parts)]

@@ -1,0 +1,90 @@
+"""The sentences around a board's tables: its data, its machines, and what training and test share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit
+from xfreqbench.report.leaderboard.published import reduced_statement
+from xfreqbench.runs.records import RunRecord
+
+
+def leak_statement(board: Board) -> str:
+    """Whether tested transmitters are also trained on and, if not, how far away the nearest trained one is."""
+    if any(record.shares_transmitters for record in board.records):
+        return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
+    known_m = [record.nearest_trained_m for record in board.records if record.nearest_trained_m is not None]
+    nearest = ""
+    if known_m:
+        distances = dict.fromkeys(f"{distance_m:.2f} m" for distance_m in (min(known_m), max(known_m)))
+        nearest = f"; the nearest trained one is {' to '.join(distances)} away (median)"
+    return f"No tested transmitter is trained on at any carrier{nearest}."
+
+
+def data_statement(board: Board) -> str:
+    """The data set, the kind of its maps and, as far as it is known, how they were traced."""
+    settings = board.settings
+    parts = [f"{board.pas_kind} maps"]
+    if "solver" in settings:
+        parts.append(f"{settings['solver']} solver")
+    if "interactions" in settings:
+        parts.append(" and ".join(settings["interactions"]) or "no interactions")
+    if "max_depth" in settings:
+        parts.append(f"depth {settings['max_depth']}")
+    return f"Data set `{board.dataset_sha256[:16]}`: {', '.join(parts)}"
+
+
+def origin_statement(board: Board) -> str:
+    """The machines on which the times were taken, the commits of the code, and the seeds."""
+    machines = machine_names(board.records)
+    times = f"Times were taken on {'; '.join(machines)}. " if machines else ""
+    commits = sorted({short_commit(record.git_commit) for record in board.records})
+    seeds = sorted({record.job.seed for record in board.records})
+    return f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
+
+
+def notes(rows: Sequence[BoardRow]) -> list[str]:
+    """Notes below a table: on rows that were predicted elsewhere, and on reduced re-implementations."""
+    return [note for note in (_external_note(rows), reduced_statement(rows)) if note]
+
+
+def machine_names(records: Sequence[RunRecord]) -> list[str]:
+    """The machines on which records were made, each once, sorted; external records have none."""
+    return sorted({machine_name(record.hardware) for record in records if record.external is None})
+
+
+def machine_name(hardware: Mapping[str, str]) -> str:
+    """A machine in one line: its processor, cores, system and GPUs."""
+    parts = dict(hardware)
+    if "cores" in parts:
+        parts["cores"] += " core" if parts["cores"] == "1" else " cores"
+    return ", ".join(parts.values())
+
+
+def span(numbers: tuple[int, int]) -> str:
+    """A range as text, `2–4`, or one number where both ends are equal."""
+    low, high = numbers
+    return str(low) if low == high else f"{low}–{high}"
+
+
+def _counted(name: str, values: Sequence[object]) -> str:
+    return f"{name}{'s' if len(values) > 1 else ''} {', '.join(map(str, values))}"
+
+
+def _external_note(rows: Sequence[BoardRow]) -> str:
+    """Who declares the times of external rows; empty where there are no such rows."""
+    external = [row for row in rows if row.is_external]
+    if not external:
+        return ""
+    sources = "; ".join(f"{row.label}: {_declared_source(row)}" for row in external)
+    return (
+        "External rows were predicted elsewhere and are scored here like every other; their times and "
+        f"parameters are declared by their authors, or absent (–). {sources}."
+    )
+
+
+def _declared_source(row: BoardRow) -> str:
+    """The hardware and the address that the authors of an external row declare."""
+    told = [(each.external.hardware, each.external.url) for each in row.records if each.external]
+    texts = dict.fromkeys(text for pair in told for text in pair if text)
+    return ", ".join(texts) or "hardware not declared"

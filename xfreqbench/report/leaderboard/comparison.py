@@ -1,0 +1,174 @@
+"""Whether one method beats another: medians of resampled transmitters and seeds, the same draw for both."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from math import nan
+
+import numpy as np
+from jaxtyping import Float, Integer
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
+from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.types import FloatArray
+
+MIN_SEEDS = 3  # a learned method with fewer is not ranked
+Interval = tuple[float, float]
+UNKNOWN: Interval = (nan, nan)
+
+
+class Resampling:
+    """Resampled medians of a board's rows. Each is computed once and kept for further comparisons."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str], Float[FloatArray, "R"]] = {}
+
+    def medians(self, row: BoardRow, split: str) -> Float[FloatArray, "R"]:
+        """Median SSIM over the drawn transmitters in each of R resamples, mean over the drawn seeds: shape (R,)."""
+        key = row.label, split
+        if key not in self._known:
+            self._known[key] = _resampled(row, split)
+        return self._known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Rows of a board on some splits, compared by their average median SSIM.
+
+    Every resample draws transmitters with all their samples, the same ones for every row (paired) and for
+    every split that tests as many, and draws seeds for each row. Intervals are 95 % percentile intervals, not
+    corrected for how many comparisons are made. Comparisons of one board may share its `resampling`.
+    """
+
+    board: Board
+    splits: tuple[str, ...]
+    resampling: Resampling = field(default_factory=Resampling)
+
+    @cached_property
+    def rows(self) -> list[BoardRow]:
+        """Rows that were run on all the splits, the best first."""
+        return self.board.rows_on(self.splits)
+
+    @cached_property
+    def ranked_rows(self) -> list[BoardRow]:
+        """The rows that can be ranked, the best first."""
+        return [row for row in self.rows if self.is_ranked(row)]
+
+    def is_ranked(self, row: BoardRow) -> bool:
+        """Whether a row has its samples stored and at least `MIN_SEEDS` seeds; a trivial predictor needs one seed."""
+        needed = 1 if row.is_trivial else MIN_SEEDS
+        return self._has_samples(row) and row.num_seeds(self.splits)[0] >= needed
+
+    def difference(self, row: BoardRow, other: BoardRow) -> Interval:
+        """Interval of a row's average median SSIM minus another's; nan where one of the two is not ranked."""
+        if not (self.is_ranked(row) and self.is_ranked(other)):
+            return UNKNOWN
+        return self._differences[row.label, other.label]
+
+    def beats(self, row: BoardRow, other: BoardRow) -> bool:
+        """Whether the whole interval of the difference lies above zero."""
+        return self.difference(row, other)[0] > 0
+
+    def ranks(self, row: BoardRow) -> tuple[int, int] | None:
+        """Best and worst place among the ranked rows that its intervals leave open; None if it is not ranked."""
+        if not self.is_ranked(row):
+            return None
+        others = [other for other in self.ranked_rows if other is not row]
+        num_better = sum(self.beats(other, row) for other in others)
+        num_worse = sum(self.beats(row, other) for other in others)
+        return 1 + num_better, 1 + len(others) - num_worse
+
+    def skill_interval(self, row: BoardRow) -> Interval:
+        """Interval of the average skill; nan where samples are missing.
+
+        Every resample finds the best trivial predictor of each split anew.
+        """
+        if not self._has_samples(row) or not all(map(self._trivial, self.splits)):
+            return UNKNOWN
+        skills = [
+            1 - (1 - self.resampling.medians(row, split)) / self._left_open(split) for split in self.splits
+        ]
+        return _interval(np.mean(skills, axis=0))
+
+    def interval(self, row: BoardRow) -> Interval:
+        """Interval of the average median SSIM; nan where samples are missing."""
+        return _interval(self._average(row)) if self._has_samples(row) else UNKNOWN
+
+    def _has_samples(self, row: BoardRow) -> bool:
+        return all(record.ssim_by_tx for split in self.splits for record in row.by_split.get(split, ()))
+
+    def _trivial(self, split: str) -> list[BoardRow]:
+        """The trivial predictors of a split; empty where one of them lacks its samples."""
+        rows = [row for row in self.board.rows if row.is_trivial and split in row.by_split]
+        return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
+
+    def _left_open(self, split: str) -> Float[FloatArray, "R"]:
+        """1 − SSIM of the best trivial predictor in each resample, shape (R,); nan where that is 0."""
+        best = np.max([self.resampling.medians(row, split) for row in self._trivial(split)], axis=0)
+        return np.where(best < 1, 1 - best, nan)
+
+    def _average(self, row: BoardRow) -> Float[FloatArray, "R"]:
+        return np.mean([self.resampling.medians(row, split) for split in self.splits], axis=0)
+
+    @cached_property
+    def _differences(self) -> dict[tuple[str, str], Interval]:
+        averages = {row.label: self._average(row) for row in self.ranked_rows}
+        return {
+            (one, other): _interval(averages[one] - averages[other]) for one in averages for other in averages
+        }
+
+
+def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray, "R"]:
+    """Median SSIM in each of R = `NUM_RESAMPLES` resamples of whole transmitters, shape (R,).
+
+    `ssim_by_tx` has the scores of each transmitter. The draw depends only on the number of transmitters. A score
+    counts as often as its transmitter was drawn, so that the scores are sorted once for all resamples.
+    """
+    length = [len(samples) for samples in ssim_by_tx]
+    values = np.concatenate([np.asarray(samples, np.float64) for samples in ssim_by_tx])
+    order = np.argsort(values, kind="stable")
+    drawn = _times_drawn(len(length))[np.repeat(np.arange(len(length)), length)[order]]  # (n, R)
+    narrow = np.min_scalar_type(max(length) * len(length))  # summed six times as fast as int64
+    num_up_to = drawn.astype(narrow).cumsum(axis=0, dtype=narrow)
+    halves = (num_up_to[-1] - 1) // 2, num_up_to[-1] // 2
+    middle = [(num_up_to <= half).sum(axis=0, dtype=np.int32) for half in halves]
+    return values[order][middle].mean(axis=0)
+
+
+@cache
+def _times_drawn(number: int) -> Integer[NDArray[np.integer], "T R"]:
+    """How often each of T transmitters is drawn in each of R resamples, shape (T, R)."""
+    drawn = np.random.default_rng(number).integers(number, size=(NUM_RESAMPLES, number))
+    counted = [np.bincount(each, minlength=number) for each in drawn]
+    return np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(number)))
+
+
+def _resampled(row: BoardRow, split: str) -> Float[FloatArray, "R"]:
+    records = row.by_split[split]
+    medians = np.array([resampled_medians(record.ssim_by_tx) for record in records])  # (S, R)
+    generator = np.random.default_rng(int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16))
+    seeds = generator.integers(len(records), size=medians.shape)
+    return np.asarray(np.take_along_axis(_widened(medians), seeds, axis=0).mean(axis=0))
+
+
+def _widened(medians: Float[FloatArray, "S R"]) -> Float[FloatArray, "S R"]:
+    """The medians of S seeds with wider deviations from their mean, since draws from few seeds scatter too little.
+
+    The first factor is √(S/(S−1)), as in a standard deviation. The second is how much wider at 95 % Student's t is
+    than the normal distribution, with the 2(S−1) degrees of freedom of a difference of two methods.
+    """
+    number, mean = len(medians), medians.mean(axis=0)
+    if number < 2:
+        return medians
+    student = stdtrit(2 * (number - 1), 0.975) / ndtri(0.975)
+    return mean + np.sqrt(number / (number - 1)) * student * (medians - mean)
+
+
+def _interval(values: Float[FloatArray, "R"]) -> Interval:
+    low, high = quantiles(values, [0.025, 0.975])
+    return float(low), float(high)

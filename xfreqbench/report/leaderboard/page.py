@@ -1,0 +1,76 @@
+"""All results as one web page: a single file that loads nothing. Equal records give an equal page."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from xfreqbench.errors import DataError
+from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.leaderboard.boards import Board
+from xfreqbench.report.leaderboard.captions import machine_name
+from xfreqbench.report.leaderboard.columns import COSTS
+from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
+from xfreqbench.report.leaderboard.gallery import gallery, scales
+from xfreqbench.report.leaderboard.page_content import CHART_COSTS, board_content, figure_content
+from xfreqbench.report.leaderboard.page_tables import board_tables, page_facts
+from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.system.files import require_own, require_space, write_text
+
+_TITLE = "xfreqbench results"  # by which a page is known that may be written over
+
+
+def write_page(results: Path, output_html: Path) -> Path:
+    """Write the page of `results`, a results folder or one file of records, and return the file written.
+
+    Pictures of predicted maps are drawn where the predictions are stored beside the records and the data set is
+    found. Raises `DataError` where there are no runs and as `boards` does, `OutputExistsError` where
+    `output_html` is another file, and `StorageError`.
+    """
+    require_space(output_html, 1)
+    mark = f"<title>{_TITLE}</title>".encode()
+    require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
+    found = read_results(results)
+    if not found.boards:
+        raise DataError(
+            f"{found.folder.records_path} holds no runs. Run `xfreqbench run` first, or mend the path."
+        )
+    write_text(output_html, _page(found))
+    return output_html
+
+
+def _page(found: RankedResults) -> str:
+    comparisons = [_comparisons(board) for board in found.boards]
+    galleries = [gallery(board, found.folder) for board in found.boards]
+    content = {
+        "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
+        "benches": [figure_content(bench) for bench in found.benches],
+        "scales": scales(),
+    }
+    return render(
+        "leaderboard/page.html",
+        title=_TITLE,
+        facts=page_facts(found.boards),
+        boards=[board_tables(each) for each in comparisons],
+        costs={name: COSTS[name].hint for name in CHART_COSTS},
+        benches=found.benches,
+        machine_name=machine_name,
+        content=_finite(content),
+    )
+
+
+def _comparisons(board: Board) -> list[Comparison]:
+    """One for each set of splits that rows share, and one for each lone split; they share their resamples."""
+    resampling = Resampling()
+    lone = [(split,) for split in board.lone_splits()]
+    return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
+
+
+def _finite(content: Any) -> Any:
+    """The same content with None in place of numbers that are not finite, which JSON cannot say."""
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not isfinite(content) else content

@@ -1,0 +1,64 @@
+"""What the page's tables show, as the templates `page.html` and `page_tables.html` take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit, short_name
+from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
+from xfreqbench.report.leaderboard.columns import PAGE, LeaderboardColumn, leaderboard_columns
+from xfreqbench.report.leaderboard.comparison import Comparison
+
+
+@dataclass(frozen=True)
+class SetTable:
+    """The leaderboard of one set of splits; `best_trivial` is the row to be marked, None without a trivial one."""
+
+    splits: Sequence[str]
+    columns: Sequence[LeaderboardColumn]
+    rows: Sequence[BoardRow]
+    best_trivial: BoardRow | None
+    notes: Sequence[str]
+
+
+@dataclass(frozen=True)
+class BoardTables:
+    """A board: what its data are in words, and a leaderboard for each of its sets of splits."""
+
+    title: str
+    conditions: str
+    sets: Sequence[SetTable]
+
+
+def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
+    """Tables of a board, from one comparison for each of its sets of splits."""
+    board = comparisons[0].board
+    counts = " or ".join(f"{count:,}" for count in sorted({record.num_test for record in board.records}))
+    conditions = f"{data_statement(board)}; {counts} test maps a split. {leak_statement(board)}"
+    return BoardTables(board.title, conditions, [_set_table(each) for each in comparisons])
+
+
+def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
+    """Data sets, machines, commits and dates of all records, each fact with its lines."""
+    records = [record for board in ranked for record in board.records]
+    data = {f"{board.scene}, {board.pas_kind} maps, sha256 {board.dataset_sha256[:16]}" for board in ranked}
+    commits = {short_commit(record.git_commit) for record in records}
+    days = sorted({record.time_utc[:10] for record in records})
+    return {
+        "Data": sorted(data),
+        "Machines": machine_names(records) or ["none: every row is external"],
+        "Commits": [", ".join(sorted(commits))],
+        "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
+    }
+
+
+def _set_table(comparison: Comparison) -> SetTable:
+    trivial = [row for row in comparison.rows if row.is_trivial]  # the best first
+    return SetTable(
+        splits=[short_name(split) for split in comparison.splits],
+        columns=leaderboard_columns(comparison, PAGE),
+        rows=comparison.rows,
+        best_trivial=trivial[0] if trivial else None,
+        notes=notes(comparison.rows),
+    )

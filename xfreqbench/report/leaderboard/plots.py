@@ -1,0 +1,232 @@
+"""Figures of the leaderboard: distributions of scores, SSIM against time, accuracy against cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from xfreqbench.report.drawing.figures import label_decades, save_figure
+from xfreqbench.report.leaderboard.learning_curves import pareto_front
+from xfreqbench.runs.records import BenchFigure, BenchPoint
+
+Curves = Mapping[str, Sequence[float]]
+
+_MAX_COLUMNS = 3
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
+_LINES = ("-", "--", ":", "-.")
+_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
+_LABEL_GAPS_PX = (9, 16, 26, 40)
+_TRIVIAL_LABEL, _FRONT_LABEL = "best trivial predictor", "Pareto front"
+
+
+@dataclass(frozen=True)
+class TimePanel:
+    """One panel of SSIM against time: a line for each method, and the Pareto front, as pairs of seconds and SSIM.
+
+    `trivial` is the SSIM of the best trivial predictor, None where it is unknown.
+    """
+
+    lines: Mapping[str, Sequence[tuple[float, float]]]
+    front: Sequence[tuple[float, float]]
+    trivial: float | None
+
+
+def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path) -> None:
+    """Draw empirical CDFs as SVG: a panel for each split, in it a curve for each method.
+
+    A curve is given by equally spaced quantiles from 0 to 1. Equal curves give equal bytes. Raises `StorageError`.
+    """
+    labels = _labels(panels.values())
+    figure, axes = _panel_figure(len(panels), labels)
+    for axis, (title, curves) in zip(axes, panels.items(), strict=True):
+        for label, quantiles in curves.items():
+            axis.plot(
+                quantiles, np.linspace(0, 1, len(quantiles)), label=label, **_style(labels.index(label))
+            )
+        axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
+        axis.set_title(title, fontsize="medium")
+    _share_legend(figure, axes)
+    save_figure(figure, path, "svg")
+
+
+def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None:
+    """Draw median SSIM against seconds of fitting as SVG: a panel for each split, in it a line for each method.
+
+    Points of the Pareto front have rings, and the best trivial predictor is a dashed line. Equal panels give equal
+    bytes. Raises `StorageError`.
+    """
+    labels = _labels(panel.lines for panel in panels.values())
+    figure, axes = _panel_figure(len(panels), [*labels, _TRIVIAL_LABEL, _FRONT_LABEL])
+    for axis, (title, panel) in zip(axes, panels.items(), strict=True):
+        _draw_against_time(axis, panel, labels)
+        axis.set(xlabel="seconds of fitting", xscale="log", ylabel="median SSIM, sample of maps")
+        label_decades(axis)
+        axis.set_title(title, fontsize="medium")
+    _share_legend(figure, axes)
+    save_figure(figure, path, "svg")
+
+
+def plot_cost(figure: BenchFigure, path: Path) -> None:
+    """Draw accuracy against cost as SVG: less `x`, a cost, is better, and more `y`, an accuracy, is better.
+
+    Each series is a line by increasing cost. Points that no other point beats in both have rings, and a grey step
+    joins them. Points of one place and label are labelled once. Equal figures give equal bytes. Raises
+    `StorageError`.
+    """
+    canvas = Figure(figsize=(8.0, 5.4), layout="constrained")
+    axis = canvas.subplots()
+    by_series = _by_series(figure.points)
+    for index, (series, points) in enumerate(by_series.items()):
+        _draw_series(axis, index, series, points)
+    _draw_front(axis, figure.points)
+    axis.set(xlabel=figure.x_label, ylabel=figure.y_label, xscale="log" if figure.log_x else "linear")
+    if figure.log_x:
+        label_decades(axis)
+    axis.margins(0.1)
+    axis.grid(alpha=0.3)
+    canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
+    _write_labels(canvas, axis, figure.points, list(by_series))
+    save_figure(canvas, path, "svg")
+
+
+def _by_series(points: Sequence[BenchPoint]) -> dict[str, list[BenchPoint]]:
+    """The points of each series by increasing cost; series in the order of their first points."""
+    names = dict.fromkeys(point.series for point in points)
+    by_cost = sorted(points, key=lambda point: point.x)
+    return {name: [point for point in by_cost if point.series == name] for name in names}
+
+
+def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint]) -> None:
+    style = _LINES[index // len(_COLOURS) % len(_LINES)]
+    axis.plot(
+        [point.x for point in points],
+        [point.y for point in points],
+        style,
+        marker=_MARKERS[index % len(_MARKERS)],
+        markersize=5,
+        color=_COLOURS[index % len(_COLOURS)],
+        label=series,
+        linewidth=1.2,
+    )
+
+
+def _draw_front(axis: Any, points: Sequence[BenchPoint]) -> None:
+    front = pareto_front(points, cost=lambda point: point.x, score=lambda point: point.y)
+    x, y = [point.x for point in front], [point.y for point in front]
+    axis.step(x, y, where="post", color="0.7", linewidth=4, alpha=0.5, zorder=0)
+    ring = {"facecolors": "none", "edgecolors": "0.2", "linewidths": 1.0, "zorder": 3}
+    axis.scatter(x, y, s=90, label="no other is both cheaper and better", **ring)
+
+
+def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], series: Sequence[str]) -> None:
+    """Write each label in the colour of its series where it covers least of others, with a line to its point."""
+    canvas.draw_without_rendering()
+    canvas.set_layout_engine("none")  # the axes stay where the places were looked for
+    shown = {(point.label, point.x, point.y): point.series for point in reversed(points)}
+    taken = [_around(*axis.transData.transform((x, y)).tolist()) for _, x, y in shown]
+    for (label, x, y), name in reversed(shown.items()):
+        colour = _COLOURS[series.index(name) % len(_COLOURS)]
+        tie = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
+        place = {"xytext": (0, 0), "textcoords": "offset points", "arrowprops": tie}
+        text = axis.annotate(label, (x, y), **place, fontsize=7, color=colour)
+        size = text.get_window_extent().padded(2)
+        boxes = [_around(*place, size.width, size.height) for place in _places(axis, x, y, size)]
+        best = min(boxes, key=lambda box: _covered(box, taken, axis.bbox.frozen()))
+        points_per_px = 72 / canvas.dpi
+        text.set_position(((best.x0 - size.x0) * points_per_px, (best.y0 - size.y0) * points_per_px))
+        taken.append(best)
+
+
+def _places(axis: Any, x: float, y: float, size: Bbox) -> list[tuple[float, float]]:
+    """Possible centres of a label, in pixels: on eight sides of its point, the nearest first."""
+    at_x, at_y = axis.transData.transform((x, y)).tolist()
+    return [
+        (at_x + right * (size.width / 2 + gap), at_y + up * (size.height / 2 + gap))
+        for gap in _LABEL_GAPS_PX
+        for right, up in ((1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1), (-1, 0))
+    ]
+
+
+def _around(x: float, y: float, width: float = 10.0, height: float = 10.0) -> Bbox:
+    return Bbox.from_bounds(x - width / 2, y - height / 2, width, height)
+
+
+def _covered(box: Bbox, taken: Sequence[Bbox], frame: Bbox) -> float:
+    """Area in square pixels of others that a label would cover, and of itself that would lie outside the frame."""
+    return box.width * box.height - _overlap(box, frame) + sum(_overlap(box, other) for other in taken)
+
+
+def _overlap(box: Bbox, other: Bbox) -> float:
+    common = Bbox.intersection(box, other)
+    return common.width * common.height if common else 0.0
+
+
+def _draw_against_time(axis: Any, panel: TimePanel, labels: Sequence[str]) -> None:
+    for label, points in panel.lines.items():
+        seconds, ssim = zip(*points, strict=True)
+        axis.plot(seconds, ssim, marker=".", markersize=4, label=label, **_style(labels.index(label)))
+    if panel.trivial is not None:
+        axis.axhline(panel.trivial, color="0.4", linestyle="--", linewidth=1, label=_TRIVIAL_LABEL)
+    if panel.front:
+        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "zorder": 3, "linewidth": 0.8}
+        axis.scatter(*zip(*panel.front, strict=True), s=42, label=_FRONT_LABEL, **ring)
+    axis.set_ylim(bottom=_lowest_shown(panel))
+
+
+def _lowest_shown(panel: TimePanel) -> float:
+    """Lower end of the axis, just below where fits end: their first seconds may lie far lower."""
+    ends = [points[-1][1] for points in panel.lines.values()] + ([panel.trivial] if panel.trivial else [])
+    return max(0.0, min(ends) - 0.12)
+
+
+def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]]:
+    """A figure with that many axes in a grid, and room below them for a legend of the labels."""
+    columns = number if number <= _MAX_COLUMNS else -(-number // 2)
+    rows = -(-number // columns)
+    width_in = max(3.6 * columns, 6.0)
+    legend_rows = -(-len(labels) // _legend_columns(labels, width_in))
+    figure = Figure(figsize=(width_in, 3.0 * rows + 0.3 + 0.19 * legend_rows), layout="constrained")
+    axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axis in axes[:number]:
+        axis.grid(alpha=0.3)
+    for axis in axes[number:]:
+        axis.set_visible(False)
+    return figure, axes[:number]
+
+
+def _legend_columns(labels: Sequence[str], width_in: float) -> int:
+    """How many columns of labels fit in a width: a letter takes about 0.065 inches, the line before it 0.6."""
+    return max(1, int(width_in / (0.6 + 0.065 * max(map(len, labels)))))
+
+
+def _share_legend(figure: Figure, axes: Sequence[Any]) -> None:
+    found = [pair for axis in axes for pair in zip(*axis.get_legend_handles_labels(), strict=True)]
+    handles = {label: handle for handle, label in found}
+    labels = sorted(handles, key=(_TRIVIAL_LABEL, _FRONT_LABEL).__contains__)  # methods first
+    columns = _legend_columns(labels, figure.get_figwidth())
+    figure.legend(
+        [handles[label] for label in labels],
+        labels,
+        loc="outside lower center",
+        ncols=columns,
+        fontsize="small",
+    )
+
+
+def _labels(panels: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Every label of the panels once; its index decides the method's colour and line in all of them."""
+    return list(dict.fromkeys(label for panel in panels for label in panel))
+
+
+def _style(index: int) -> dict[str, Any]:
+    return {
+        "color": _COLOURS[index % len(_COLOURS)],
+        "linestyle": _LINES[index // len(_COLOURS) % len(_LINES)],
+        "linewidth": 1.4,
+    }

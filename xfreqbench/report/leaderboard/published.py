@@ -1,0 +1,80 @@
+"""Numbers that others published for other data. They are shown beside ours and never ranked with them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from xfreqbench.report.drawing.markdown import table
+from xfreqbench.report.leaderboard.boards import BoardRow
+
+PUBLISHED_TITLE = "published, other data"
+
+
+def published_cell(row: BoardRow, splits: Sequence[str]) -> str:
+    """The published name and median SSIM of a row's method on these splits, such as `XFreq-GS 0.9098`.
+
+    Where no number for all splits together was published, it has one for each: `XFreq-GS 0.7381 / 0.7642`. It is
+    empty where nothing was published.
+    """
+    for counterpart in _content()["counterpart"]:
+        if _stands_for(counterpart, row):
+            return _cell(counterpart, splits)
+    return ""
+
+
+def published_section(protocol: str) -> list[str]:
+    """A heading and every published table of a protocol, as Markdown; empty where nothing was published."""
+    content = _content()
+    tables = [each for each in content["table"].values() if each["protocol"] == protocol]
+    if not tables:
+        return []
+    note = f"{content['citation']}: {content['conditions']}."
+    return ["### Published, other data, not comparable", note, *map(_published_table, tables)]
+
+
+def reduced_statement(rows: Sequence[BoardRow]) -> str:
+    """What reduced re-implementations among the rows leave out of the systems they are named for; empty without any."""
+    notes = {each["method"]: each for each in _content()["counterpart"] if "note" in each}
+    named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in notes)
+    if not named:
+        return ""
+    told = "; ".join(f"{method} for {notes[method]['name']}: {notes[method]['note']}" for method in named)
+    return f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {told}."
+
+
+@cache
+def _content() -> dict[str, Any]:
+    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
+
+
+def _stands_for(counterpart: Mapping[str, Any], row: BoardRow) -> bool:
+    if row.is_external:
+        return False
+    config = row.records[0].config
+    return (row.job.protocol, row.job.method) == (counterpart["protocol"], counterpart["method"]) and all(
+        config.get(name) == value for name, value in counterpart.get("config", {}).items()
+    )
+
+
+def _cell(counterpart: Mapping[str, Any], splits: Sequence[str]) -> str:
+    cells = counterpart["cells"]
+    whole = cells.get(" ".join(splits)) or cells.get("any")
+    each = [whole] if whole else [cells.get(split) for split in splits]
+    return f"{counterpart['name']} {' / '.join(map(_looked_up, each))}" if all(each) else ""
+
+
+def _looked_up(place: Sequence[str]) -> str:
+    """The published number at a place, given as table, row and column."""
+    name, row, column = place
+    found = _content()["table"][name]
+    values: list[str] = found["rows"][row]
+    return values[found["columns"].index(column)]
+
+
+def _published_table(content: Mapping[str, Any]) -> str:
+    rows = [[name, *values] for name, values in content["rows"].items()]
+    return f"{content['title']}:\n\n{table([content['first_column'], *content['columns']], rows)}"

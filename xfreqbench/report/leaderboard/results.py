@@ -1,0 +1,60 @@
+"""The stored results that a report or a page is made from, checked and grouped into boards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.report.leaderboard.boards import Board, boards
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.records import BenchRecord, RunRecord
+
+
+@dataclass(frozen=True)
+class RankedResults:
+    """All run records in a folder and the boards they make, and its measurements, of each the latest.
+
+    `num_truncated` counts records of which only a part of the line was written; they are left out.
+    """
+
+    folder: ResultsFolder
+    records: tuple[RunRecord, ...]
+    boards: list[Board]
+    benches: list[BenchRecord]
+    num_truncated: int
+
+
+def read_results(results: Path) -> RankedResults:
+    """Read a results folder, or one file of records.
+
+    Raises `DataError` where there are no records, where one cannot be read or lacks a metric, and as `boards` does.
+    """
+    folder = ResultsFolder.holding(results)
+    stored = folder.stored
+    path, records = folder.records_path, stored.records
+    if not (records or stored.benches):
+        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
+    _require_scores(path, records)
+    benches = latest_benches(stored.benches)
+    return RankedResults(folder, records, boards(records), benches, stored.num_truncated)
+
+
+def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:
+    """Measurements in the order in which they were taken; of one that was taken twice, only the later."""
+    ordered = sorted(benches, key=lambda record: record.time_utc)
+    latest = {(record.bench, record.title): record for record in ordered}
+    return sorted(latest.values(), key=lambda record: (record.time_utc, record.title))
+
+
+def _require_scores(path: Path, records: Iterable[RunRecord]) -> None:
+    """Raise `DataError` for the first record that lacks a metric. No run writes such a record."""
+    for record in records:
+        missing = METRICS.keys() - record.scores.keys()
+        if missing:
+            raise DataError(
+                f"{path}: the record {record.id} has no {', '.join(sorted(missing))}. Delete its line; the run it "
+                "stood for is then run again."
+            )

@@ -1,0 +1,54 @@
+"""Says in words what a data set holds: the text of `xfreqbench info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.units import format_ghz
+
+
+def describe(path: Path) -> str:
+    """Summary of a data set: scene, receiver, maps and settings, then a line for each carrier; raises `DataError`."""
+    dataset = open_dataset(path)
+    header = dataset.header
+    receiver = header.receiver
+    lit = np.unique(dataset.tx_index[dataset.line_of_sight])
+    in_sight = str(len(lit)) if header.channels else "unknown number"
+    lines = [
+        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters ({in_sight} in sight of "
+        f"the receiver) × {dataset.num_carriers} carriers",
+        f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
+        f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
+        f"{receiver.pattern} pattern, polarization {receiver.polarization}",
+        f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
+        f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths",
+        "settings   " + ", ".join(f"{name} {value}" for name, value in header.settings.items()),
+        "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
+        "left out   " + (", ".join(f"{count} {why}" for why, count in header.rejected.items()) or "nothing"),
+        f"sha256     {dataset.sha256}",
+        "",
+        "carrier      without path   median paths   peak power median (dB)",
+    ]
+    return "\n".join(lines + _carrier_lines(dataset))
+
+
+def _carrier_lines(dataset: PasDataset) -> list[str]:
+    lines = []
+    for carrier_hz in dataset.header.carrier_hz:
+        at_carrier = dataset.subset(np.flatnonzero(dataset.carrier_hz == carrier_hz))
+        num_silent = int((~at_carrier.has_path).sum())
+        median_paths, median_db = _medians(at_carrier)
+        lines.append(f"{format_ghz(carrier_hz):12} {num_silent:12} {median_paths:>14}   {median_db:>22}")
+    return lines
+
+
+def _medians(at_carrier: PasDataset) -> tuple[str, str]:
+    """Median number of paths, and median peak power in dB, as texts."""
+    if not at_carrier.header.channels:
+        return "unknown", "unknown"
+    power = at_carrier.peak_power[at_carrier.has_path]
+    median_db = f"{10 * np.log10(np.median(power)):.1f}" if len(power) else "none"
+    return f"{np.median(at_carrier.num_paths):.0f}", median_db

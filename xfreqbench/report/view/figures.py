@@ -1,0 +1,305 @@
+"""Draws a scene and a data set: plan and elevation as PNG, what carriers have in common as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.report.drawing.figures import draw_disc, label_decades, save_figure
+from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
+from xfreqbench.report.view.summary import CarrierSummary, Similarity
+from xfreqbench.scene.facets import planar_facets
+from xfreqbench.types import FloatArray
+
+_VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
+_MARGIN_M = 0.25
+_BORESIGHT_M = 0.5
+_OVERVIEW_MAPS = 6
+_NUMBERED_RAYS = 9  # more numbers would cover each other
+_RAY_COLOURS, _SSIM_COLOURS = "plasma_r", "viridis"
+_GROUP_COLOURS = {
+    "transmitters in sight": "#009e73",
+    "transmitters in shadow": "#8a94a0",
+    "transmitters": "#0072b2",
+    "in sight": "#009e73",
+    "in shadow": "#5a636e",
+    "all transmitters": "#0072b2",
+}
+_MATERIAL_COLOURS = {
+    "concrete": "#7f7f7f",
+    "plasterboard": "#b8a37a",
+    "glass": "#56b4e9",
+    "wood": "#a0522d",
+    "chipboard": "#cd853f",
+    "plywood": "#d2a679",
+    "metal": "#3b5b92",
+    "brick": "#b5482f",
+    "marble": "#9d8fa8",
+    "ceiling_board": "#a9b39b",
+    "floorboard": "#8b6b3d",
+}
+_OTHER_MATERIAL = "#6b8e6b"
+
+Rgba = tuple[int, int, int, int]
+
+
+def ray_colour(level_db: float) -> Rgba:
+    """Colour of a ray, in figures and 3D models, by its power in dB relative to the strongest ray."""
+    return _bytes(mpl.colormaps[_RAY_COLOURS](_ray_scale()(level_db)))
+
+
+def group_colour(name: str) -> Rgba:
+    """Colour of a group of transmitters, see `ShownRoom.groups`."""
+    return _bytes(to_rgba(_GROUP_COLOURS[name]))
+
+
+def material_colour(material: str, opacity: int) -> Rgba:
+    """Colour of a surface by its material."""
+    return (*_bytes(to_rgba(_MATERIAL_COLOURS.get(material, _OTHER_MATERIAL)))[:3], opacity)
+
+
+def plot_room(room: ShownRoom, path: Path) -> None:
+    """Draw plan and elevation of a scene as PNG, with the numbers of its strongest rays. Raises `StorageError`."""
+    low_m, high_m = _bounds_m(room)
+    spans = high_m - low_m
+    heights = [spans[up] for _, up in _VIEWS.values()]
+    width_in = 9.0
+    height_in = float(np.clip(width_in * 0.85 * sum(heights) / spans[0] + 2.0, 5, 16))
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.subplots(len(_VIEWS), 1, height_ratios=heights)
+    for axis, (name, shown) in zip(axes, _VIEWS.items(), strict=True):
+        _draw_view(axis, room, list(shown))
+        axis.set(
+            xlim=(low_m[shown[0]], high_m[shown[0]]),
+            ylim=(low_m[shown[1]], high_m[shown[1]]),
+            xlabel=f"{'xyz'[shown[0]]} (m)",
+            ylabel=f"{'xyz'[shown[1]]} (m)",
+            aspect="equal",
+        )
+        axis.set_title(name, fontsize="medium")
+    if room.rays:
+        scale = ScalarMappable(_ray_scale(), _RAY_COLOURS)
+        figure.colorbar(scale, ax=list(axes), label="power of a ray (dB below the strongest)", shrink=0.6)
+    handles = [*_place_handles(room), *_material_handles(room)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize="small")
+    save_figure(figure, path, "png")
+
+
+def plot_overview(
+    room: ShownRoom,
+    maps: Float[NDArray[np.float32], "F E A"],
+    grid: AngularGrid,
+    titles: Sequence[str],
+    path: Path,
+) -> None:
+    """The plan of a room with the rays of one transmitter, beside its maps at up to six carriers: a PNG.
+
+    `maps` are linear power, one a carrier, with one title each. Raises `StorageError`.
+    """
+    low_m, high_m = _bounds_m(room)
+    chosen = np.unique(np.linspace(0, len(maps) - 1, min(len(maps), _OVERVIEW_MAPS)).round().astype(int))
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
+    left, right = halves
+    plan = left.subplots()
+    _draw_view(plan, room, [0, 1])
+    limits = {"xlim": (low_m[0], high_m[0]), "ylim": (low_m[1], high_m[1])}
+    plan.set(**limits, xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    handles = _place_handles(room)
+    left.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small")
+    discs = right.subplots(2, -(-len(chosen) // 2), squeeze=False, subplot_kw={"projection": "polar"}).ravel()
+    for axis in discs[len(chosen) :]:
+        axis.set_visible(False)
+    for axis, index in zip(discs, chosen, strict=False):
+        image = draw_disc(axis, maps[index], grid)
+        axis.set_title(titles[index], fontsize="medium")
+    right.colorbar(image, ax=list(discs), label="dB below the peak", location="bottom", shrink=0.7)
+    save_figure(figure, path, "png")
+
+
+def plot_carriers(summary: CarrierSummary, path: Path) -> None:
+    """Draw as SVG how similar maps are between carriers, and power, paths and silence, as far as these are known.
+
+    Equal summaries give equal bytes. Raises `StorageError`.
+    """
+    panels = [_draw_silence]
+    if summary.num_paths is not None:
+        panels.insert(0, _draw_path_counts)
+    if summary.peak_db is not None:
+        panels.insert(0, _draw_power)
+    if len(summary.similarity.carrier_hz) > 1:
+        panels.insert(0, _draw_similarity)
+    rows = -(-len(panels) // 2)
+    figure = Figure(figsize=(10, 4.1 * rows), layout="constrained")
+    axes = figure.subplots(rows, min(2, len(panels)), squeeze=False).ravel()
+    for axis, draw in zip(axes, panels, strict=False):
+        draw(axis, summary)
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
+    save_figure(figure, path, "svg")
+
+
+def _ray_scale() -> Normalize:
+    return Normalize(-RAY_RANGE_DB, 0)
+
+
+def _bytes(colour: Iterable[float]) -> Rgba:
+    red, green, blue, opacity = (round(255 * part) for part in colour)
+    return red, green, blue, opacity
+
+
+def _bounds_m(room: ShownRoom) -> tuple[FloatArray, FloatArray]:
+    points_m = [mesh.vertices_m for mesh in room.meshes]
+    points_m += [room.receiver_m[None], room.tx_position_m, *(ray.points_m for ray in room.rays)]
+    all_m = np.concatenate(points_m)
+    return all_m.min(axis=0) - _MARGIN_M, all_m.max(axis=0) + _MARGIN_M
+
+
+def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
+    for facet in planar_facets(room.meshes):
+        outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
+        colour = _MATERIAL_COLOURS.get(room.meshes[facet.surface].material, _OTHER_MATERIAL)
+        axis.plot(*outline.T, color=colour, linewidth=1.2)
+    for name, position_m in room.groups().items():
+        size = float(np.clip(4000 / max(1, len(room.tx_position_m)), 0.5, 16))
+        axis.scatter(*position_m[:, shown].T, s=size, color=_GROUP_COLOURS[name], alpha=0.55, linewidths=0)
+    _draw_rays(axis, room.rays, shown)
+    _draw_receiver(axis, room, shown)
+    axis.plot(*room.tx_m[shown], "*", color="black", markersize=13, markeredgecolor="white", zorder=6)
+
+
+def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
+    """Draw rays, the strongest on top."""
+    colours = [mpl.colormaps[_RAY_COLOURS](_ray_scale()(ray.level_db)) for ray in rays]
+    lines = [ray.points_m[:, shown] for ray in rays]
+    axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
+    numbered = list(zip(lines, colours, strict=True))[:_NUMBERED_RAYS]
+    for number, (line, colour) in enumerate(numbered, start=1):
+        reached = np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+        share = number / (
+            len(numbered) + 1
+        )  # of its length: labels of rays that begin and end alike stand apart
+        place = np.array([np.interp(share * reached[-1], reached, part) for part in line.T])
+        style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": colour}
+        axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
+
+
+def _draw_receiver(axis: Any, room: ShownRoom, shown: list[int]) -> None:
+    start, along = room.receiver_m[shown], room.boresight[shown] * _BORESIGHT_M
+    if np.linalg.norm(along) > 0.1 * _BORESIGHT_M:
+        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
+        axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
+    axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)
+
+
+def _place_handles(room: ShownRoom) -> list[Line2D]:
+    style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "none"}
+    receiver = Line2D([], [], marker="^", color="#d55e00", label="receiver and its boresight", **style)
+    chosen = Line2D([], [], marker="*", color="black", label=f"transmitter {room.tx}", **style)
+    return [receiver, chosen] + [
+        Line2D([], [], marker="o", color=_GROUP_COLOURS[name], label=f"{name} ({len(position_m)})", **style)
+        for name, position_m in room.groups().items()
+    ]
+
+
+def _material_handles(room: ShownRoom) -> list[Line2D]:
+    return [
+        Line2D([], [], color=_MATERIAL_COLOURS.get(name, _OTHER_MATERIAL), label=name.replace("_", " "))
+        for name in sorted({mesh.material for mesh in room.meshes})
+    ]
+
+
+def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
+    found: Similarity = summary.similarity
+    image = axis.pcolormesh(found.median_ssim, vmin=_least(found), vmax=1, cmap=_SSIM_COLOURS)
+    names = [f"{carrier / 1e9:g}" for carrier in found.carrier_hz]
+    places = np.arange(len(names)) + 0.5
+    axis.set_xticks(places, names, fontsize=8)
+    axis.set_yticks(places, names, fontsize=8)
+    for (row, column), value in np.ndenumerate(found.median_ssim):
+        _write_value(axis, row, column, float(value), _least(found))
+    axis.set(xlabel="carrier (GHz)", ylabel="carrier (GHz)", aspect="equal")
+    axis.set_title(f"median SSIM between carriers, {found.num_tx} transmitters", fontsize="medium")
+    axis.figure.colorbar(image, ax=axis, shrink=0.8)
+
+
+def _least(found: Similarity) -> float:
+    """Lower end of the colour scale: a tenth, rounded down, below all values."""
+    return float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
+
+
+def _write_value(axis: Any, row: int, column: int, value: float, least: float) -> None:
+    if np.isnan(value):
+        return
+    colour = "white" if value < (1 + least) / 2 else "black"
+    axis.text(column + 0.5, row + 0.5, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
+
+
+def _draw_power(axis: Any, summary: CarrierSummary) -> None:
+    assert summary.peak_db is not None, "drawn where it is known"
+    carrier_ghz = summary.carrier_hz / 1e9
+    for name, members in summary.groups().items():
+        low, middle, high = _percentiles(summary.peak_db[members])
+        axis.fill_between(carrier_ghz, low, high, color=_GROUP_COLOURS[name], alpha=0.2, linewidth=0)
+        axis.plot(carrier_ghz, middle, "o-", color=_GROUP_COLOURS[name], markersize=4, label=name)
+    axis.set(xscale="log", xlabel="carrier (GHz)", ylabel="peak of the map (dB)")
+    label_decades(axis)
+    axis.set_title("power: median, and what 80 % lie within", fontsize="medium")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small")
+
+
+def _percentiles(peak_db: Float[FloatArray, "n F"]) -> Float[FloatArray, "3 F"]:
+    """10th, 50th and 90th percentile over the transmitters heard at each carrier; nan where none is heard."""
+    levels = np.full((3, peak_db.shape[1]), np.nan)
+    for carrier, column in enumerate(peak_db.T):
+        if not np.isnan(column).all():
+            levels[:, carrier] = np.nanpercentile(column, (10, 50, 90))
+    return levels
+
+
+def _draw_path_counts(axis: Any, summary: CarrierSummary) -> None:
+    assert summary.num_paths is not None, "drawn where it is known"
+    most = summary.num_paths.max(axis=1)
+    edges = np.histogram_bin_edges(most, bins=min(30, max(1, int(np.ptp(most)) + 1)))
+    groups = summary.groups()
+    axis.hist(
+        [most[members] for members in groups.values()],
+        bins=edges,
+        stacked=True,
+        color=[_GROUP_COLOURS[name] for name in groups],
+        label=list(groups),
+    )
+    axis.set(xlabel="paths that reach the array", ylabel="transmitters")
+    axis.set_title("paths a transmitter, at the carrier with most", fontsize="medium")
+    axis.legend(fontsize="small")
+
+
+def _draw_silence(axis: Any, summary: CarrierSummary) -> None:
+    names = [f"{carrier / 1e9:g}" for carrier in summary.carrier_hz]
+    groups = summary.groups()
+    for number, (name, members) in enumerate(groups.items()):
+        share = 100 * (1 - summary.has_path[members].mean(axis=0))
+        places = np.arange(len(names)) + (number + 0.5) / len(groups) * 0.8 - 0.4
+        axis.bar(places, share, width=0.8 / len(groups), color=_GROUP_COLOURS[name], label=name)
+    if summary.has_path.all():
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "transform": axis.transAxes}
+        axis.text(0.5, 0.5, "none: all are heard at every carrier", **middle)
+    axis.set_xticks(np.arange(len(names)), names, fontsize=8)
+    shares = [1 - summary.has_path[members].mean(axis=0).min() for members in groups.values()]
+    top = max(1.0, 110 * float(max(shares)))  # at least one percent, or tiny bars would fill the figure
+    axis.set(xlabel="carrier (GHz)", ylabel="transmitters (%)", ylim=(0, top))
+    axis.set_title("without any path", fontsize="medium")
+    axis.legend(fontsize="small")

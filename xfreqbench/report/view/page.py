@@ -1,0 +1,244 @@
+"""The page that says what a data set or a scene holds: its facts and tables; `page.html` puts them in place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import PROTOCOLS, Split, make_splits
+from xfreqbench.errors import ProtocolError
+from xfreqbench.report.drawing.document import PageTable, Picture, owner_mark
+from xfreqbench.report.drawing.markdown import ABSENT, number
+from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.view.plan import ViewPlan
+from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
+from xfreqbench.report.view.summary import CarrierSummary
+from xfreqbench.scene.materials import complex_permittivity, material_bands
+from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz, format_ghz_list
+
+_SPLIT_COLUMNS = (
+    "split",
+    "trained on",
+    "tested on",
+    "left out, no path",
+    "same transmitters",
+    "nearest trained (m)",
+)
+
+
+def view_page(
+    view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[str, Picture], model: str
+) -> str:
+    """HTML of a view whose rays are traced; equal views give equal text.
+
+    `summary` is that of the view's data set, None without one. `pictures` go by their file names, `scene.png`,
+    `pas.png` and `carriers.svg`; `model` is the file name of the 3D model beside the page.
+    """
+    splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
+    return render(
+        "view/page.html",
+        title=f"{view.dataset.path.name}: {view.header.scene_name}"
+        if view.dataset
+        else view.header.scene_name,
+        lead=_lead(view),
+        owner=owner_mark(view.subject),
+        facts=_facts(view),
+        view=view,
+        dataset=view.dataset,
+        summary=summary,
+        pictures=pictures,
+        model=model,
+        carrier=format_ghz(view.carrier_hz),
+        tx_place=_metres(view.room.tx_m),
+        max_rays=MAX_RAYS,
+        ray_range_db=f"{RAY_RANGE_DB:g}",
+        rays=_ray_table(view),
+        materials=_material_table(view),
+        carriers=_carrier_table(summary) if summary else None,
+        splits=PageTable(_SPLIT_COLUMNS, [_split_row(split) for split in splits]),
+        refusals=refusals,
+        origin=PageTable(("what", "value"), [*_origin_rows(view)]),
+    )
+
+
+def _lead(view: ViewPlan) -> str:
+    num_tx, num_carriers = view.header.num_tx, len(view.header.carrier_hz)
+    what = (
+        f"{num_tx:,} transmitters × {num_carriers} carriers = {num_tx * num_carriers:,} power angular spectra."
+        if view.dataset
+        else "A scene, without data: `xfreqbench generate` would use these transmitters."
+    )
+    return f"{what} {view.scene.description if view.scene else ''}".strip()
+
+
+def _facts(view: ViewPlan) -> dict[str, str]:
+    header, dataset = view.header, view.dataset
+    facts = {"Receiver": _receiver(view), "Transmitters": _transmitters(view)}
+    if header.rejected:
+        left_out = [f"{count} {why}" for why, count in header.rejected.items() if count]
+        facts["Left out"] = ", ".join(left_out) or "nothing"
+    if dataset:
+        facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": _maps(dataset)}
+    if view.settings:
+        facts["Rays"] = (
+            f"{view.settings.solver} solver, {', '.join(view.settings.interactions)}, depth "
+            f"{view.settings.max_depth}, {view.settings.rays:,} rays, seed {view.settings.seed}"
+        )
+    if dataset:
+        facts["File"] = f"{dataset.path.stat().st_size / 1e6:,.1f} MB"
+    return facts | {"Shown": f"transmitter {view.room.tx} at {_metres(view.room.tx_m)}"}
+
+
+def _receiver(view: ViewPlan) -> str:
+    receiver = view.header.receiver
+    return (
+        f"{receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths apart at "
+        f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.pattern} pattern, "
+        f"polarization {receiver.polarization}, in plane {receiver.plane} of its frame"
+    )
+
+
+def _transmitters(view: ViewPlan) -> str:
+    in_sight = view.room.in_sight
+    if in_sight is None:
+        return f"{view.header.num_tx:,}, sight of the receiver not published"
+    return f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow"
+
+
+def _maps(dataset: PasDataset) -> str:
+    rows, columns = dataset.grid.shape
+    kept = "stored" if dataset.header.maps else "derived from the channels when read"
+    channels = "with channels" if dataset.header.channels else "without channels"
+    return f"{dataset.header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
+
+
+def _ray_table(view: ViewPlan) -> PageTable:
+    rows = [
+        (str(index), f"{ray.level_db:.1f}".replace("-", "−"), f"{ray.delay_s * 1e9:.2f}", ray.label)
+        for index, ray in enumerate(view.room.rays, start=1)
+    ]
+    return PageTable(("ray", "power (dB)", "delay (ns)", "what it meets"), rows)
+
+
+def _material_table(view: ViewPlan) -> PageTable:
+    header = (
+        "material",
+        "thickness (mm)",
+        "surfaces",
+        "P.2040 bands (GHz)",
+        "outside them",
+        f"ε′, {format_ghz(view.carrier_hz)}",
+        "σ (S/m)",
+    )
+    kinds = sorted({(mesh.material, mesh.thickness_m) for mesh in view.room.meshes})
+    return PageTable(header, [_material_row(view, *kind) for kind in kinds])
+
+
+def _material_row(view: ViewPlan, material: str, thickness_m: float) -> tuple[str, ...]:
+    kind = (material, thickness_m)
+    carriers = view.header.carrier_hz.tolist() if view.dataset else [view.carrier_hz]
+    bands = material_bands(material)
+    outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
+    permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
+    conductivity_s_m = -permittivity.imag * 2 * np.pi * view.carrier_hz * VACUUM_PERMITTIVITY_F_M
+    return (
+        material.replace("_", " "),
+        f"{thickness_m * 1e3:g}",
+        str(sum((mesh.material, mesh.thickness_m) == kind for mesh in view.room.meshes)),
+        ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands),
+        f"{format_ghz_list(outside)}, extrapolated" if outside else ABSENT,
+        f"{permittivity.real:.3g}",
+        f"{conductivity_s_m:,.0f}" if conductivity_s_m > 1000 else f"{conductivity_s_m:.3g}",
+    )
+
+
+def _carrier_table(summary: CarrierSummary) -> PageTable:
+    header = ["carrier (GHz)", "without path", "median paths", "power median (dB)", "10 to 90 % (dB)"]
+    if len(summary.similarity.carrier_hz) > 1:
+        header.append("SSIM to the next carrier")
+    return PageTable(header, [_carrier_row(summary, index) for index in range(len(summary.carrier_hz))])
+
+
+def _carrier_row(summary: CarrierSummary, index: int) -> tuple[str, ...]:
+    heard = summary.has_path[:, index]
+    cells = [f"{summary.carrier_hz[index] / 1e9:g}", str(int((~heard).sum()))]
+    paths = summary.num_paths
+    cells.append(ABSENT if paths is None else f"{np.median(paths[:, index]):.0f}")
+    if summary.peak_db is None or not heard.any():
+        cells += [ABSENT, ABSENT]
+    else:
+        low, middle, high = np.percentile(summary.peak_db[heard, index], (10, 50, 90))
+        cells += [f"{middle:.1f}", f"{low:.1f} to {high:.1f}"]
+    if len(summary.similarity.carrier_hz) > 1:
+        cells.append(_next_ssim(summary, index))
+    return tuple(cell.replace("-", "−") for cell in cells)
+
+
+def _next_ssim(summary: CarrierSummary, index: int) -> str:
+    compared = summary.similarity
+    places = np.flatnonzero(compared.carrier_hz == summary.carrier_hz[index])
+    if not len(places) or places[0] + 1 == len(compared.carrier_hz):
+        return ABSENT
+    return number(float(compared.median_ssim[places[0], places[0] + 1]), 3)
+
+
+def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:
+    """The splits of every protocol that the data set can serve, and why it cannot serve the others as they are.
+
+    A `lofo` protocol whose usual targets are not among the carriers is shown with every carrier as a target.
+    """
+    splits: list[Split] = []
+    refusals: list[str] = []
+    for protocol in PROTOCOLS:
+        try:
+            splits += make_splits(dataset, protocol)
+        except ProtocolError as error:
+            refusal = str(error)
+            if protocol.startswith("lofo"):
+                try:
+                    splits += make_splits(dataset, protocol, "all")
+                    refusal += " Shown here with `--targets all`."
+                except ProtocolError as second:
+                    refusal = str(second)
+            refusals.append(refusal)
+    return splits, refusals
+
+
+def _split_row(split: Split) -> tuple[str, ...]:
+    return (
+        split.name,
+        f"{len(split.train):,}",
+        f"{len(split.test):,}",
+        str(split.num_without_path),
+        "yes, at other carriers" if split.shares_transmitters else "no",
+        f"{split.nearest_trained_m:.2f}",
+    )
+
+
+def _origin_rows(view: ViewPlan) -> Iterator[tuple[str, str]]:
+    for name, value in view.header.settings.items():
+        if isinstance(value, dict):
+            yield from ((f"{name}: {key}", _words(each)) for key, each in value.items())
+        else:
+            yield name, _words(value)
+    yield from ((f"version of {name}", version) for name, version in view.header.software.items())
+    yield "sha256 of the scene", view.header.scene_sha256
+    if view.dataset:
+        yield "sha256 of the data set", view.dataset.sha256
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value)) or "none"
+    return str(value)
+
+
+def _metres(point_m: Any) -> str:
+    return f"{_vector(point_m)} m"
+
+
+def _vector(values: Any) -> str:
+    return f"({', '.join(f'{value:.4g}' for value in values)})"

@@ -1,0 +1,123 @@
+"""Writes what is shown of a data set or a scene into one folder: a page, its figures, and a 3D model."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.maps.bartlett import power_of
+from xfreqbench.report.drawing.document import Picture, is_of_subject
+from xfreqbench.report.drawing.figures import plot_pas_maps
+from xfreqbench.report.drawing.glb import GlbModel
+from xfreqbench.report.view.figures import (
+    group_colour,
+    material_colour,
+    plot_carriers,
+    plot_overview,
+    plot_room,
+    ray_colour,
+)
+from xfreqbench.report.view.page import view_page
+from xfreqbench.report.view.plan import ViewPlan
+from xfreqbench.report.view.room import ShownRoom
+from xfreqbench.report.view.summary import CarrierSummary, summarize
+from xfreqbench.system.files import atomic_path, require_own, require_space, storage_errors, write_text
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
+
+PAGE, MODEL, ROOM = "index.html", "scene.glb", "scene.png"
+MAPS, CARRIERS, OVERVIEW = "pas.png", "carriers.svg", "overview.png"
+FILES = (PAGE, MODEL, ROOM, MAPS, CARRIERS, OVERVIEW)
+_ALT = {
+    ROOM: "Plan and elevation of the scene with receiver, transmitters and rays",
+    MAPS: "Power angular spectra of one transmitter at every carrier",
+    CARRIERS: "Similarity of maps, power, paths and silence against the carrier",
+}
+_SURFACE_OPACITY = 60
+_ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
+_BALL_M, _MARKER_M, _RAY_M, _ELEMENT_M, _BORESIGHT_M = 0.07, 0.02, 0.008, 0.015, 0.5
+
+
+def claim(view: ViewPlan, folder: Path) -> None:
+    """Make the folder, or check that the files of these names there were written for the same data set or scene.
+
+    Only such files may be replaced: raises `OutputExistsError` for others, and `StorageError`.
+    """
+    is_ours = _is_ours(folder / PAGE, view.subject)
+    for name in FILES:
+        require_own(
+            folder / name, lambda _: None if is_ours else "was not written for this data set or scene"
+        )
+    require_space(folder / PAGE, 1)
+
+
+def write_view(view: ViewPlan, folder: Path) -> list[Path]:
+    """Draw everything, then write `FILES`, for a scene without data only the first three; returns their paths.
+
+    Raises what `claim` raises, before anything is drawn, and `DataError`.
+    """
+    claim(view, folder)
+    summary = summarize(view.dataset) if view.dataset else None
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = dict(_drawn(view, summary, Path(scratch)))
+    pictures = {name: Picture(name, alt, drawn[name]) for name, alt in _ALT.items() if name in drawn}
+    page = view_page(view, summary, pictures, MODEL)
+    write_text(folder / PAGE, page)  # before the others, because it names the data set that they belong to
+    for name, content in drawn.items():
+        path = folder / name
+        with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
+            temporary.write_bytes(content)
+    return [folder / PAGE, *(folder / name for name in drawn)]
+
+
+def room_model(room: ShownRoom) -> GlbModel:
+    """The scene as a 3D model with a node for every surface, every ray and each group of transmitters."""
+    model = GlbModel()
+    for mesh in room.meshes:
+        model.add_surface(mesh, material_colour(mesh.material, _SURFACE_OPACITY))
+    for name, position_m in room.groups().items():
+        model.add_markers(name, position_m, _MARKER_M, group_colour(name))
+    for number, ray in enumerate(room.rays, start=1):
+        name = f"ray {number}: {ray.level_db:.1f} dB, {ray.label}"
+        model.add_tube(name, ray.points_m, _RAY_M, ray_colour(ray.level_db))
+    model.add_ball(f"transmitter {room.tx}", room.tx_m, _BALL_M, _BLACK)
+    _add_receiver(model, room)
+    return model
+
+
+def _add_receiver(model: GlbModel, room: ShownRoom) -> None:
+    elements_m = room.receiver.element_position_m(SPEED_OF_LIGHT_M_S / room.lowest_hz)
+    ahead_m = room.receiver_m + _BORESIGHT_M * room.boresight
+    model.add_ball("receiver", room.receiver_m, _ELEMENT_M, _ORANGE)
+    model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, _ELEMENT_M, _ORANGE)
+    model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), _RAY_M, _ORANGE)
+
+
+def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Iterator[tuple[str, bytes]]:
+    """Names and contents of all files but the page."""
+    room_model(view.room).write(scratch / MODEL)
+    plot_room(view.room, scratch / ROOM)
+    if view.dataset and summary:
+        _plot_maps(view.dataset, view.room, scratch)
+        plot_carriers(summary, scratch / CARRIERS)
+    for name in FILES:
+        if (scratch / name).exists():
+            yield name, (scratch / name).read_bytes()
+
+
+def _plot_maps(dataset: PasDataset, room: ShownRoom, folder: Path) -> None:
+    rows = np.flatnonzero(dataset.tx_index == room.tx)
+    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
+    maps = power_of(dataset.pas(rows), dataset.header.pas_kind)
+    plot_pas_maps(maps, dataset.grid, titles, folder / MAPS)
+    plot_overview(room, maps, dataset.grid, titles, folder / OVERVIEW)
+
+
+def _is_ours(page: Path, subject: str) -> bool:
+    try:
+        return is_of_subject(page.read_text("utf-8"), subject)
+    except (OSError, UnicodeDecodeError):
+        return False

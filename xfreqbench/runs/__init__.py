@@ -1,0 +1,7 @@
+"""Runs: a method is fitted on the training rows of a split, predicts the test rows, and is scored.
+
+In come jobs, each of which names a data set, a split, a method, a seed and a budget. Out come files in a results
+folder: predicted maps, and one record a run with the scores of the maps as they were stored. The way of a job is
+`jobs` (everything it names is looked up), `run` (fit, predict, store, score, record), `folder` (where it is kept);
+`watch` observes the fit, and `on_workers` takes the same way in other processes.
+"""

@@ -1,0 +1,256 @@
+"""The whole benchmark as one command: it generates data sets, runs methods side by side, and measures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.generate import estimate_seconds, generate_planned
+from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.splits import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
+from xfreqbench.errors import UnknownNameError
+from xfreqbench.methods.contract import parse_budget
+from xfreqbench.methods.registry import build_method, device_option
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.on_workers import run_on
+from xfreqbench.runs.presets import PRESETS, Block, Preset
+from xfreqbench.runs.records import BenchRecord, Job, machine_and_time
+from xfreqbench.scene.model import load_scene
+from xfreqbench.system.workers import (
+    HERE,
+    SERIAL,
+    LocalProcesses,
+    Workers,
+    all_cores,
+    open_workers,
+    own_cores,
+)
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+OVERHEAD_S = 13  # what a run takes besides its fit: start, learning curve, predictions and scores
+BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it takes on two cores
+    "generate": (("bench", "generate"), 4),
+    "plain": (("bench", "generate", "--against-plain", "--plain-tx", "8"), 4),
+    "render": (("bench", "render"), 2),
+    "savings": (("bench", "savings"), 5),
+    "stress": (("stress",), 1),
+}
+_PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
+
+TracingProgress = Callable[[str, int, int], None]
+RunProgress = Callable[[int, int, Job], None]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A preset, the folders of its data sets and results, and the device for methods that can use a GPU."""
+
+    name: str
+    preset: Preset
+    data_dir: Path
+    results_dir: Path
+    device: str = "cpu"
+
+    @cached_property
+    def results(self) -> ResultsFolder:
+        """The folder in which every run and every measurement is recorded."""
+        return ResultsFolder(self.results_dir)
+
+    @property
+    def scenes(self) -> list[str]:
+        """Scenes of the blocks, each once."""
+        return list(dict.fromkeys(block.scene for block in self.preset.blocks))
+
+    @cached_property
+    def plans(self) -> dict[str, Plan]:
+        """The plan of every scene's data set, by the name of the scene."""
+        return {
+            name: plan_generation(load_scene(name), _PAPER_HZ, num_transmitters=self.preset.num_tx.get(name))
+            for name in self.scenes
+        }
+
+    def data_path(self, scene: str) -> Path:
+        """The file of a scene's data set; if the preset limits its transmitters, their number is in the name."""
+        number = self.preset.num_tx.get(scene)
+        return self.data_dir / (f"{scene}-{number}.h5" if number else f"{scene}.h5")
+
+    def jobs(self) -> list[Job]:
+        """All jobs, each once, in the order of the blocks. The data sets must have been generated."""
+        found = (job for block in self.preset.blocks for job in self._jobs_of(block))
+        return list(dict.fromkeys(found))
+
+    def _jobs_of(self, block: Block) -> Iterator[Job]:
+        path = str(self.data_path(block.scene))
+        splits = make_splits(open_dataset(path), block.protocol, _targets_hz(block))
+        for setting in block.settings:
+            overrides = (*setting.overrides, *device_option(setting.method, self.device))
+            for seed in block.seeds:
+                for split in splits:
+                    budget = parse_budget(block.budget)
+                    yield Job(path, setting.method, block.protocol, split.name, overrides, seed, budget)
+
+    def missing_benches(self) -> list[str]:
+        """The measurements that have no record yet."""
+        known = {record.bench for record in self.results.stored.benches}
+        return [name for name in self.preset.benches if name not in known]
+
+    @property
+    def num_places(self) -> int:
+        """Number of runs at a time: one for each core, or one alone on a GPU."""
+        return len(own_cores()) if self.device == "cpu" else 1
+
+
+def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "cpu") -> Benchmark:
+    """The benchmark of the preset with a name; raises `UnknownNameError`, and whatever building its methods raises."""
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    preset = PRESETS[name]
+    for setting in dict.fromkeys(setting for block in preset.blocks for setting in block.settings):
+        build_method(setting.method, setting.overrides)
+    return Benchmark(name, preset, data_dir, results_dir, device)
+
+
+def run_workers(benchmark: Benchmark, executor: str | None) -> AbstractContextManager[Workers]:
+    """The workers that `--executor` names; without it, a new process on each core for every run, or one on a GPU.
+
+    With `serial` it is one new process at a time, which may use all cores.
+    """
+    if executor is None or executor == SERIAL:
+        one_a_core = executor is None and benchmark.device == "cpu"
+        return LocalProcesses(own_cores() if one_a_core else all_cores(), is_fresh=True)
+    return open_workers(executor, is_fresh=True)
+
+
+def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
+    """What a benchmark will take, as text: data sets, runs, time, disk space, and what it leaves out.
+
+    `num_places` is the number of runs at a time, if it is not `benchmark.num_places`.
+    """
+    preset = benchmark.preset
+    places = num_places or benchmark.num_places
+    num_runs = sum(map(_num_runs, preset.blocks))
+    num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
+    return "\n".join(
+        [
+            f"preset {benchmark.name}: {preset.description}",
+            f"left out: {preset.left_out}",
+            *(_data_line(benchmark, scene) for scene in benchmark.scenes),
+            f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
+            f"{len(preset.benches)} measurements: about {_in_hours(seconds_needed(benchmark, places))}; "
+            f"{_disk_gb(benchmark):.0f} GB of predictions",
+        ]
+    )
+
+
+def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
+    """Estimated seconds for all runs, as if none was done yet, and all measurements."""
+    blocks = benchmark.preset.blocks
+    budgets_s = [parse_budget(block.budget).max_seconds or 0.0 for block in blocks]
+    runs_s = sum(
+        _num_runs(block) * (each + OVERHEAD_S) for block, each in zip(blocks, budgets_s, strict=True)
+    )
+    benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
+    return runs_s / (num_places or benchmark.num_places) + benches_s
+
+
+def generate_data(benchmark: Benchmark, progress: TracingProgress, workers: Workers = HERE) -> None:
+    """Generate the data sets that do not exist yet; a generation that was killed goes on.
+
+    Raises `OutputExistsError` if a file holds something else, and any other `XFreqBenchError`.
+    """
+    for scene, plan in benchmark.plans.items():
+        generate_planned(plan, benchmark.data_path(scene), partial(progress, scene), workers=workers)
+
+
+def run_benchmark(benchmark: Benchmark, progress: RunProgress, executor: str | None = None) -> list[str]:
+    """Run the jobs that are not finished, on the workers of `run_workers`; returns a line for each run that failed.
+
+    Raises what `run_on` raises before the first run.
+    """
+    with run_workers(benchmark, executor) as workers:
+        return run_on(workers, benchmark.jobs(), benchmark.results_dir, progress).failures
+
+
+def measure(benchmark: Benchmark, name: str) -> list[str]:
+    """Run the command of one measurement, showing its output, and record its tables; returns what failed, in words."""
+    with tempfile.TemporaryDirectory() as folder:
+        measured = ResultsFolder(Path(folder))
+        command = [*BENCH_COMMANDS[name][0], "--output", str(measured.records_path)]
+        outcome = subprocess.run([sys.executable, "-m", "xfreqbench.cli", *command])
+        for record in measured.stored.benches:
+            benchmark.results.append(record)
+    failure = f"`xfreqbench {' '.join(command[:-2])}` ended with {outcome.returncode}; see above"
+    return [failure] if outcome.returncode else []
+
+
+def record_contents(benchmark: Benchmark) -> None:
+    """Record what the benchmark consists of and what it leaves out, unless that is recorded already."""
+    contents = BenchRecord(
+        bench="benchmark",
+        title="What was run",
+        command=f"xfreqbench benchmark --preset {benchmark.name}",
+        note=f"Preset {benchmark.name}: {benchmark.preset.description}. "
+        f"Left out: {benchmark.preset.left_out}.",
+        columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
+        rows=tuple(map(_contents, benchmark.preset.blocks)),
+        **machine_and_time(),
+    )
+    known = [(each.note, each.rows) for each in benchmark.results.stored.benches]
+    if (contents.note, contents.rows) not in known:
+        benchmark.results.append(contents)
+
+
+def _contents(block: Block) -> tuple[str, ...]:
+    methods = [
+        setting.method + (f" ({', '.join(setting.overrides)})" if setting.overrides else "")
+        for setting in block.settings
+    ]
+    seeds = ", ".join(map(str, block.seeds))
+    counts = str(_num_splits(block)), ", ".join(methods), seeds, block.budget or "none", str(_num_runs(block))
+    return (block.scene, block.protocol, *counts)
+
+
+def _targets_hz(block: Block) -> Targets:
+    if block.targets_ghz is None or block.targets_ghz == "all":
+        return block.targets_ghz
+    return [ghz_to_hz(target) for target in block.targets_ghz]
+
+
+def _num_splits(block: Block) -> int:
+    """Number of splits of a block's protocol on the paper's carriers."""
+    if block.protocol not in ("lofo", "lofo-unseen-tx"):
+        return len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1
+    if block.targets_ghz == "all":
+        return len(_PAPER_HZ)
+    return len(block.targets_ghz or LOFO_TARGETS_HZ)
+
+
+def _num_runs(block: Block) -> int:
+    return _num_splits(block) * len(block.settings) * len(block.seeds)
+
+
+def _data_line(benchmark: Benchmark, scene: str) -> str:
+    path, plan = benchmark.data_path(scene), benchmark.plans[scene]
+    if path.exists():
+        return f"{path} is there already and is used"
+    return f"{path}: {plan.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"
+
+
+def _disk_gb(benchmark: Benchmark) -> float:
+    """Estimated size of all predictions in GB, if every split tests every transmitter once."""
+    return sum(
+        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 / 1e9
+        for block in benchmark.preset.blocks
+    )
+
+
+def _in_hours(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"

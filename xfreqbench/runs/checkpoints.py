@@ -1,0 +1,159 @@
+"""Checkpoints: a fit is saved while it runs, so that a killed run can go on.
+
+A job has a folder of its own, with a numbered folder for each checkpoint. That one holds what the method saved, in
+`method/`, and `checkpoint.json`, which says how the fit stood. Only the newest checkpoint is kept. At any moment
+there is a whole one, and every byte of it is checked before a fit goes on from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from xfreqbench.errors import DataError
+from xfreqbench.methods.config import as_json
+from xfreqbench.methods.contract import Method
+from xfreqbench.methods.fitting import Fit
+from xfreqbench.runs.records import CurvePoint
+from xfreqbench.system.files import storage_errors, sync
+
+CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
+_METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
+
+
+class Checkpoint(BaseModel):
+    """How a fit stood when its method was saved; `sha256` holds the hash of every file that the method wrote."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    task_id: str
+    step: int
+    loss: float
+    seconds: float
+    share: float
+    counts: dict[str, float]
+    curve: tuple[CurvePoint, ...]
+    sha256: dict[str, str]
+
+    @property
+    def fit(self) -> Fit:
+        """The state from which `fit_within` goes on."""
+        return Fit(self.step, self.loss, self.seconds, self.share, self.counts)
+
+
+@dataclass(frozen=True)
+class CheckpointFolder:
+    """The folder of one job's checkpoints; `task_id` is the id that the job's record will have."""
+
+    path: Path
+    task_id: str
+
+    def write(self, method: Method, fit: Fit, curve: tuple[CurvePoint, ...]) -> None:
+        """Save a method and how its fit stands, then remove the checkpoint before.
+
+        A process that is killed at any moment leaves a whole checkpoint: this one, or the one before. Raises
+        `StorageError`, and what `method.save` raises.
+        """
+        unfinished = self.path / _UNFINISHED
+        numbers = self._numbers()
+        with storage_errors(self.path):
+            _remove(unfinished)
+            (unfinished / _METHOD_FOLDER).mkdir(parents=True)
+            method.save(unfinished / _METHOD_FOLDER)
+            state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
+            (unfinished / _STATE_FILE).write_text(state.model_dump_json())
+            _sync_tree(unfinished)
+            unfinished.rename(self.path / str(max(numbers, default=0) + 1))
+            sync(self.path)  # or the rename itself may be lost with the power
+            for number in numbers:
+                _remove(self.path / str(number))
+
+    def newest(self) -> Path | None:
+        """The folder of the newest checkpoint; None if there is none yet."""
+        numbers = self._numbers()
+        return self.path / str(max(numbers)) if numbers else None
+
+    def read(self) -> Checkpoint | None:
+        """The newest checkpoint, after every byte of it has been checked; None if there is none.
+
+        Raises `DataError` if it is damaged or belongs to another job.
+        """
+        newest = self.newest()
+        if newest is None:
+            return None
+        try:
+            checkpoint = Checkpoint.model_validate_json((newest / _STATE_FILE).read_bytes())
+            sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
+        except (OSError, ValidationError) as error:
+            fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
+            raise self._refusal(f"cannot be read: {fault}") from error
+        if checkpoint.task_id != self.task_id:
+            raise self._refusal(f"belongs to job {checkpoint.task_id}, not to {self.task_id}")
+        if sha256 != checkpoint.sha256:
+            names = sorted(name for name, _ in sha256.items() ^ checkpoint.sha256.items())
+            raise self._refusal(f"is damaged: {', '.join(dict.fromkeys(names))} changed since it was written")
+        return checkpoint
+
+    def load(self, method: Method) -> Method:
+        """The method as the newest checkpoint holds it; its class and configuration are those of `method`.
+
+        Raises `DataError` if it cannot be loaded or has another configuration.
+        """
+        try:
+            loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
+        except Exception as error:  # a method reads its files in its own way
+            raise self._refusal(f"cannot be loaded: {type(error).__name__}: {error}") from error
+        config = getattr(loaded, "config", None)
+        if as_json(config) != as_json(method.config):
+            raise self._refusal(f"has configuration {config!r}, but the job has {method.config!r}")
+        return loaded
+
+    def remove(self) -> None:
+        """Remove the folder. It is renamed first, so that a kill never leaves half of it under its name."""
+        removed = self.path.with_name(f".{self.path.name}.removed")
+        with storage_errors(self.path):
+            _remove(removed)
+            if self.path.exists():
+                self.path.rename(removed)
+                _remove(removed)
+
+    def _numbers(self) -> list[int]:
+        names = [path.name for path in self.path.glob("*")]
+        return sorted(int(name) for name in names if name.isascii() and name.isdigit())
+
+    def _state(self, fit: Fit, curve: tuple[CurvePoint, ...], sha256: dict[str, str]) -> Checkpoint:
+        return Checkpoint(
+            task_id=self.task_id,
+            step=fit.step,
+            loss=fit.loss,
+            seconds=fit.seconds,
+            share=fit.share,
+            counts=dict(fit.counts),
+            curve=curve,
+            sha256=sha256,
+        )
+
+    def _refusal(self, fault: str) -> DataError:
+        return DataError(f"The checkpoint in {self.path} {fault}. Delete that folder to fit anew.")
+
+
+def _sha256_by_name(folder: Path) -> dict[str, str]:
+    """The hash of every file, by its path within the folder; raises `OSError`."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
+    }
+
+
+def _remove(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)
+
+
+def _sync_tree(folder: Path) -> None:
+    for path in (*folder.rglob("*"), folder):
+        sync(path)

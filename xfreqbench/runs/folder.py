@@ -1,0 +1,127 @@
+"""A folder of results: where records, predictions, checkpoints and locks are in it. No other module knows.
+
+records.jsonl            one line for each run and for each table of a measurement
+predictions/ID.h5        the predicted maps of the run whose record has that id
+predictions/ID.lock      exists while a process is at that run
+checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
+"""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from xfreqbench.errors import DataError
+from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.predictions import Predictions, read_predictions
+from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
+from xfreqbench.system.files import exclusive, require_space, storage_errors
+
+_RECORDS, _PREDICTIONS, _CHECKPOINTS = "records.jsonl", "predictions", "checkpoints"
+
+
+class ResultsFolder:
+    """Records of runs with their predictions and checkpoints, in one folder.
+
+    `records_path` is the file of records. The file is read when something of it is first asked for, and again
+    only after it has changed.
+    """
+
+    def __init__(self, path: Path, records_name: str = _RECORDS) -> None:
+        self.path = path
+        self.records_path = path / records_name
+        self._stored = StoredRecords(())
+        self._read_at: tuple[int, ...] | None = None  # inode, size and time of the file when it was read
+
+    @classmethod
+    def holding(cls, results: Path) -> ResultsFolder:
+        """Results to read: `results` is such a folder, or a file of records, whose predictions lie beside it."""
+        return cls(results) if results.is_dir() else cls(results.parent, results.name)
+
+    @property
+    def stored(self) -> StoredRecords:
+        """Everything that the file of records holds; raises `DataError`."""
+        now = self._file_state()
+        if now != self._read_at:
+            self._stored, self._read_at = read(self.records_path), now
+        return self._stored
+
+    @property
+    def records(self) -> tuple[RunRecord, ...]:
+        """The records of runs, in the order in which they were stored; raises `DataError`."""
+        return self.stored.records
+
+    def finished(self, record_id: str) -> RunRecord | None:
+        """The latest record with an id, if its predictions are stored too, else None; raises `DataError`."""
+        if not self.predictions_path(record_id).exists():
+            return None
+        return next((record for record in reversed(self.records) if record.id == record_id), None)
+
+    def append(self, record: RunRecord | BenchRecord) -> None:
+        """Store a record behind the others; raises `StorageError`, and `DataError` for a file of something else."""
+        append(self.records_path, record)
+
+    def keep(self, record: RunRecord) -> None:
+        """Store the record of a run, unless it is stored already, and remove the run's checkpoints."""
+        known = {(stored.id, stored.time_utc) for stored in self.records}
+        if (record.id, record.time_utc) not in known:
+            self.append(record)
+        self.checkpoints(record.id).remove()
+
+    def predictions_path(self, record_id: str) -> Path:
+        """The file for the predictions of the run with an id, whether it exists or not."""
+        return self.path / _PREDICTIONS / f"{record_id}.h5"
+
+    def predictions_paths(self) -> list[Path]:
+        """All files of predictions, by name."""
+        return sorted((self.path / _PREDICTIONS).glob("*.h5"))
+
+    def predictions(self, record: RunRecord) -> Predictions:
+        """The predictions of a record; raises `DataError` if they are absent, damaged or of another split."""
+        path = self.predictions_path(record.id)
+        if not path.exists():
+            raise DataError(
+                f"The predictions of record {record.id} are not at {path}. Run the same `xfreqbench run` again, "
+                "which stores them, or choose another record."
+            )
+        predictions = read_predictions(path)
+        if (predictions.dataset_sha256, predictions.split_sha256) != (
+            record.dataset_sha256,
+            record.split_sha256,
+        ):
+            raise DataError(f"{path} holds predictions of another split. Delete it and run again.")
+        return predictions
+
+    def checkpoints(self, record_id: str) -> CheckpointFolder:
+        """The checkpoints of the run whose record will have that id."""
+        return CheckpointFolder(self.path / _CHECKPOINTS / record_id, record_id)
+
+    def lock(self, record_id: str) -> AbstractContextManager[None]:
+        """A lock that one process at a time holds while it is at a run; see `xfreqbench.system.files.exclusive`."""
+        return exclusive(self.predictions_path(record_id).with_suffix(".lock"))
+
+    def require_writable(self) -> None:
+        """Make the folders; raises `StorageError` where a record or predictions could not be stored in them."""
+        for folder in (self.path, self.path / _PREDICTIONS):
+            require_space(folder / _RECORDS, 1)
+            with storage_errors(folder), tempfile.TemporaryFile(dir=folder):
+                pass
+        if self.records_path.exists():
+            with storage_errors(self.records_path), self.records_path.open("ab"):
+                pass
+
+    def _file_state(self) -> tuple[int, ...] | None:
+        try:
+            found = self.records_path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def read_records(results: Path | str) -> tuple[RunRecord, ...]:
+    """The records of all runs in a results folder, or in one file of records; none where there is no such file.
+
+    Raises `DataError` naming file and line for a line that is no record.
+    """
+    return ResultsFolder.holding(Path(results)).records

@@ -1,0 +1,82 @@
+"""Predicted maps in a file (schema `xfreqbench/predictions/1`). Only maps that were stored are scored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.hdf5 import Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.types import IntArray
+
+SCHEMA = "xfreqbench/predictions/1"
+MapBatch = tuple[IntArray, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Stored predictions for N rows of a data set, whose maps are read in batches."""
+
+    path: Path
+    rows: Int[IntArray, "N"]
+    dataset_sha256: str
+    split_sha256: str
+
+    def batches(self, size: int) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
+        """Yield rows (n,) with their maps (n, E, A), at most `size` at a time; raises `DataError`."""
+        with open_sealed(self.path, SCHEMA) as file:
+            for start in range(0, len(self.rows), size):
+                part = slice(start, start + size)
+                yield self.rows[part], file["pas"][part].astype(np.float32)
+
+    def maps_of(self, rows: Int[IntArray, "n"], batch_size: int) -> Float[NDArray[np.float32], "n E A"]:
+        """Maps (n, E, A) of given rows, in the order given; raises `DataError`, and `KeyError` for a row not stored."""
+        wanted = set(rows.tolist())
+        found: dict[int, NDArray[np.float32]] = {}
+        for batch, maps in self.batches(batch_size):
+            found |= {row: maps[i].copy() for i, row in enumerate(batch.tolist()) if row in wanted}
+        return np.stack([found[row] for row in rows.tolist()])
+
+
+def write_predictions(
+    path: Path,
+    batches: Iterable[MapBatch],
+    num_rows: int,
+    grid_shape: tuple[int, int],
+    dataset_sha256: str,
+    split_sha256: str,
+) -> None:
+    """Store batches of rows (n,) and maps (n, E, A), as float16; the file is written whole or not at all.
+
+    Raises `StorageError`, and `DataError` if the batches do not hold `num_rows` rows together.
+    """
+    attributes = {"schema": SCHEMA, "dataset_sha256": dataset_sha256, "split_sha256": split_sha256}
+    with create_sealed(path, _variables(num_rows, grid_shape), attributes) as writer:
+        writer.append("elevation", np.arange(grid_shape[0]))
+        writer.append("azimuth", np.arange(grid_shape[1]))
+        for rows, maps in batches:
+            writer.append("row", rows)
+            writer.append("pas", maps)
+
+
+def read_predictions(path: Path) -> Predictions:
+    """Open stored predictions after checking every byte of the file; raises `DataError`."""
+    verify_sealed(path, SCHEMA)
+    with open_sealed(path, SCHEMA) as file:
+        attributes = text_attributes(file)
+        return Predictions(path, file["row"][...], attributes["dataset_sha256"], attributes["split_sha256"])
+
+
+def _variables(num_rows: int, grid_shape: tuple[int, int]) -> list[Variable]:
+    E, A = grid_shape
+    axes = ("row", "elevation", "azimuth")
+    return [
+        Variable("row", "<i8", (num_rows,), ("row",), "1", "row of the data set: tx · F + carrier"),
+        Variable("elevation", "<i4", (E,), ("elevation",), "1", "index of the data set's elevation"),
+        Variable("azimuth", "<i4", (A,), ("azimuth",), "1", "index of the data set's azimuth"),
+        Variable("pas", "<f2", (num_rows, E, A), axes, "1", "predicted map", chunk=(1, E, A)),
+    ]

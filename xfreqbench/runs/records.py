@@ -1,0 +1,278 @@
+"""Records: a run, or a table of a measurement, as one line of JSON. Reports are made from nothing else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from xfreqbench.errors import DataError
+from xfreqbench.methods.contract import Budget
+from xfreqbench.system.files import exclusive, storage_errors
+from xfreqbench.system.machine import git_commit, hardware, software
+
+NUM_QUANTILES = 101
+_RECORD_START = b'{"'
+_BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
+CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
+CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
+Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is asked for: one method, fitted on one split of a data set with one seed, and scored.
+
+    `dataset` is the path of the data set; `overrides` are texts `key=value` for the method's options.
+    """
+
+    dataset: str
+    method: str
+    protocol: str
+    split: str
+    overrides: tuple[str, ...] = ()
+    seed: int = 0
+    budget: Budget = field(default_factory=Budget)
+
+
+class Summary(BaseModel):
+    """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    mean: float
+    median: float
+    p10: float
+    quantiles: Quantiles
+    median_by_carrier_hz: dict[Annotated[str, Field(pattern=r"^\d{1,18}$")], float]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_interval(cls, fields: Any) -> Any:
+        """Records of version 0.1 also hold an `interval` of the median, which nothing shows; it is not read."""
+        if isinstance(fields, dict):
+            return {name: value for name, value in fields.items() if name != "interval"}
+        return fields
+
+
+class CurvePoint(BaseModel):
+    """How a fit stood at one step: `ssim` is the median over a sample of test maps, `seconds` is the fitting time."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    step: int
+    seconds: float
+    loss: float
+    ssim: float
+
+
+class External(BaseModel):
+    """Where predictions come from that were made elsewhere.
+
+    `sha256` is the hash of all maps and declarations that came in one file. `hardware` and `url` are as declared
+    by their authors.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sha256: str
+    hardware: str | None = None
+    url: str | None = None
+
+
+class RunRecord(BaseModel):
+    """One run: what was run, on which data, with which result. `id` is the hash of all that determines the result.
+
+    * `pas_kind` and `settings` are those of the data set: the kind of its maps, and the settings of the tracer.
+    * `counts` are the last that the method reported, such as its number of Gaussians.
+    * `curve` has a point at each of `CURVE_SHARES` of the budget that was reached and one at the end of the fit. It is
+      empty for a fit without a limit, and for a method that yielded only once.
+    * `ssim_by_tx` holds the SSIM of every test sample, rounded to four decimals: a list for each tested transmitter,
+      in the order of their indices.
+    * `nearest_trained_m` is the median distance from a tested transmitter to the nearest trained one.
+    * `code_sha256` is the hash of the method's code, see `xfreqbench.methods.registry.code_sha256`.
+    * `findings` is what the method says it has learned.
+
+    If `external` is given, nothing was fitted or timed here: `fit_seconds`, `predict_ms_per_map` and `parameters` are
+    as declared, or None; `peak_memory_mib` is None, `step` is 0 and `hardware` is empty. Only the scores were computed
+    here, with the software and the commit that the record names.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    id: str
+    job: Job
+    dataset_sha256: str
+    scene: str
+    pas_kind: str
+    settings: dict[str, Any]
+    split_sha256: str
+    protocol_version: str
+    metrics_version: str
+    config: dict[str, Any]
+    step: int
+    fit_seconds: float | None
+    predict_ms_per_map: float | None
+    peak_memory_mib: float | None
+    parameters: int | None
+    num_test: int
+    num_without_path: int
+    shares_transmitters: bool
+    scores: dict[str, Summary]
+    hardware: dict[str, str]
+    software: dict[str, str]
+    git_commit: str | None
+    time_utc: str
+    counts: dict[str, float] = {}
+    curve: tuple[CurvePoint, ...] = ()
+    ssim_by_tx: tuple[tuple[float, ...], ...] = ()
+    nearest_trained_m: float | None = None
+    code_sha256: str | None = None
+    findings: dict[str, Any] = {}
+    external: External | None = None
+
+
+class BenchPoint(BaseModel):
+    """A point of a figure: `series` names the line it belongs to, `label` the settings that were measured."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    series: str
+    label: str
+    x: float
+    y: float
+
+
+class BenchFigure(BaseModel):
+    """Points to draw, with labels of both axes that include their units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x_label: str
+    y_label: str
+    log_x: bool
+    points: tuple[BenchPoint, ...]
+
+
+class BenchRecord(BaseModel):
+    """A table of a measurement, with cells as printed. `command` makes it again; `note` says how to read it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bench: str
+    title: str
+    command: str
+    note: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    figure: BenchFigure | None = None
+    hardware: dict[str, str]
+    software: dict[str, str]
+    git_commit: str | None
+    time_utc: str
+
+
+@dataclass(frozen=True)
+class StoredRecords:
+    """What a file of records holds: runs and tables. `num_truncated` is 1 if its last line is cut off."""
+
+    records: tuple[RunRecord, ...]
+    benches: tuple[BenchRecord, ...] = ()
+    num_truncated: int = 0
+
+
+def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], "n"]:
+    """Which of a split's test rows the points of a learning curve are scored on: ascending positions, shape (n,)."""
+    generator = np.random.default_rng(int(split_sha256, 16))
+    return np.sort(generator.choice(num_test, min(CURVE_MAPS, num_test), replace=False))
+
+
+def append(path: Path, record: RunRecord | BenchRecord) -> None:
+    """Add a record to a file as one line, whole and on disk before this returns.
+
+    Processes that append to one file take turns. Half a line that a killed run left at the end is removed.
+    Raises `StorageError`, and `DataError` where the end of the file is anything else.
+    """
+    line = record.model_dump_json().encode() + b"\n"
+    with exclusive(path.with_name(f".{path.name}.lock")), storage_errors(path, len(line)):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            _append_line(path, descriptor, line)
+        finally:
+            os.close(descriptor)
+
+
+def read(path: Path) -> StoredRecords:
+    """The records of a file, in the order in which they were written; none if there is no such file.
+
+    A last line without an end, as a killed run leaves it, is not read, but counted. Raises `DataError` that names
+    file and line for a line that is not a record.
+    """
+    if not path.exists():
+        return StoredRecords(())
+    try:
+        *lines, rest = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}.") from error
+    _require_half_a_record(path, rest)
+    parsed = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
+    runs = tuple(record for record in parsed if isinstance(record, RunRecord))
+    benches = tuple(record for record in parsed if isinstance(record, BenchRecord))
+    return StoredRecords(runs, benches, num_truncated=int(bool(rest)))
+
+
+def _require_half_a_record(path: Path, rest: bytes) -> None:
+    """Raise `DataError` if the text after the last line end is not the start of a record: `append` would remove it."""
+    if not rest.startswith(_RECORD_START[: len(rest)]):
+        raise DataError(f"{path} is no file of records: it ends in {rest[:40]!r}. Give the path of another.")
+
+
+def _append_line(path: Path, descriptor: int, line: bytes) -> None:
+    """Write after the last whole line of an open file; a write that fails half-way is undone."""
+    with os.fdopen(os.dup(descriptor), "rb") as file:
+        content = file.read()
+    end = content.rfind(b"\n") + 1
+    _require_half_a_record(path, content[end:])
+    os.ftruncate(descriptor, end)
+    try:
+        written = os.pwrite(descriptor, line, end)
+        if written < len(line):
+            raise OSError(28, "No space left on device")
+        os.fsync(descriptor)
+    except OSError:
+        os.ftruncate(descriptor, end)
+        raise
+
+
+def _parse(path: Path, number: int, line: bytes) -> RunRecord | BenchRecord:
+    kind = BenchRecord if line.startswith(_BENCH_START) else RunRecord
+    try:
+        return kind.model_validate_json(line)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise DataError(
+            f"{path}, line {number}, is no run record: {place + ': ' if place else ''}{fault['msg']}. "
+            "Delete the line; the run it stood for is then run again."
+        ) from error
+
+
+def machine_and_time(versions: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The fields of a record that name this machine, its software, the commit of the code, and the time.
+
+    `versions` are those of further libraries, by name.
+    """
+    return {
+        "hardware": hardware(),
+        "software": software() | dict(versions or {}),
+        "git_commit": git_commit(),
+        "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+    }

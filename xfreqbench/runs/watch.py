@@ -1,0 +1,101 @@
+"""One fit under observation: it goes on from its checkpoint, is saved on its way, and its learning curve is taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.errors import DivergenceError
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.fitting import Fit, fit_within, predict_checked
+from xfreqbench.runs import checkpoints
+from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.jobs import Task
+from xfreqbench.runs.records import CURVE_SHARES, CurvePoint, Job, curve_positions
+from xfreqbench.runs.scoring import BATCH_SIZE, median
+from xfreqbench.types import FloatArray
+
+FittingCallback = Callable[[Job, Fit], None]
+
+
+class WatchedFit:
+    """The fit of a task. None of the observation is charged to the method's time.
+
+    `method` is what is fitted: as its newest checkpoint in `saved` has it, or untrained where there is none.
+    `curve` is the learning curve so far. `fitting` is told at every step how the fit stands.
+    """
+
+    def __init__(self, task: Task, saved: CheckpointFolder, fitting: FittingCallback | None = None) -> None:
+        self._task, self._saved, self._fitting = task, saved, fitting
+        earlier = saved.read()
+        self._spent = earlier.fit if earlier else None
+        self._saved_s = earlier.seconds if earlier else 0.0
+        self._yielded_often = earlier is not None
+        self.curve = earlier.curve if earlier else ()
+        self.method = saved.load(task.method) if earlier else task.new_method()
+
+    def run(self) -> Fit:
+        """Fit to the split's training rows, and return how the fit stood at its end; `curve` is then whole.
+
+        Raises `MethodError` for whatever the method raises, and `DivergenceError`.
+        """
+        task = self._task
+        train = task.dataset.subset(task.split.train).isolated()
+        with task.method_errors("fit"), self._divergence_advice():
+            fit = fit_within(
+                self.method, train, task.job.budget, task.job.seed, spent=self._spent, observe=self._observe
+            )
+        if task.job.budget == Budget() or not self._yielded_often:
+            self.curve = ()
+        elif not self.curve or self.curve[-1].step != fit.step:
+            self.curve += (self._point(fit),)
+        return fit
+
+    def _observe(self, before: Fit | None, now: Fit) -> None:
+        self._yielded_often = before is not None
+        if before is None:  # the fit has started anew
+            self.curve, self._saved_s = (), 0.0
+        reached = before.share if before else 0.0
+        if any(reached < share <= now.share for share in CURVE_SHARES):
+            self.curve += (self._point(now),)
+        if now.seconds - self._saved_s >= checkpoints.CHECKPOINT_SECONDS:
+            with self._task.method_errors("save"):
+                self._saved.write(self.method, now, self.curve)
+            self._saved_s = now.seconds
+        if self._fitting:
+            self._fitting(self._task.job, now)
+
+    def _point(self, fit: Fit) -> CurvePoint:
+        with self._task.method_errors("predict"):
+            ssim_median = median(self._sampled_ssim())
+        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median)
+
+    def _sampled_ssim(self) -> Float[FloatArray, "n"]:
+        """SSIM of what the method now predicts for a sample of the test rows, the same sample for every method."""
+        dataset, split, grid = self._task.dataset, self._task.split, self._task.dataset.grid
+        sampled = split.test[curve_positions(split.sha256, len(split.test))]
+        scores = []
+        for rows in np.split(sampled, range(BATCH_SIZE, len(sampled), BATCH_SIZE)):
+            asked = dataset.subset(rows)
+            predicted = predict_checked(self.method, asked.tx_position_m, asked.carrier_hz, grid.shape)
+            scores.append(ssim(predicted, dataset.pas(rows), grid))
+        return np.concatenate(scores)
+
+    @contextmanager
+    def _divergence_advice(self) -> Iterator[None]:
+        """Add to a divergence which job it was, and which checkpoint is left of it."""
+        try:
+            yield
+        except DivergenceError as error:
+            job, newest = self._task.job, self._saved.newest()
+            left = f"its last good checkpoint is {newest}" if newest else "it has no checkpoint yet"
+            raise DivergenceError(
+                error.step,
+                error.tensor,
+                f"Method {job.method!r} diverged on split {self._task.split.name!r} with seed {job.seed}; {left}. "
+                "Lower the learning rate, as in --set learning_rate=…; to start anew, delete the checkpoint.",
+            ) from error

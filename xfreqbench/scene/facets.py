@@ -1,0 +1,180 @@
+"""Planar facets of triangle meshes, the planes that they lie in, and the check that none overlap.
+
+The image method reflects at facets and mirrors in planes.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.types import FloatArray, IntArray
+
+PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
+PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
+MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
+MAX_CHECKED_TRIANGLES = 2000  # comparing the facets of more in pairs would take longer than the tracing
+
+
+class PlanarFacet(NamedTuple):
+    """A parallelogram or triangle of one surface, its corners in turn (n = 4 or 3)."""
+
+    corners_m: Float[FloatArray, "n 3"]
+    surface: int  # index of its mesh
+
+
+class Geometry:
+    """What rays can meet in a scene: its meshes, and their facets and planes, which are computed once."""
+
+    def __init__(self, meshes: Sequence[SurfaceMesh]) -> None:
+        self.meshes = list(meshes)
+
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of all meshes."""
+        return sum(len(mesh.triangles) for mesh in self.meshes)
+
+    @cached_property
+    def facets(self) -> list[PlanarFacet]:
+        """Facets of all meshes, as `planar_facets` returns them."""
+        return planar_facets(self.meshes)
+
+    @cached_property
+    def planes(self) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
+        """Planes of the facets, and the index of each facet's plane, as `group_by_plane` returns them."""
+        return group_by_plane(self.facets)
+
+
+def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
+    """Facets of all meshes, in their order: two triangles that form a parallelogram are one facet."""
+    return [
+        PlanarFacet(corners, surface)
+        for surface, mesh in enumerate(meshes)
+        for corners in _merged(mesh.vertices_m, mesh.triangles)
+    ]
+
+
+def _merged(vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]) -> list[FloatArray]:
+    """Corners of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
+    by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for index, triangle in enumerate(triangles):
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
+    merged: list[FloatArray] = []
+    used: set[int] = set()
+    for edge, pair in by_edge.items():
+        if len(pair) == 2 and not used & set(pair):
+            corners = _parallelogram(vertices_m, edge, triangles[pair[0]], triangles[pair[1]])
+            if corners is not None:
+                merged.append(corners)
+                used |= set(pair)
+    return merged + [
+        vertices_m[t] for i, t in enumerate(triangles) if i not in used and _area_m2(vertices_m[t]) > 0
+    ]
+
+
+def _area_m2(corners_m: Float[FloatArray, "3 3"]) -> float:
+    a, b, c = corners_m
+    return float(np.linalg.norm(np.cross(b - a, c - a)) / 2)
+
+
+def _parallelogram(
+    vertices_m: Float[FloatArray, "V 3"],
+    diagonal: tuple[int, ...],
+    first: Int[IntArray, "3"],
+    second: Int[IntArray, "3"],
+) -> FloatArray | None:
+    """Corners (4, 3) in turn, where two triangles about a diagonal make a parallelogram, else None."""
+    (apex,) = set(first.tolist()) - set(diagonal) or {diagonal[0]}
+    (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
+    a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
+    size = np.linalg.norm(c - a)
+    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
+    return np.stack([a, b, c, d]) if is_parallelogram and _area_m2(np.stack([a, b, c])) > 0 else None
+
+
+def group_by_plane(
+    facets: Sequence[PlanarFacet],
+) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
+    """The P distinct planes of Q facets, each as unit normal n and offset n·x, and each facet's plane.
+
+    The largest facet left, whose plane is known best, claims every facet left whose normal and corners
+    are within `PLANE_TOLERANCE` of its plane. Planes come in lexicographic order.
+    """
+    if not facets:
+        return np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
+    planes = np.array([_plane(facet.corners_m) for facet in facets])
+    corners_m = np.array([facet.corners_m[[0, 1, 2, -1]] for facet in facets])  # a triangle's last twice
+    diagonal_m = np.linalg.norm(np.ptp(corners_m, axis=1), axis=1)
+    plane = np.full(len(facets), -1)
+    claimants: list[int] = []
+    for facet in np.argsort(-diagonal_m, kind="stable"):
+        if plane[facet] < 0:
+            plane[(plane < 0) & _in_plane(planes[facet], planes[:, :3], corners_m)] = len(claimants)
+            plane[facet] = len(claimants)  # though its fourth corner may stand a little off its own plane
+            claimants.append(int(facet))
+    distinct = planes[claimants]
+    order = np.lexsort(np.round(distinct / PLANE_TOLERANCE).T[::-1])
+    return distinct[order], np.argsort(order)[plane].astype(np.int64)
+
+
+def _plane(corners_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "4"]:
+    """Unit normal, its first component beyond ±0.1 positive, and offset of a facet's plane."""
+    normal = np.cross(corners_m[1] - corners_m[0], corners_m[-1] - corners_m[0])
+    normal = normal / np.linalg.norm(normal)
+    leading = normal[np.flatnonzero(np.abs(normal) > 0.1)[0]]
+    normal = normal * np.sign(leading)
+    return np.append(normal, normal @ corners_m[0])
+
+
+def _in_plane(
+    plane: Float[FloatArray, "4"], normals: Float[FloatArray, "Q 3"], corners_m: Float[FloatArray, "Q 4 3"]
+) -> Bool[NDArray[np.bool_], "Q"]:
+    """Whether each facet is parallel to a plane, whichever side its normal points to, and lies in it."""
+    normal, offset_m = plane[:3], plane[3]
+    tilt_rad = np.linalg.norm(np.cross(normals, normal), axis=1)
+    distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
+    return np.asarray((tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE))
+
+
+def check_overlaps(geometry: Geometry) -> None:
+    """Raise `SceneError` for the first two surfaces of different slabs that overlap in one plane.
+
+    Which of them a ray meets there would be undefined. Scenes of more than `MAX_CHECKED_TRIANGLES`
+    triangles are not checked.
+    """
+    if geometry.num_triangles > MAX_CHECKED_TRIANGLES:
+        return
+    facets, (_, plane) = geometry.facets, geometry.planes
+    for index in np.unique(plane):
+        for first, second in combinations(np.flatnonzero(plane == index), 2):
+            a, b = (geometry.meshes[facets[facet].surface] for facet in (first, second))
+            is_same_slab = (a.material, a.thickness_m) == (b.material, b.thickness_m)
+            if not is_same_slab and _overlap(facets[first].corners_m, facets[second].corners_m):
+                raise SceneError(
+                    f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane: a ray could "
+                    "meet either. Cut the one out of the other, or set them at least 1 cm apart."
+                )
+
+
+def _overlap(first_m: Float[FloatArray, "m 3"], second_m: Float[FloatArray, "n 3"]) -> bool:
+    """Whether two convex facets of one plane share an area: no edge separates them."""
+    normal = np.cross(first_m[1] - first_m[0], first_m[-1] - first_m[0])
+    for corners in (first_m, second_m):
+        for edge in np.roll(corners, -1, axis=0) - corners:
+            axis = np.cross(normal, edge)
+            axis = axis / np.linalg.norm(axis)
+            along_first, along_second = first_m @ axis, second_m @ axis
+            shared_m = min(along_first.max(), along_second.max()) - max(along_first.min(), along_second.min())
+            if shared_m < MIN_OVERLAP_M:
+                return False
+    return True

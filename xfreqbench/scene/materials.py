@@ -1,0 +1,159 @@
+"""Frequency-dispersive building materials of Recommendation ITU-R P.2040 (Table 3).
+
+Relative permittivity is ε' = a·f^b and conductivity σ = c·f^d in S/m, with f in GHz. The table is here and not
+only in Sionna RT, so that a scene can be checked, and traced by the image method, without loading Sionna; a
+test compares it with Sionna's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from xfreqbench.errors import MaterialBandError, UnknownNameError
+from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list
+
+MaterialPolicy = Literal["error", "extrapolate"]
+
+
+@dataclass(frozen=True)
+class Band:
+    """One row of the table: the band in GHz and the four constants of P.2040."""
+
+    low_ghz: float
+    high_ghz: float
+    a: float
+    b: float
+    c: float
+    d: float
+
+    def contains(self, carrier_hz: float) -> bool:
+        """Whether P.2040 defines the material at this carrier."""
+        return self.low_ghz <= carrier_hz / 1e9 <= self.high_ghz
+
+
+# Rows are in Sionna's order: where bands overlap, the first one that contains the carrier is used.
+ITU_MATERIALS: dict[str, tuple[Band, ...]] = {
+    "vacuum": (Band(0.001, 100, 1.0, 0, 0, 0),),
+    "concrete": (Band(1, 100, 5.24, 0, 0.0462, 0.7822), Band(110, 330, 5.17, 0, 0.0145, 1.09)),
+    "brick": (Band(1, 40, 3.91, 0, 0.0238, 0.16), Band(110, 330, 4.15, 0, 0.0006, 1.5712)),
+    "plasterboard": (
+        Band(1, 100, 2.73, 0, 0.0085, 0.9395),
+        Band(110, 330, 2.56, 0, 0.0001, 1.7799),
+        Band(100, 400, 2.65, 0, 0.0002, 1.598),
+    ),
+    "wood": (
+        Band(0.001, 100, 1.99, 0, 0.0047, 1.0718),
+        Band(110, 330, 1.82, 0, 0.0040, 1.0761),
+        Band(100, 400, 2.1183, 0, 0.0055, 1.1113),
+    ),
+    "glass": (
+        Band(0.1, 100, 6.31, 0, 0.0036, 1.3394),
+        Band(220, 450, 5.79, 0, 0.0004, 1.658),
+        Band(100, 400, 6.5767, 0, 0.0012, 1.4697),
+    ),
+    "clear_acrylic": (Band(110, 330, 2.58, 0, 0.0001, 1.6524),),
+    "ceiling_board": (
+        Band(1, 100, 1.48, 0, 0.0011, 1.0750),
+        Band(220, 450, 1.52, 0, 0.0029, 1.029),
+        Band(100, 400, 1.2567, 0, 0.00013, 1.454),
+    ),
+    "chipboard": (Band(1, 100, 2.58, 0, 0.0217, 0.78), Band(100, 200, 2.16, 0, 0.0023, 1.359)),
+    "plywood": (
+        Band(1, 40, 2.71, 0, 0.33, 0),
+        Band(110, 330, 1.94, 0, 0.0067, 0.9982),
+        Band(100, 400, 2.17, 0, 0.0063, 1.045),
+    ),
+    "marble": (
+        Band(1, 60, 7.074, 0, 0.0055, 0.9262),
+        Band(110, 330, 7.94, 0, 0.0001, 1.7330),
+        Band(100, 400, 8.62, 0, 0.0027, 1.15),
+    ),
+    "floorboard": (
+        Band(50, 100, 3.66, 0, 0.0044, 1.3515),
+        Band(220, 300, 5.27, 0, 2.22e-17, 7.3413),
+        Band(300, 400, 5.27, 0, 0.0003, 2.0298),
+        Band(400, 450, 5.27, 0, 49.8726, 0),
+        Band(100, 400, 3.1575, 0, 0.001675, 1.32775),
+    ),
+    "vinyl_tile": (Band(1, 40, 3.62, 0, 0.0051, 0.8422),),
+    "carpet_tile": (Band(1, 40, 2.08, 0, 0.0009, 0.82),),
+    "asphalt_concrete": (Band(1, 40, 4.83, 0, 0.0108, 1.3969),),
+    "metal": (Band(1, 100, 1, 0, 1e7, 0),),
+    "very_dry_ground": (Band(1, 10, 3, 0, 0.00015, 2.52),),
+    "medium_dry_ground": (Band(1, 10, 15, -0.1, 0.035, 1.63),),
+    "wet_ground": (Band(1, 10, 30, -0.4, 0.15, 1.3),),
+}
+
+
+def material_bands(material: str) -> tuple[Band, ...]:
+    """Rows of P.2040's table for a material; raises `UnknownNameError`."""
+    if material not in ITU_MATERIALS:
+        raise UnknownNameError("ITU-R P.2040 material", material, ITU_MATERIALS)
+    return ITU_MATERIALS[material]
+
+
+def _defining_band(material: str, carrier_hz: float) -> Band | None:
+    return next((band for band in material_bands(material) if band.contains(carrier_hz)), None)
+
+
+def _nearest_band(material: str, carrier_hz: float) -> Band:
+    """The band from which a material is extrapolated: the one whose edge is nearest on a logarithmic axis."""
+    log_carrier = np.log(carrier_hz / 1e9)
+
+    def distance(band: Band) -> float:
+        return float(max(np.log(band.low_ghz) - log_carrier, log_carrier - np.log(band.high_ghz), 0.0))
+
+    return min(material_bands(material), key=distance)
+
+
+def complex_permittivity(material: str, carrier_hz: float, policy: MaterialPolicy = "error") -> complex:
+    """Relative complex permittivity ε' − jσ/(2πf·ε₀) at one carrier (ITU-R P.2040, Eq. 9).
+
+    Outside every band of the material, `policy="error"` raises `MaterialBandError` and
+    `policy="extrapolate"` continues the power law of the nearest band.
+    """
+    band = _defining_band(material, carrier_hz)
+    if band is None:
+        if policy == "error":
+            check_dispersion([material], [carrier_hz])
+        band = _nearest_band(material, carrier_hz)
+    carrier_ghz = carrier_hz / 1e9
+    conductivity_s_m = band.c * carrier_ghz**band.d
+    return complex(
+        band.a * carrier_ghz**band.b,
+        -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M),
+    )
+
+
+def materials_defined_at(carrier_hz: Iterable[float]) -> list[str]:
+    """Names of the materials that P.2040 defines at all of the carriers."""
+    carriers = list(carrier_hz)
+    return [name for name in ITU_MATERIALS if all(_defining_band(name, carrier) for carrier in carriers)]
+
+
+def check_dispersion(
+    materials: Iterable[str], carrier_hz: Sequence[float], policy: MaterialPolicy = "error"
+) -> list[str]:
+    """Check every used material against every carrier before any ray is shot.
+
+    Returns the materials that have to be extrapolated, sorted. With `policy="error"` the first such
+    material raises `MaterialBandError`, which names the band, the carriers outside and the materials
+    that would do.
+    """
+    extrapolated = []
+    for material in sorted(set(materials)):
+        outside = [carrier for carrier in carrier_hz if _defining_band(material, carrier) is None]
+        if outside and policy == "error":
+            bands = " and ".join(f"{b.low_ghz:g} to {b.high_ghz:g} GHz" for b in material_bands(material))
+            raise MaterialBandError(
+                f"ITU-R P.2040 defines {material!r} from {bands}, but the scene is asked for "
+                f"{format_ghz_list(outside)}. Drop those carriers, use one of "
+                f"{', '.join(materials_defined_at(carrier_hz))}, or pass --materials extrapolate."
+            )
+        if outside:
+            extrapolated.append(material)
+    return extrapolated

@@ -1,0 +1,281 @@
+"""A scene as data: surfaces, receiver array and transmitter grid, read from TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from math import prod
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_serializer, model_validator
+from pydantic.dataclasses import dataclass
+
+from xfreqbench.errors import SceneError, UnknownNameError
+from xfreqbench.scene.array import (
+    ArrayPlane,
+    frame_rotation,
+    planar_array,
+    quaternion_rotation,
+    rotation_quaternion,
+)
+from xfreqbench.scene.materials import material_bands
+from xfreqbench.types import FloatArray
+
+FAR_M = 1e7  # no coordinate may be farther from the origin
+MAX_CANDIDATES = (
+    1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
+)
+
+Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
+Point = tuple[Metres, Metres, Metres]
+Quaternion = tuple[Metres, Metres, Metres, Metres]
+PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
+
+_STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Surface:
+    """An axis-aligned box or rectangle of one material, each face a slab of `thickness_m`.
+
+    Where `min_m` and `max_m` agree along one axis it is a rectangle (a wall, a pane), else the six
+    faces of a closed box (a cabinet).
+    """
+
+    name: str
+    material: str
+    thickness_m: PositiveMetres
+    min_m: Point
+    max_m: Point
+
+    @model_validator(mode="after")
+    def _has_an_area(self) -> Surface:
+        extent = np.subtract(self.max_m, self.min_m)
+        if (extent < 0).any() or (extent == 0).sum() > 1:
+            raise ValueError(
+                f"surface {self.name!r} spans {self.min_m} to {self.max_m}; max_m must exceed min_m along "
+                "at least two axes and never lie below it"
+            )
+        return self
+
+
+@dataclass(frozen=True, config=_STRICT)
+class ReceiverArray:
+    """A planar array whose boresight is the pole of the hemisphere of directions.
+
+    Elements are `spacing_wavelengths` apart at each carrier, by default half a wavelength. All of them, and the
+    transmitters, have the same antenna: `pattern` is `iso` or `dipole` (short, along the vertical), and its field
+    is polarised along the vertical (`V`: the unit vector of the polar angle in world axes) or the horizontal (`H`:
+    that of the azimuth).
+
+    `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array holds
+    the pole, and `boresight` is the pole alone. `orientation`, a quaternion x, y, z, w, is the whole turn from the
+    frame to the world, and its pole has to be the boresight. The JSON leaves them out where they are not given.
+    """
+
+    position_m: Point
+    rows: Annotated[int, Field(ge=1, le=64)] = 4
+    cols: Annotated[int, Field(ge=1, le=64)] = 4
+    spacing_wavelengths: Annotated[float, Field(gt=0, le=10)] = 0.5
+    boresight: Point = (0.0, 0.0, -1.0)
+    pattern: Literal["iso", "dipole"] = "iso"
+    polarization: Literal["V", "H"] = "V"
+    plane: ArrayPlane = "xy"
+    orientation: Quaternion | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        content = serialize(self)  # so that JSON, and every hash of it, is as it was before these two existed
+        later = {"plane": "xy", "orientation": None}
+        return {key: value for key, value in content.items() if key not in later or value != later[key]}
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> ReceiverArray:
+        if max(map(abs, self.boresight)) < 1e-6:
+            raise ValueError("the receiver's boresight is the zero vector; give a direction like [0, 0, -1]")
+        return self
+
+    @model_validator(mode="after")
+    def _boresight_is_the_pole_of_the_orientation(self) -> ReceiverArray:
+        if self.orientation is None:
+            return self
+        if not np.linalg.norm(self.orientation) > 1e-6:
+            raise ValueError("the receiver's orientation is the zero quaternion; [0, 0, 0, 1] is no turn")
+        pole = np.asarray(self.boresight) / np.linalg.norm(self.boresight)
+        if not np.allclose(self.rotation[:, 2], pole, atol=1e-6):
+            raise ValueError(
+                f"the receiver's orientation turns its pole to {self.rotation[:, 2].round(6).tolist()}, but its "
+                f"boresight is {self.boresight}; give the same direction, or no orientation"
+            )
+        return self
+
+    @property
+    def num_elements(self) -> int:
+        """Number of elements, M."""
+        return self.rows * self.cols
+
+    @property
+    def rotation(self) -> Float[FloatArray, "3 3"]:
+        """Matrix that takes the receiver's frame to the world; its columns are the frame's axes."""
+        if self.orientation is None:
+            return frame_rotation(self.boresight)
+        return quaternion_rotation(self.orientation)
+
+    @property
+    def quaternion_xyzw(self) -> tuple[float, float, float, float]:
+        """`rotation` as a quaternion x, y, z, w: the given `orientation`, where there is one."""
+        return self.orientation or rotation_quaternion(self.rotation)
+
+    @property
+    def element_position_wavelengths(self) -> Float[FloatArray, "M 3"]:
+        """Element positions about the array centre, in wavelengths, in the receiver's frame."""
+        return planar_array(self.rows, self.cols, self.spacing_wavelengths, self.plane)
+
+    def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
+        """Element positions in the world, in metres, at one wavelength."""
+        offset_m = self.element_position_wavelengths @ self.rotation.T * wavelength_m
+        return np.asarray(self.position_m) + offset_m
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TransmitterGrid:
+    """A lattice of positions for transmitters; those nearer than `clearance_m` to anything are left out."""
+
+    min_m: Point
+    max_m: Point
+    step_m: tuple[PositiveMetres, PositiveMetres, PositiveMetres]
+    clearance_m: PositiveMetres = 0.15
+
+    @model_validator(mode="after")
+    def _is_not_empty(self) -> TransmitterGrid:
+        if any(low > high for low, high in zip(self.min_m, self.max_m, strict=True)):
+            raise ValueError(f"the transmitter grid's min_m {self.min_m} exceeds its max_m {self.max_m}")
+        if (num_candidates := prod(self._num_steps)) > MAX_CANDIDATES:
+            raise ValueError(
+                f"the transmitter grid has {num_candidates:,.0f} positions, but {MAX_CANDIDATES:,} are the most; "
+                "give it a larger step_m, or less space"
+            )
+        return self
+
+    @property
+    def _num_steps(self) -> list[float]:
+        """Positions along each axis, before they are cut to whole numbers."""
+        spans = zip(self.min_m, self.max_m, self.step_m, strict=True)
+        return [(high - low) / step + 1 + 1e-9 for low, high, step in spans]
+
+    @property
+    def lattice_m(self) -> Float[FloatArray, "N 3"]:
+        """Every position of the lattice, x varying slowest."""
+        axes = [
+            low + step * np.arange(int(number))
+            for low, step, number in zip(self.min_m, self.step_m, self._num_steps, strict=True)
+        ]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Scene:
+    """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
+
+    `scene` may name a Mitsuba XML, relative to `folder`, whose meshes are added to the surfaces.
+    """
+
+    name: str
+    receiver: ReceiverArray
+    transmitters: TransmitterGrid
+    description: str = ""
+    surface: tuple[Surface, ...] = ()
+    scene: str | None = None
+    folder: Annotated[Path, Field(exclude=True)] = Path()
+
+    @model_validator(mode="after")
+    def _receiver_faces_its_pole(self) -> Scene:
+        if self.receiver.plane != "xy":
+            raise ValueError(
+                f"the receiver lies in plane {self.receiver.plane!r} of its frame; rays are traced to arrays in "
+                "'xy' alone, which is the default: leave the plane out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _names_are_unique_and_materials_known(self) -> Scene:
+        names = [surface.name for surface in self.surface]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"two surfaces are named {sorted(twice)[0]!r}; every surface needs its own name")
+        for surface in self.surface:
+            material_bands(surface.material)
+        return self
+
+    @property
+    def mitsuba_xml(self) -> Path | None:
+        """Path of the Mitsuba scene that the TOML names, if any."""
+        return self.folder / self.scene if self.scene else None
+
+    @property
+    def canonical_json(self) -> str:
+        """The scene as the JSON text that data sets hold; equal scenes give equal text."""
+        return TypeAdapter(Scene).dump_json(self, exclude={"folder"}).decode()
+
+
+def shipped_scenes() -> dict[str, str]:
+    """Names and descriptions of the scenes that ship with the toolkit."""
+    return {path.stem: tomllib.loads(path.read_text())["description"] for path in _shipped_files()}
+
+
+def _shipped_files() -> Iterator[Path]:
+    folder = Path(str(files("xfreqbench.scenes")))
+    return iter(sorted(folder.glob("*.toml")))
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """Read a shipped scene by name, or any scene by the path of its TOML file.
+
+    Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
+    read or that describes no valid scene, every fault listed with its place in the file.
+    """
+    if name_or_path.endswith(".toml"):
+        path = Path(name_or_path)
+    else:
+        shipped = {path.stem: path for path in _shipped_files()}
+        if name_or_path not in shipped:
+            raise UnknownNameError("scene", name_or_path, [*shipped, "PATH.toml"])
+        path = shipped[name_or_path]
+    try:
+        return parse_scene(path.read_text(), folder=path.parent)
+    except OSError as error:
+        raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
+    except (SceneError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def parse_scene(text: str, folder: Path = Path()) -> Scene:
+    """Scene from TOML text. Relative paths of meshes start at `folder`. Raises `SceneError`."""
+    try:
+        content: dict[str, Any] = tomllib.loads(text)
+    except RecursionError as error:
+        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
+    except ValueError as error:  # not TOML, or numbers of thousands of digits
+        raise SceneError(f"this is not TOML: {error}") from error
+    return _validated(content, folder)
+
+
+def _validated(content: dict[str, Any], folder: Path) -> Scene:
+    if "folder" in content:
+        raise SceneError("the scene has no valid form:\n  folder: no such key")
+    try:
+        return TypeAdapter(Scene).validate_python({**content, "folder": folder})
+    except ValidationError as error:
+        faults = "\n".join(
+            f"  {'.'.join(map(str, fault['loc'])) or 'scene'}: {fault['msg']}" for fault in error.errors()
+        )
+        raise SceneError(f"the scene has no valid form:\n{faults}") from error
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON Schema of a scene file, with which editors complete and check TOML."""
+    return TypeAdapter(Scene).json_schema()

@@ -1,0 +1,162 @@
+"""Positions where the receiver and the transmitters of a scene can stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.errors import PlacementError
+from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh
+from xfreqbench.types import FloatArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
+
+MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The T usable positions of a transmitter grid, and how many were left out for each reason."""
+
+    tx_position_m: Float[FloatArray, "T 3"]
+    rejected: dict[str, int]
+
+
+def place_transmitters(
+    scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float | None = None
+) -> Placement:
+    """Positions of the scene's grid outside every object and at least `clearance_m` from surfaces and receiver.
+
+    The receiver is the whole array, as wide as at the lowest carrier, where that is given, else its centre. Raises
+    `PlacementError` where no position is left.
+    """
+    lattice_m = scene.transmitters.lattice_m
+    clearance_m = scene.transmitters.clearance_m
+    inside = enclosing_mesh(meshes, lattice_m) >= 0
+    near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
+    to_receiver_m = np.linalg.norm(lattice_m - np.asarray(scene.receiver.position_m), axis=1)
+    near_receiver = (
+        ~inside & ~near_surface & (to_receiver_m < clearance_m + _half_aperture_m(scene, lowest_carrier_hz))
+    )
+    usable = ~(inside | near_surface | near_receiver)
+    rejected = {
+        "inside an object": int(inside.sum()),
+        f"within {clearance_m:g} m of a surface": int(near_surface.sum()),
+        f"within {clearance_m:g} m of the receiver": int(near_receiver.sum()),
+    }
+    if not usable.any():
+        raise PlacementError(
+            f"None of the {len(lattice_m)} transmitter positions of scene {scene.name!r} is usable "
+            f"({rejected}). Move the grid into free space or lower clearance_m."
+        )
+    return Placement(lattice_m[usable], rejected)
+
+
+def choose_transmitters(
+    placement: Placement, num_transmitters: int | None, seed: int
+) -> Float[FloatArray, "T 3"]:
+    """All usable positions, or a random choice of so many in grid order, which depends on the seed alone.
+
+    Raises `PlacementError` where more are asked for than there are, or none.
+    """
+    usable = placement.tx_position_m
+    if num_transmitters is None:
+        return usable
+    if not 1 <= num_transmitters <= len(usable):
+        raise PlacementError(
+            f"The scene has {len(usable)} usable transmitter positions, but {num_transmitters} are "
+            f"asked for. Ask for 1 to {len(usable)}, or give the scene's grid a smaller step_m."
+        )
+    chosen = np.random.default_rng(seed).choice(len(usable), num_transmitters, replace=False)
+    return usable[np.sort(chosen)]
+
+
+def _half_aperture_m(scene: Scene, carrier_hz: float | None) -> float:
+    if carrier_hz is None:
+        return 0.0
+    offset_m = scene.receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
+    return float(np.linalg.norm(offset_m, axis=1).max())
+
+
+def check_transmitters(
+    scene: Scene,
+    meshes: Sequence[SurfaceMesh],
+    tx_position_m: Float[FloatArray, "T 3"],
+    carrier_hz: Sequence[float],
+) -> None:
+    """Raise `PlacementError` for the first position where no transmitter can stand.
+
+    That is a position that is not finite, in an object, on a surface, or on an element of the array at one of the
+    carriers.
+    """
+    if len(tx_position_m) == 0:
+        raise PlacementError("No transmitter position is given; give at least one.")
+    is_near = np.abs(tx_position_m) <= FAR_M  # and finite
+    if not is_near.all():
+        row = int(np.flatnonzero(~is_near.all(axis=1))[0])
+        raise PlacementError(
+            f"Transmitter {row} stands at {_metres(tx_position_m[row])}; give finite metres, up to {FAR_M:g}."
+        )
+    _check_free(meshes, tx_position_m, "Transmitter")
+    for carrier in carrier_hz:
+        _check_off_the_array(scene, tx_position_m, carrier)
+
+
+def _check_off_the_array(scene: Scene, tx_position_m: Float[FloatArray, "T 3"], carrier_hz: float) -> None:
+    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+    points_m = np.vstack([scene.receiver.position_m, element_m])
+    distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
+    if (distance_m < MIN_SEPARATION_M).any():
+        index = int(distance_m.argmin())
+        raise PlacementError(
+            f"Transmitter {index} stands {distance_m[index] * 1e3:.1f} mm from the receiver array, at "
+            f"{_metres(tx_position_m[index])} at {format_ghz(carrier_hz)}. Keep at least "
+            f"{MIN_SEPARATION_M * 1e3:g} mm away."
+        )
+
+
+def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float) -> None:
+    """Raise `PlacementError` where an element of the array stands in an object or on a surface.
+
+    It is checked at the lowest carrier, where the array is widest.
+    """
+    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / lowest_carrier_hz)
+    _check_free(
+        meshes, np.vstack([scene.receiver.position_m, element_m]), "Receiver array point", lowest_carrier_hz
+    )
+
+
+def _check_free(
+    meshes: Sequence[SurfaceMesh],
+    points_m: Float[FloatArray, "N 3"],
+    what: str,
+    carrier_hz: float | None = None,
+) -> None:
+    at = f" at {format_ghz(carrier_hz)}" if carrier_hz else ""
+    enclosing = enclosing_mesh(meshes, points_m)
+    if (enclosing >= 0).any():
+        index = int(np.flatnonzero(enclosing >= 0)[0])
+        raise PlacementError(
+            f"{what} {index} stands inside {meshes[enclosing[index]].name!r}, at "
+            f"{_metres(points_m[index])}{at}. Move it into free space."
+        )
+    distance_m = distance_to_surfaces(meshes, points_m)
+    if (distance_m < MIN_SEPARATION_M).any():
+        index = int(distance_m.argmin())
+        raise PlacementError(
+            f"{what} {index} stands {distance_m[index] * 1e3:.1f} mm from a surface, at "
+            f"{_metres(points_m[index])}{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
+        )
+
+
+def _metres(point_m: Float[FloatArray, "3"]) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in point_m) + ") m"
+
+
+def median_transmitter(tx_position_m: Float[FloatArray, "T 3"]) -> int:
+    """Index of the transmitter nearest to the median of all positions."""
+    return int(np.linalg.norm(tx_position_m - np.median(tx_position_m, axis=0), axis=1).argmin())

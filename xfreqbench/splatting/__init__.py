@@ -1,1 +1,0 @@
-"""Radiance fields of RF Gaussians: projection, accumulation, conditioning and training (torch)."""

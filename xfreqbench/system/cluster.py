@@ -1,0 +1,231 @@
+"""Workers of a Dask cluster, which may join, leave and die. Only this module imports `distributed`."""
+
+from __future__ import annotations
+
+import logging
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager
+from functools import cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+from xfreqbench.errors import ClusterError
+from xfreqbench.system.source import package_sha256
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+SCHEME = "dask://"
+CONNECT_S = 10.0  # how long to wait for a scheduler
+FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
+_CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
+_LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
+
+
+class DaskWorkers:
+    """The workers of one scheduler, each making one call at a time; see `xfreqbench.system.workers.Workers`.
+
+    A call whose worker dies is made again on another worker. It ends with `ClusterError` once more workers have
+    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends.
+    """
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client = client
+        self._address = address
+        self._executor = client.get_executor(pure=False)
+        self._sent: tuple[Any, Any] = (None, None)
+
+    @property
+    def num_places(self) -> int:
+        """Number of workers at this moment."""
+        with _losses_in_words(self._address):
+            return len(self._client.nthreads())
+
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
+        with _losses_in_words(self._address):
+            if (
+                self._sent[0] is not call
+            ):  # a task of its own: it can be made again if every worker that has it dies
+                self._sent = call, self._client.submit(_itself, call, pure=False)
+            found = self._executor.submit(_call_alike, self._sent[1], argument, fingerprint())
+        return _in_words(found, self._address)
+
+    def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
+        """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
+        with _losses_in_words(self._address):
+            answers = self._client.run(question, *arguments, on_error="return")
+        for worker, answer in answers.items():
+            if isinstance(answer, Exception):
+                raise ClusterError(
+                    f"Worker {worker} of {self._address} cannot work: {type(answer).__name__}: {answer}. Start "
+                    "it in an environment like this one."
+                )
+        return answers
+
+
+@contextmanager
+def dask_workers(address: str) -> Iterator[DaskWorkers]:
+    """Yield the workers of the scheduler at `dask://host:port`, after checking that they match this process.
+
+    Raises `ClusterError` if `distributed` is not installed, if there is no scheduler or no worker, if a worker has
+    several threads, and if one has other versions of Python, of a library or of xfreqbench.
+    """
+    distributed = _imported()
+    scheduler = "tcp://" + address.removeprefix(SCHEME)
+    for name in ("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ClusterError(
+            f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
+        ) from error
+    with client:
+        workers = DaskWorkers(client, address)
+        _require_workers(client, address)
+        _require_alike(workers)
+        yield workers
+
+
+def is_installed() -> bool:
+    """Whether the extra `cluster` is installed."""
+    return find_spec("distributed") is not None
+
+
+@contextmanager
+def local_cluster(num_workers: int) -> Iterator[str]:
+    """Start a cluster on this machine, with one thread a worker, for the block; yields its `dask://` address."""
+    distributed = _imported()
+    one_thread = {"NUMBA_NUM_THREADS": "1"}  # Dask itself limits OpenMP and BLAS to one thread
+    options = {"threads_per_worker": 1, "dashboard_address": ":0", "env": one_thread}
+    with distributed.LocalCluster(num_workers, **options) as cluster:
+        yield SCHEME + cluster.scheduler_address.removeprefix("tcp://")
+
+
+@cache
+def fingerprint() -> Mapping[str, str]:
+    """What has to be the same wherever a call is made: versions of Python, libraries and this package, and its code."""
+    versions = {name: _version(name) for name in _LIBRARIES}
+    own = f"{_version('xfreqbench')} ({package_sha256()[:12]})"  # an edited checkout keeps its version
+    return {"python": platform.python_version(), "xfreqbench": own} | versions
+
+
+def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
+    """The names whose values differ, each with both values, in words; empty if all are equal."""
+    names = [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]
+    return ", ".join(
+        f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names)
+    )
+
+
+def _imported() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise ClusterError(
+            'A Dask cluster needs the extra "cluster". Run: pip install "xfreqbench[cluster]"'
+        ) from error
+    return distributed
+
+
+def _require_workers(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+    except TimeoutError as error:
+        host = address.removeprefix(SCHEME)
+        raise ClusterError(
+            f"The scheduler at {address} has no worker. Start some: dask worker {host} --nthreads 1 --nworkers N"
+        ) from error
+    several = sorted(worker for worker, number in client.nthreads().items() if number > 1)
+    if several:
+        raise ClusterError(
+            f"{len(several)} workers of {address} make several calls at a time ({several[0]}), which the solvers "
+            "are not made for. Start them with --nthreads 1, and --nworkers for as many as there are cores."
+        )
+
+
+def _require_alike(workers: DaskWorkers) -> None:
+    for worker, found in workers.ask(fingerprint).items():
+        differing = differences(fingerprint(), found)
+        if differing:
+            raise ClusterError(
+                f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
+                "versions on both, as with `pip install -c constraints.txt`."
+            )
+
+
+def lost_workers(number: int, where: str = "") -> str:
+    """Words for a call that ended because `number` workers died of it."""
+    return (
+        f"{number} workers died of it{where}. Most often memory is what ran out: look into the worker's log, and "
+        "give each worker more of it."
+    )
+
+
+def _itself(call: Callable[[Argument], Result]) -> Callable[[Argument], Result]:
+    return call
+
+
+def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Result:
+    """On the worker: make a call, unless this worker joined after the check and differs from the driver."""
+    differing = differences(drivers, fingerprint())
+    if differing:
+        raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
+    return call(argument)
+
+
+def _in_words(found: Future[Result], address: str) -> Future[Result]:
+    """A future with the same outcome, except that the death of workers or scheduler is a `ClusterError`."""
+    worded: Future[Result] = Future()
+    worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
+    found.add_done_callback(partial(_pass_on, worded, address))
+    return worded
+
+
+@contextmanager
+def _losses_in_words(address: str) -> Iterator[None]:
+    """Turn whatever a client raises when its scheduler has ended into a `ClusterError`."""
+    from distributed.client import ClosedClientError
+
+    try:
+        yield
+    except (OSError, ClosedClientError) as error:
+        raise _gone(address) from error
+
+
+def _gone(address: str) -> ClusterError:
+    return ClusterError(
+        f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same command goes "
+        "on where it stopped."
+    )
+
+
+def _pass_on(worded: Future[Result], address: str, found: Future[Result]) -> None:
+    if not worded.set_running_or_notify_cancel():
+        return
+    try:
+        worded.set_result(found.result())
+    except CancelledError:
+        worded.set_exception(_gone(address))
+    except Exception as error:
+        worded.set_exception(_killed(error) or error)
+
+
+def _killed(error: Any) -> ClusterError | None:
+    from distributed.scheduler import KilledWorker
+
+    if not isinstance(error, KilledWorker):
+        return None
+    return ClusterError(
+        lost_workers(error.allowed_failures + 1, f", the last at {error.last_worker.address}")
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"

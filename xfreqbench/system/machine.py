@@ -1,0 +1,96 @@
+"""What a run was made with: processor, peak memory, versions of libraries, and commit of the source code."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_STATUS = Path("/proc/self/status")
+_GPUS = Path("/proc/driver/nvidia/gpus")
+_CLEAR_REFS = Path("/proc/self/clear_refs")
+_LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "safetensors", "numba")
+
+
+def reset_peak_memory() -> None:
+    """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
+    try:
+        _CLEAR_REFS.write_text("5")
+    except OSError:
+        return
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of this process since `reset_peak_memory`, in MiB, with interpreter and libraries."""
+    try:
+        lines = _STATUS.read_text().splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (1 << 20 if platform.system() == "Darwin" else 1 << 10)  # macOS counts bytes
+
+
+@cache
+def hardware() -> dict[str, str]:
+    """Processor, number of cores that this process may use, operating system, and NVIDIA GPUs if there are any."""
+    has_affinity = hasattr(
+        os, "sched_getaffinity"
+    )  # on Linux; `taskset` keeps a process from some of the cores
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
+    return {
+        "processor": _processor(),
+        "cores": str(cores),
+        "system": f"{platform.system()} {platform.machine()}",
+    } | _gpus()
+
+
+def _gpus() -> dict[str, str]:
+    """Names of the GPUs, as the NVIDIA driver has them; empty without that driver."""
+    lines = [line for path in sorted(_GPUS.glob("*/information")) for line in path.read_text().splitlines()]
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
+    return {"gpu": " + ".join(names)} if names else {}
+
+
+@cache
+def software() -> dict[str, str]:
+    """Versions of Python and of the installed libraries that scores and times depend on, by name."""
+    versions = {name: _version(name) for name in _LIBRARIES}
+    return {"python": platform.python_version()} | {name: text for name, text in versions.items() if text}
+
+
+@cache
+def git_commit() -> str | None:
+    """Commit of the source tree that runs, with `+changes` if files differ from it; None for an installed wheel."""
+    folder = Path(__file__).parent
+    commit = _git(folder, "rev-parse", "HEAD")
+    if commit is None or _git(folder, "ls-files", "--error-unmatch", __file__) is None:
+        return None
+    return f"{commit}+changes" if _git(folder, "status", "--porcelain") else commit
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        answer = subprocess.run(["git", "-C", folder, *arguments], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return answer.stdout.strip()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

@@ -1,0 +1,229 @@
+"""Calls one function many times: in this process, in processes with cores of their own, or on a cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+Cores = frozenset[int]
+SERIAL = "serial"
+MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
+_THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@runtime_checkable
+class Workers(Protocol):
+    """What makes calls. Functions and arguments are pickled, unless the calls are made in this process."""
+
+    @property
+    def num_places(self) -> int:
+        """Number of calls that are made at a time."""
+        ...
+
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Have a call made. If workers die of it, it is made again a few times, and then ends with `ClusterError`."""
+        ...
+
+    def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
+        """Have a function called by every worker that may be on another machine; its answers by workers' names."""
+        ...
+
+
+def open_workers(executor: str, *, is_fresh: bool = False) -> AbstractContextManager[Workers]:
+    """The workers that `--executor` names: `serial`, a number of processes, or `dask://host:port`.
+
+    With `is_fresh`, every call on this machine is made in a new process. Raises `XFreqBenchError` for any other
+    text, and what `xfreqbench.system.cluster.dask_workers` raises.
+    """
+    if executor == SERIAL:
+        return nullcontext(HERE)
+    if executor.isdecimal() and len(executor) < 5 and int(executor) > 0:
+        return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh)
+    if re.fullmatch(rf"{SCHEME}[^\s/]+:\d{{1,5}}", executor):
+        return dask_workers(executor)
+    raise XFreqBenchError(
+        f"--executor takes serial, a number of processes, or {SCHEME}host:port of a scheduler, but got {executor!r}."
+    )
+
+
+def side_by_side(
+    workers: Workers,
+    call: Callable[[Argument], Result],
+    arguments: Iterable[Argument],
+    *,
+    ahead: int = 0,
+) -> Iterator[tuple[Argument, Future[Result]]]:
+    """Call a function with every argument, in their order, as many calls at a time as `workers` has places.
+
+    Yields each argument with its finished future, in the order in which calls end. For each place, at most `ahead`
+    calls wait beside the one that is being made, so that neither arguments nor results pile up. Calls that still
+    wait when the caller stops iterating are cancelled.
+    """
+    left, running = iter(arguments), dict[Future[Result], Argument]()
+    try:
+        while True:
+            limit = max(1, workers.num_places) * (1 + ahead)
+            for argument in islice(left, max(0, limit - len(running))):
+                running[workers.submit(call, argument)] = argument
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def own_cores() -> list[Cores]:
+    """A place for each core that this process may use; empty sets if the system cannot keep processes to cores."""
+    if hasattr(os, "sched_getaffinity"):
+        return [frozenset({core}) for core in sorted(os.sched_getaffinity(0))]
+    return [frozenset()] * (os.cpu_count() or 1)
+
+
+def all_cores() -> list[Cores]:
+    """A single place, with every core that this process may use."""
+    return [frozenset().union(*own_cores())]
+
+
+def split_cores(num_places: int) -> list[Cores]:
+    """`num_places` places that divide this process's cores; if there are more places than cores, some share one."""
+    cores = own_cores()
+    return [frozenset().union(*cores[place % len(cores) :: num_places]) for place in range(num_places)]
+
+
+class InThisProcess:
+    """Makes each call immediately, in this process, with as many threads as the call uses."""
+
+    num_places = 1
+
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Make a call; the future is finished."""
+        future: Future[Result] = Future()
+        try:
+            future.set_result(call(argument))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
+        """No answers: no worker is elsewhere."""
+        return {}
+
+
+HERE = InThisProcess()
+
+
+class LocalProcesses:
+    """Processes of this machine, each kept to the cores of its place; a context manager.
+
+    They end with this process, however it ends. With `is_fresh` every call is made in a new process, so that
+    whatever is timed has equal conditions.
+    """
+
+    def __init__(self, places: Sequence[Cores], *, is_fresh: bool = False) -> None:
+        self.num_places = len(places)
+        self._is_fresh = is_fresh
+        self._is_ending = threading.Event()
+        self._threads = ThreadPoolExecutor(len(places))
+        self._free: SimpleQueue[_Place] = SimpleQueue()
+        self._places = [_Place(partial(_settle, cores, is_alone=len(places) == 1)) for cores in places]
+        for place in self._places:
+            self._free.put(place)
+
+    def __enter__(self) -> LocalProcesses:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Wait for the calls that are being made; after an exception, Ctrl-C included, end their processes."""
+        self._is_ending.set()
+        self._threads.shutdown(wait=error is None, cancel_futures=True)
+        while self._free.qsize() < self.num_places:  # a thread may be starting another process
+            for process in multiprocessing.active_children():
+                process.terminate()
+            time.sleep(0.05)
+        for place in self._places:
+            place.close()
+
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Have a process make a call."""
+        return self._threads.submit(self._call, call, argument)
+
+    def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
+        """No answers: all processes see the same files as this one."""
+        return {}
+
+    def _call(self, call: Callable[[Argument], Result], argument: Argument) -> Result:
+        place = self._free.get()
+        try:
+            return self._tried(place, call, argument)
+        finally:
+            if self._is_fresh:
+                place.close()
+            self._free.put(place)
+
+    def _tried(self, place: _Place, call: Callable[[Argument], Result], argument: Argument) -> Result:
+        for _ in range(MAX_DEATHS):
+            if self._is_ending.is_set():
+                raise ClusterError("The call was ended with those beside it.")
+            with suppress(BrokenProcessPool):
+                return place.process().submit(call, argument).result()
+            place.close()
+        raise ClusterError(lost_workers(MAX_DEATHS))
+
+
+@dataclass
+class _Place:
+    """A place for one process at a time; each process first calls `settle`."""
+
+    settle: Callable[[], None]
+    _process: ProcessPoolExecutor | None = None
+
+    def process(self) -> ProcessPoolExecutor:
+        """The process of this place, started if there is none."""
+        if self._process is None:
+            context = multiprocessing.get_context("spawn")  # a fork would inherit numbers of threads
+            self._process = ProcessPoolExecutor(1, context, self.settle)
+        return self._process
+
+    def close(self) -> None:
+        """End the process once it is idle."""
+        if self._process is not None:
+            self._process.shutdown()
+            self._process = None
+
+
+def _settle(place: Cores, is_alone: bool) -> None:
+    """Keep this process to its cores, and let it end with its parent, even if the parent is killed."""
+    if place:
+        os.sched_setaffinity(0, place)
+    elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it
+        os.environ.update(dict.fromkeys(_THREADS, "1"))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,113 @@
+"""Geometry and field of paths in Sionna RT, one step of its `PathSolver` at a time.
+
+These steps are private names of the pinned version. They are used here, in `receiver` and in `forward` only, and
+tests compare them with the public solver.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.tracing.paths import NO_INTERACTION
+from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, point3f, rt
+from xfreqbench.types import FloatArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+FieldCalculator = rt.path_solvers.field_calculator.FieldCalculator
+ImageMethod = rt.path_solvers.image_method.ImageMethod
+
+
+class Field:
+    """Solves buffers of paths from T transmitters to R targets, all with the receiver's antenna."""
+
+    def __init__(self, radio_scene: RadioScene, receiver: ReceiverArray) -> None:
+        self.radio_scene = radio_scene
+        self._patterns = antenna_array(receiver, np.zeros((1, 3))).antenna_pattern.patterns
+
+    def find_paths(
+        self,
+        buffer: Any,
+        tx_position_m: Float[FloatArray, "T 3"],
+        target_m: Float[FloatArray, "R 3"],
+        diffraction: bool = False,
+    ) -> Int[NDArray[np.int64], "P"]:
+        """Indices of the rows of a buffer that are paths, by the image method; the buffer keeps these only."""
+        ImageMethod()(
+            scene=self.radio_scene.mitsuba,
+            paths=buffer,
+            diffraction=diffraction,
+            diffraction_lit_region=True,
+            src_positions=point3f(tx_position_m),
+            tgt_positions=point3f(target_m),
+        )
+        row = np.flatnonzero(buffer.valid.numpy())
+        buffer.discard_invalid()
+        return row
+
+    def gains(
+        self,
+        carrier_hz: float,
+        buffer: Any,
+        tx_position_m: Float[FloatArray, "T 3"],
+        target_m: Float[FloatArray, "R 3"],
+        diffraction: bool = False,
+        rays: int = 1,
+    ) -> Complex[NDArray[np.complex128], "P"]:
+        """Gain of each of a buffer's P paths at one carrier, spreading included, without its travel phase.
+
+        `rays` is the number that the paths were sampled with; only diffuse reflections depend on it.
+        """
+        if buffer.buffer_size == 0:
+            return np.zeros(0, dtype=np.complex128)
+        self.radio_scene.set_carrier(carrier_hz)
+        FieldCalculator()(
+            wavelength=self.radio_scene.sionna.wavelength,
+            paths=buffer,
+            samples_per_src=rays,
+            diffraction=diffraction,
+            src_positions=point3f(tx_position_m),
+            tgt_positions=point3f(target_m),
+            src_orientations=dr.zeros(mi.Point3f, len(tx_position_m)),
+            tgt_orientations=dr.zeros(mi.Point3f, len(target_m)),
+            src_antenna_patterns=self._patterns,
+            tgt_antenna_patterns=self._patterns,
+        )
+        gain = buffer.a[0][0]
+        dr.eval(gain)
+        buffer.valid = dr.full(
+            mi.Bool, True, buffer.buffer_size
+        )  # a path that vanishes at one carrier may not at another
+        return gain.real.numpy().astype(np.complex128) + 1j * gain.imag.numpy()
+
+
+def with_travel_phase(
+    gain: Complex[NDArray[np.complex128], "P"], length_m: Float[FloatArray, "P"], carrier_hz: float
+) -> Complex[NDArray[np.complex128], "P"]:
+    """gain · exp(−j2πf·length/c), in real arithmetic.
+
+    NumPy's complex product rounds differently at the end of an array, so that the last bit of a channel would
+    depend on the transmitters that it was computed with.
+    """
+    angle_rad = 2 * np.pi * ((carrier_hz / SPEED_OF_LIGHT_M_S * length_m) % 1.0)
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    turned = np.empty_like(gain)
+    turned.real = gain.real * cosine + gain.imag * sine
+    turned.imag = gain.imag * cosine - gain.real * sine
+    return turned
+
+
+def path_interactions(
+    buffer: Any, max_depth: int
+) -> tuple[Int[NDArray[np.int64], "P D"], Float[FloatArray, "P D 3"]]:
+    """Interactions along each path from its transmitter, and where they happen, padded with NaN."""
+    interactions = buffer.interaction_types.numpy().reshape(-1, max_depth).astype(np.int64)
+    columns = (buffer.vertices_x, buffer.vertices_y, buffer.vertices_z)
+    vertices_m = np.stack([column.numpy().reshape(-1, max_depth) for column in columns], axis=-1)
+    vertices_m = vertices_m.astype(np.float64)
+    vertices_m[interactions == NO_INTERACTION] = np.nan
+    return interactions, vertices_m

@@ -1,0 +1,149 @@
+"""Diffracted and diffusely reflected paths by Sionna RT, shot from each transmitter.
+
+Sionna's diffraction is not reciprocal (2.2.0: the gain of a reversed path differs by 0.74 in the median),
+and a diffuse path is found for one transmitter only. So nothing is shared here between transmitters, and
+little between carriers. It is as slow as one public call for each transmitter and carrier.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
+
+from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.tracing.paths import Paths
+from xfreqbench.tracing.sionna.field import Field, path_interactions, with_travel_phase
+from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
+from xfreqbench.tracing.tracer import Channel, TraceSettings
+from xfreqbench.types import FloatArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+Generator = rt.path_solvers.sb_deterministic.SBDeterministicCandidateGenerator
+
+MAX_PATHS = 1_000_000
+MAX_LANES = 30_000_000  # rays × depth × targets in one call of the deterministic generator: about 1.5 GB
+
+
+class ForwardRays:
+    """Rays of one scene, shot anew for every transmitter and carrier, with each array element a target."""
+
+    def __init__(
+        self,
+        radio_scene: RadioScene,
+        receiver: ReceiverArray,
+        carrier_hz: Float[FloatArray, "F"],
+        settings: TraceSettings,
+    ) -> None:
+        self.radio_scene = radio_scene
+        self.receiver = receiver
+        self.carrier_hz = carrier_hz
+        self.settings = settings
+        self._field = Field(radio_scene, receiver)
+        self._diffraction = "diffraction" in settings.interactions
+
+    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+        """Channel (T, F, M) at every element's own position, and the number of paths (T, F)."""
+        shape = len(tx_position_m), len(self.carrier_hz), self.receiver.num_elements
+        cfr = np.zeros(shape, dtype=np.complex128)
+        num_paths = np.zeros(shape[:2], dtype=np.int32)
+        for row, position_m in enumerate(tx_position_m):
+            for column, carrier in enumerate(self.carrier_hz.tolist()):
+                cfr[row, column], num_paths[row, column] = self._channel_at(carrier, position_m[None, :])
+        return Channel(cfr, num_paths)
+
+    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+        """Paths to the array centre, the earliest first, sampled at the lowest carrier."""
+        tx, centre = tx_position_m[None, :], np.array([self.receiver.position_m])
+        buffer = self._trace(float(self.carrier_hz.min()), tx, centre)
+        gain = [self._gains(carrier, buffer, tx, centre) for carrier in self.carrier_hz.tolist()]
+        interactions, vertices_m = path_interactions(buffer, max(1, self.settings.max_depth))
+        length_m = _lengths_m(vertices_m, tx[0], np.repeat(centre, len(vertices_m), axis=0))
+        order = np.argsort(length_m, kind="stable")
+        return Paths(
+            carrier_hz=self.carrier_hz,
+            gain=np.array(gain).reshape(len(self.carrier_hz), -1)[:, order],
+            delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
+            arrival=_arrivals(vertices_m, tx[0], centre[0])[order],
+            interactions=interactions[order],
+            vertices_m=vertices_m[order],
+        )
+
+    def _channel_at(
+        self, carrier_hz: float, tx: Float[FloatArray, "1 3"]
+    ) -> tuple[Complex[NDArray[np.complex128], "M"], int]:
+        """Channel of one transmitter, and the largest number of paths to one element."""
+        element_m = self.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+        cfr = np.zeros(len(element_m), dtype=np.complex128)
+        num_paths = np.zeros(len(element_m), dtype=np.int64)
+        lanes = self.settings.rays * max(1, self.settings.max_depth)
+        step = max(1, MAX_LANES // lanes)
+        for start in range(0, len(element_m), step):
+            target_m = element_m[start : start + step]
+            buffer = self._trace(carrier_hz, tx, target_m)
+            gain = self._gains(carrier_hz, buffer, tx, target_m)
+            element = buffer.target_indices.numpy().astype(np.int64)
+            _, vertices_m = path_interactions(buffer, max(1, self.settings.max_depth))
+            length_m = _lengths_m(vertices_m, tx[0], target_m[element])
+            np.add.at(cfr, start + element, with_travel_phase(gain, length_m, carrier_hz))
+            np.add.at(num_paths, start + element, gain != 0)
+        return cfr, int(num_paths.max())
+
+    def _trace(self, carrier_hz: float, tx: Float[FloatArray, "1 3"], target_m: FloatArray) -> Any:
+        """Buffer of the paths of one transmitter, sampled with the materials of one carrier."""
+        self.radio_scene.set_carrier(carrier_hz)
+        with roomy_hash_table():
+            buffer = self._candidates(tx, target_m)
+        self._field.find_paths(buffer, tx, target_m, self._diffraction)
+        return buffer
+
+    def _candidates(self, tx: Float[FloatArray, "1 3"], target_m: FloatArray) -> Any:
+        interactions = self.settings.interactions
+        buffer = Generator()(
+            mi_scene=self.radio_scene.mitsuba,
+            src_positions=point3f(tx),
+            tgt_positions=point3f(target_m),
+            samples_per_src=self.settings.rays,
+            max_num_paths_per_src=MAX_PATHS,
+            max_depth=self.settings.max_depth,
+            los=True,
+            specular_reflection="specular" in interactions,
+            diffuse_reflection="diffuse" in interactions,
+            refraction="refraction" in interactions,
+            diffraction=self._diffraction,
+            edge_diffraction=False,
+            seed=self.settings.seed,
+        )
+        buffer.schedule()
+        dr.eval()
+        buffer.shrink()
+        buffer.detach_geometry()
+        return buffer
+
+    def _gains(
+        self, carrier_hz: float, buffer: Any, tx: FloatArray, target_m: FloatArray
+    ) -> Complex[NDArray[np.complex128], "P"]:
+        return self._field.gains(carrier_hz, buffer, tx, target_m, self._diffraction, self.settings.rays)
+
+
+def _lengths_m(
+    vertices_m: Float[FloatArray, "P D 3"], tx_m: Float[FloatArray, "3"], target_m: Float[FloatArray, "P 3"]
+) -> Float[FloatArray, "P"]:
+    """Lengths in metres of paths through their vertices, in double precision; NaN vertices count as the target."""
+    filled = np.where(np.isnan(vertices_m), target_m[:, None, :], vertices_m)
+    first = np.broadcast_to(tx_m, (len(filled), 1, 3))
+    line = np.concatenate([first, filled, target_m[:, None, :]], axis=1)
+    return np.linalg.norm(np.diff(line, axis=1), axis=2).sum(axis=1)
+
+
+def _arrivals(
+    vertices_m: Float[FloatArray, "P D 3"], tx_m: Float[FloatArray, "3"], centre_m: Float[FloatArray, "3"]
+) -> Float[FloatArray, "P 3"]:
+    """Unit vectors from the receiver towards the last interaction, or the transmitter where there is none."""
+    last = np.broadcast_to(tx_m, (len(vertices_m), 3)).copy()
+    for depth in range(vertices_m.shape[1]):
+        there = ~np.isnan(vertices_m[:, depth, 0])
+        last[there] = vertices_m[there, depth]
+    return (last - centre_m) / np.linalg.norm(last - centre_m, axis=1, keepdims=True)

@@ -1,0 +1,130 @@
+"""A scene inside Sionna RT: its shapes, and its materials at one carrier at a time."""
+
+from __future__ import annotations
+
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt
+from numpy.typing import NDArray
+
+from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
+from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, write_mitsuba
+from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.tracing.sionna.llvm import ensure_llvm
+from xfreqbench.types import FloatArray
+from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
+
+ensure_llvm()
+
+import drjit  # noqa: E402  (Dr.Jit looks for LLVM when it is imported)
+import mitsuba  # noqa: E402
+import sionna.rt  # noqa: E402
+
+dr: Any = drjit  # their stubs know no variant, so most of what is called here has no type there
+mi: Any = mitsuba
+rt: Any = sionna.rt
+
+__all__ = ["RadioScene", "antenna_array", "dr", "mi", "point3f", "roomy_hash_table", "rt"]
+
+
+HASH_TABLE_SIZE = (
+    2**25
+)  # Sionna's table of a million loses 9 % of the candidates of 1e5 rays, and 22 % of 5e5
+
+
+@contextmanager
+def roomy_hash_table() -> Iterator[None]:
+    """Make Sionna's table of candidates large enough to lose next to none; afterwards it is as before."""
+    generator = rt.path_solvers.sb_candidate_generator.SBCandidateGenerator
+    stock_size = generator.MIN_SPEC_COUNT_SIZE
+    generator.MIN_SPEC_COUNT_SIZE = HASH_TABLE_SIZE
+    try:
+        yield
+    finally:
+        generator.MIN_SPEC_COUNT_SIZE = stock_size
+
+
+def point3f(positions_m: Float[NDArray[Any], "N 3"]) -> Any:
+    """Points as Dr.Jit holds them, opaque so that one compiled kernel serves all positions."""
+    columns = np.asarray(positions_m, dtype=np.float32).T
+    points = mi.Point3f(*(mi.Float(np.ascontiguousarray(column)) for column in columns))
+    dr.make_opaque(points)
+    return points
+
+
+def antenna_array(receiver: ReceiverArray, positions_wavelengths: Float[FloatArray, "M 3"]) -> Any:
+    """Sionna's array of the scene's antennas at the given positions, in wavelengths, in world axes."""
+    array = rt.PlanarArray(
+        num_rows=1, num_cols=1, pattern=receiver.pattern, polarization=receiver.polarization
+    )
+    array.normalized_positions = point3f(positions_wavelengths)
+    return array
+
+
+class RadioScene:
+    """Meshes loaded into Sionna RT, with materials that follow `set_carrier`.
+
+    The materials are plain ones whose values come from `xfreqbench.scene.materials`. Sionna's own ITU materials
+    raise for every carrier outside a band, even for the 3.5 GHz at which a scene is loaded, and leave the
+    other materials half updated.
+    """
+
+    def __init__(self, meshes: Sequence[SurfaceMesh], policy: MaterialPolicy = "error") -> None:
+        self.meshes = list(meshes)
+        self.policy = policy
+        self.sionna = _load(self.meshes)
+
+    @property
+    def mitsuba(self) -> Any:
+        """The Mitsuba scene, which rays are cast into."""
+        return self.sionna.mi_scene
+
+    @property
+    def shape_pointer(self) -> UInt[NDArray[np.uint32], "S"]:
+        """Dr.Jit's pointer to the shape of each mesh, in the order of the meshes."""
+        shapes = {shape.id(): shape for shape in self.mitsuba.shapes()}
+        ordered = [shapes[identifier] for identifier in shape_ids(self.meshes)]
+        pointers = [dr.reinterpret_array(mi.UInt, mi.ShapePtr(shape)).numpy()[0] for shape in ordered]
+        return np.array(pointers, dtype=np.uint32)
+
+    def set_carrier(self, carrier_hz: float) -> None:
+        """Set the carrier and every material's permittivity and conductivity.
+
+        Raises `MaterialBandError` before anything has changed. All values are opaque to Dr.Jit: ten
+        carriers share one compiled kernel.
+        """
+        permittivity = {
+            mesh.material: complex_permittivity(mesh.material, carrier_hz, self.policy)
+            for mesh in self.meshes
+        }
+        self.sionna.frequency = dr.opaque(mi.Float, carrier_hz)
+        for name, material in self.sionna.radio_materials.items():
+            value = permittivity[name.rpartition("-")[0]]
+            conductivity_s_m = -value.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
+            material.relative_permittivity = dr.opaque(mi.Float, value.real)
+            material.conductivity = dr.opaque(mi.Float, conductivity_s_m)
+
+
+def _load(meshes: Sequence[SurfaceMesh]) -> Any:
+    if not meshes:
+        return rt.load_scene()
+    with tempfile.TemporaryDirectory(prefix="xfreqbench-") as folder:
+        xml = write_mitsuba(meshes, Path(folder))
+        _use_plain_materials(xml)
+        return rt.load_scene(str(xml), merge_shapes=False)
+
+
+def _use_plain_materials(xml: Path) -> None:
+    """Turn ITU materials into plain ones of the same name and thickness."""
+    tree = ElementTree.parse(xml)
+    for bsdf in tree.getroot().iter("bsdf"):
+        bsdf.set("type", "radio-material")
+        for itu_name in bsdf.findall("./string[@name='type']"):
+            bsdf.remove(itu_name)
+    tree.write(xml)

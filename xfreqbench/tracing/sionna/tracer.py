@@ -1,0 +1,56 @@
+"""Solver `sionna`: channels of any triangle mesh by Sionna RT."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.materials import check_dispersion
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.paths import Paths
+from xfreqbench.tracing.sionna.forward import ForwardRays
+from xfreqbench.tracing.sionna.receiver import ReceiverRays
+from xfreqbench.tracing.sionna.scene import RadioScene
+from xfreqbench.tracing.tracer import Channel, TraceSettings
+from xfreqbench.types import FloatArray
+
+ONE_WAY = frozenset({"diffraction", "diffuse"})
+
+
+class SionnaTracer:
+    """Sionna RT on one scene, ready for any transmitter: a `Tracer`.
+
+    With reflections and refraction alone, rays are shot once from the receiver and serve every transmitter and
+    carrier. With diffraction or diffuse reflection, which Sionna does not treat reciprocally, they are
+    shot from each transmitter at each carrier, which is some fifty times slower.
+
+    Every element of the array is solved at its own position. On one machine with the same libraries, the same
+    seed gives the same channel to the last bit, whichever other transmitters are asked for with it.
+    `geometry` is that of the scene where it is known already. Raises `MaterialBandError` before any ray is
+    shot; the import of this module raises `MissingLLVMError` where there is no LLVM library.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        carrier_hz: Sequence[float] | Float[FloatArray, "F"],
+        settings: TraceSettings,
+        geometry: Geometry | None = None,
+    ) -> None:
+        carriers = np.asarray(carrier_hz, dtype=np.float64)
+        meshes = geometry.meshes if geometry else surface_meshes(scene)
+        check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
+        shooting = ForwardRays if ONE_WAY & set(settings.interactions) else ReceiverRays
+        self._rays = shooting(RadioScene(meshes, settings.materials), scene.receiver, carriers, settings)
+
+    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+        """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
+        return self._rays.channel(tx_position_m)
+
+    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+        """Paths of one transmitter to the array centre, the earliest first."""
+        return self._rays.paths(tx_position_m)

@@ -1,0 +1,74 @@
+"""The choice of the solver that traces a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import cast, get_args
+
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.tracer import INTERACTIONS, Interaction, SolverName, Tracer, TraceSettings
+
+
+def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
+    """The names, in their order, as interactions; raises `UnknownNameError` for one that is none."""
+    given = tuple(names)
+    for name in given:
+        if name not in INTERACTIONS:
+            raise UnknownNameError("interaction", name, INTERACTIONS)
+    return cast("tuple[Interaction, ...]", given)
+
+
+def check_settings(settings: TraceSettings) -> None:
+    """Raise `XFreqBenchError` for settings that no solver takes."""
+    if settings.solver not in get_args(SolverName):
+        raise UnknownNameError("solver", settings.solver, get_args(SolverName))
+    interactions_named(settings.interactions)
+    for name, value, least in (
+        ("depth", settings.max_depth, 0),
+        ("number of rays", settings.rays, 1),
+        ("seed", settings.seed, 0),
+    ):
+        if value < least:
+            raise XFreqBenchError(f"The {name} is {value}; give at least {least}.")
+
+
+def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings:
+    """Settings that name a solver: `auto` is `image` where scene and interactions allow it, else `sionna`.
+
+    Interactions are put in one order. Raises `XFreqBenchError` for settings that no solver takes.
+    """
+    from xfreqbench.tracing.image.tracer import can_solve
+
+    check_settings(settings)
+    canonical = tuple(name for name in INTERACTIONS if name in settings.interactions)
+    settings = replace(settings, interactions=canonical)
+    if settings.solver != "auto":
+        return settings
+    return replace(settings, solver="image" if can_solve(geometry, settings) else "sionna")
+
+
+def make_tracer(
+    scene: Scene,
+    carrier_hz: Sequence[float],
+    settings: TraceSettings = TraceSettings(),
+    geometry: Geometry | None = None,
+) -> Tracer:
+    """Load a scene into the solver that `settings` names, and shoot its rays.
+
+    `auto` is the solver that `resolve_solver` names. `geometry` is that of the scene, where it is known already;
+    else it is built here. Raises `SceneError`, of which `MaterialBandError` is one.
+    """
+    geometry = geometry or Geometry(surface_meshes(scene))
+    if settings.solver == "auto":
+        settings = resolve_solver(geometry, settings)
+    if settings.solver == "image":
+        from xfreqbench.tracing.image.tracer import ImageTracer
+
+        return ImageTracer(scene, carrier_hz, settings, geometry=geometry)
+    from xfreqbench.tracing.sionna.tracer import SionnaTracer
+
+    return SionnaTracer(scene, carrier_hz, settings, geometry)

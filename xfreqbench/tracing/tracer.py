@@ -1,0 +1,59 @@
+"""The interface of the solvers: what is asked of the rays, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, get_args, runtime_checkable
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.scene.materials import MaterialPolicy
+from xfreqbench.tracing.paths import Paths
+from xfreqbench.types import FloatArray
+
+Interaction = Literal["specular", "refraction", "diffraction", "diffuse"]
+INTERACTIONS: tuple[Interaction, ...] = get_args(Interaction)
+SolverName = Literal["auto", "image", "sionna"]
+
+
+@dataclass(frozen=True)
+class TraceSettings:
+    """What is asked of the rays. With the defaults channels have converged (`xfreqbench bench generate`).
+
+    `max_depth` counts reflections and transmissions together; `rays` is the number shot in all; `materials` says
+    what happens at carriers at which ITU-R P.2040 does not define a material.
+    """
+
+    solver: SolverName = "auto"
+    interactions: tuple[Interaction, ...] = ("specular", "refraction")
+    max_depth: int = 6
+    rays: int = 500_000
+    seed: int = 1
+    materials: MaterialPolicy = "error"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """The channel of T transmitters at F carriers and M array elements, and the number of its paths.
+
+    `cfr` is h_n(f) of Eq. (1), the received over the transmitted complex amplitude, time running as exp(+j2πft):
+    |h|² is received over transmitted power. `num_paths` counts the paths that reach at least one element.
+    """
+
+    cfr: Complex[NDArray[np.complex128], "T F M"]
+    num_paths: Int[NDArray[np.int32], "T F"]
+
+
+@runtime_checkable
+class Tracer(Protocol):
+    """A scene whose rays have been shot; for transmitters and carriers they need only be evaluated."""
+
+    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+        """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
+        ...
+
+    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+        """Paths of one transmitter to the array centre, the earliest first."""
+        ...

@@ -1,0 +1,22 @@
+"""Versions of the software that the answer of a solver depends on."""
+
+from __future__ import annotations
+
+from importlib import metadata
+
+from xfreqbench.tracing.tracer import SolverName
+
+_PACKAGES: dict[SolverName, tuple[str, ...]] = {
+    "image": ("numba", "llvmlite", "numpy"),
+    "sionna": ("sionna-rt", "mitsuba", "drjit"),
+}
+
+
+def software_versions(solver: SolverName) -> dict[str, str]:
+    """Versions of the packages that a solver's channels depend on; for `sionna` that of LLVM too."""
+    versions = {name: metadata.version(name) for name in ("xfreqbench", *_PACKAGES[solver])}
+    if solver == "sionna":
+        from xfreqbench.tracing.sionna.llvm import llvm_version
+
+        versions["llvm"] = llvm_version()
+    return versions

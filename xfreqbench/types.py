@@ -1,0 +1,17 @@
+"""Types that every floor shares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Maps = NDArray[np.float32]  # (n, E, A), linear power in [0, 1], peak 1
+ProgressCallback = Callable[[int, int], None]  # is told how many are done, and how many there are
+
+
+def ignore_progress(done: int, total: int) -> None:
+    """A progress callback that does nothing."""
