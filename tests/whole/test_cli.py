@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from cyclopts import App
 
+from xfreqbench.cli.main import app
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 
@@ -91,3 +94,31 @@ def test_the_lists_name_scenes_and_methods() -> None:
     assert "office" in xfreqbench("scenes").stdout
     assert "surface" in json.loads(xfreqbench("scenes", "--schema").stdout)["properties"]
     assert "mean-over-frequency" in xfreqbench("methods").stdout
+
+
+def command_names(commands: App, *before: str) -> list[tuple[str, ...]]:
+    found = [before]
+    for name in commands:
+        if not name.startswith("-"):
+            found += command_names(commands[name], *before, name)
+    return found
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "2", "-1", "²", "9" * 5000, "1000000000"])
+def test_the_help_of_every_command_ends_at_every_width(columns: str) -> None:
+    program = f"""
+import sys
+from xfreqbench.cli.main import main
+for command in {command_names(app)!r}:
+    sys.argv = ["xfreqbench", *command, "--help"]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, (command, end.code)
+"""
+    environment = {**os.environ, "COLUMNS": columns}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert max(map(len, done.stdout.splitlines())) <= 1000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import sys
 
 from xfreqbench.cli import data, exchange, findings, measure, runs
@@ -19,12 +20,14 @@ __all__ = [
     "measure",
     "runs",
 ]  # importing a file adds its commands
+_WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
 
 
 def main() -> None:
     """Run the command line; ends with exit code 2 for an error that a user can mend, 130 for an interrupted command."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
+    _bound_console_width()
     try:
         app()
         sys.stdout.flush()
@@ -49,6 +52,14 @@ def main() -> None:
         if not _was_interrupted(error):
             raise
         _leave_interrupted()
+
+
+def _bound_console_width() -> None:
+    """Have tables, bars and help texts drawn for a sensible width, whatever `COLUMNS` or the terminal say."""
+    low, high = _WIDTHS
+    width = shutil.get_terminal_size().columns
+    if "COLUMNS" in os.environ or not low <= width <= high:
+        os.environ["COLUMNS"] = str(min(max(width, low), high))
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
