@@ -1,33 +1,147 @@
+"""Batches of an unfinished generation: whose they are is never a guess, and what is not ours is left alone."""
+
 from __future__ import annotations
 
+import hashlib
+import re
+import shutil
 from pathlib import Path
 
 import pytest
 from plans import small_plan
 
+from xfreqbench.data import batches
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.errors import OutputExistsError
+from xfreqbench.data.plan import Plan
+from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.system.files import sole_worker
+
+OURS, OTHER = small_plan(num_transmitters=20), small_plan(num_transmitters=20, pas_kind="amplitude")
 
 
-def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "rooms.h5.parts"
-    folder.mkdir()
-    (folder / "job.sha256").write_text("another")
+def unfinished(plan: Plan, path: Path) -> Path:
+    """The folder of batches as a process leaves it that is killed before it writes the data set."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batches, "_remove", lambda folder: None)
+        generate_planned(plan, path).unlink()
+    return batches.batch_folder(path)
+
+
+@pytest.fixture(scope="module")
+def left_by_other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return unfinished(OTHER, tmp_path_factory.mktemp("other") / "rooms.h5")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return generate_planned(OURS, tmp_path_factory.mktemp("whole") / "rooms.h5").read_bytes()
+
+
+def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path, left_by_other: Path) -> None:
+    folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
+    names = {path.name for path in folder.iterdir()}
     with pytest.raises(OutputExistsError, match="other settings"):
-        generate_planned(small_plan(), tmp_path / "rooms.h5")
-    assert (folder / "job.sha256").read_text() == "another"
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert {path.name for path in folder.iterdir()} == names
 
 
-def test_a_damaged_batch_is_traced_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = generate_planned(small_plan(), tmp_path / "whole.h5")
-    monkeypatch.setattr("xfreqbench.data.batches.BatchStore.remove", lambda self: None)
-    generate_planned(small_plan(), tmp_path / "damaged.h5")
-    monkeypatch.undo()
-    first, *_ = sorted((tmp_path / "damaged.h5.parts").glob("000000-*.npz"))
+def test_batches_without_a_marker_are_refused(tmp_path: Path, left_by_other: Path) -> None:
+    """A removal that was killed left such a folder, and every job took it for its own."""
+    folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
+    (folder / "job.sha256").unlink()
+    with pytest.raises(OutputExistsError, match=r"no folder of unfinished batches"):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert len(list(folder.glob("*.npz"))) == 2
+
+
+@pytest.mark.parametrize("named", ["theirs", "ours"])
+def test_batches_of_another_job_are_not_taken_even_with_our_marker(
+    tmp_path: Path, left_by_other: Path, whole: bytes, named: str
+) -> None:
+    folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
+    (folder / "job.sha256").write_text(OURS.sha256)
+    for path in folder.glob("*.npz") if named == "ours" else ():
+        path.rename(folder / path.name.replace(OTHER.sha256[:16], OURS.sha256[:16]))
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+
+
+def test_a_batch_under_another_ones_number_is_not_taken(tmp_path: Path, whole: bytes) -> None:
+    folder = unfinished(OURS, tmp_path / "rooms.h5")
+    first, second = sorted(folder.glob("*.npz"))
+    first.unlink()
+    second.rename(folder / second.name.replace("000001", "000000", 1))
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+
+
+def test_a_damaged_batch_is_traced_again(tmp_path: Path, whole: bytes) -> None:
+    folder = unfinished(OURS, tmp_path / "rooms.h5")
+    first, second = sorted(folder.glob("*.npz"))
     content = bytearray(first.read_bytes())
     content[len(content) // 2] ^= 1
     first.write_bytes(content)
-    (tmp_path / "damaged.h5").unlink()
-    again = generate_planned(small_plan(), tmp_path / "damaged.h5")
-    assert open_dataset(again).sha256 == open_dataset(whole).sha256
+    second.write_bytes(b"cut short")
+    sha256 = hashlib.sha256(b"cut short").hexdigest()  # whole by its name, and yet no batch
+    second.rename(re.sub(r"[0-9a-f]{64}", sha256, str(second)))
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+
+
+def test_a_folder_of_somebody_else_is_refused_by_name(tmp_path: Path) -> None:
+    folder = tmp_path / "rooms.h5.parts"
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("years of work")
+    with pytest.raises(OutputExistsError, match=r"rooms\.h5\.parts holds 'thesis\.tex'"):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert [path.name for path in folder.iterdir()] == ["thesis.tex"]
+    shutil.rmtree(folder)
+    folder.write_text("a file")
+    with pytest.raises(OutputExistsError, match="is in the way"):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert folder.read_text() == "a file"
+
+
+def test_what_somebody_adds_to_the_folder_stays(tmp_path: Path, whole: bytes) -> None:
+    folder = unfinished(OURS, tmp_path / "rooms.h5")
+    (folder / "notes.txt").write_text("mine")
+    outside = tmp_path / "outside.npz"
+    outside.write_text("elsewhere")
+    (folder / "000000-link.npz").symlink_to(outside)
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    assert outside.read_text() == "elsewhere"
+
+
+def test_a_link_in_the_folders_place_is_not_followed(tmp_path: Path) -> None:
+    elsewhere = unfinished(OURS, tmp_path / "elsewhere.h5")
+    names = {path.name for path in elsewhere.iterdir()}
+    (tmp_path / "rooms.h5.parts").symlink_to(elsewhere, target_is_directory=True)
+    with pytest.raises(OutputExistsError, match="symbolic link, which is not followed"):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert {path.name for path in elsewhere.iterdir()} == names
+    (tmp_path / "rooms.h5.parts").unlink()
+    (tmp_path / "rooms.h5.parts").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputExistsError, match="symbolic link"):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_one_process_at_a_time_writes_an_output(tmp_path: Path, whole: bytes) -> None:
+    folder = unfinished(OURS, tmp_path / "rooms.h5")
+    refusal = r"rooms\.h5 is being written by process \d+ on .*, since .*\. Wait"
+    with sole_worker(folder / "lock", tmp_path / "rooms.h5"), pytest.raises(StorageError, match=refusal):
+        generate_planned(OURS, tmp_path / "rooms.h5")
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+
+
+def test_what_a_kill_leaves_of_a_removal_goes_with_the_next_run(tmp_path: Path) -> None:
+    path = tmp_path / "rooms.h5"
+    folder = unfinished(OURS, path)
+    shutil.copytree(folder, tmp_path / ".rooms.h5.parts.killed.removed")
+    generate_planned(OURS, path)
+    assert list(tmp_path.iterdir()) == [path]
+    unfinished(OURS, tmp_path / "again.h5").rename(folder)  # killed when the data set already had its name
+    before = path.stat().st_mtime_ns
+    generate_planned(OURS, path)
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_mtime_ns == before
+    assert open_dataset(path).header.num_tx == 20

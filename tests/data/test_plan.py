@@ -10,6 +10,7 @@ import pytest
 from plans import CARRIERS_HZ, SETTINGS, small_plan
 
 from xfreqbench.data import plan as planning
+from xfreqbench.data import trace
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import (
@@ -72,12 +73,12 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
 
 def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     told = pickle.loads(pickle.dumps(small_plan(num_transmitters=2).tracing))
-    original = planning.surface_meshes
+    original = trace.surface_meshes
 
     def meshes_without_the_last(scene: Scene) -> list[Any]:
         return original(scene)[:-1]
 
-    monkeypatch.setattr(planning, "surface_meshes", meshes_without_the_last)
+    monkeypatch.setattr(trace, "surface_meshes", meshes_without_the_last)
     with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
         told.geometry()
 

@@ -155,14 +155,31 @@ def _read_positions(path: Path | None) -> Any:
 
 
 @app.command
-def info(file: Path) -> None:
+def info(
+    file: Path,
+    *,
+    retrace: Annotated[
+        int,
+        Parameter(
+            help="Samples to trace again from the scene and settings in the file, and to compare with it."
+        ),
+    ] = 0,
+    seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
+) -> None:
     """Print what a data set holds, and verify every byte of it against its hashes."""
-    from xfreqbench.data.dataset import verify
+    from xfreqbench.data.dataset import open_dataset, verify
+    from xfreqbench.data.retrace import require_origin
     from xfreqbench.report.view.describe import describe
 
+    if min(retrace, seed) < 0:
+        raise XFreqBenchError(f"--retrace and --seed take 0 or more, but got {retrace} and {seed}.")
     print(describe(file))
     verify(file)
     print("every hash holds")
+    if retrace:
+        dataset = open_dataset(file)
+        worst = require_origin(dataset, retrace, seed)
+        print(f"{min(retrace, len(dataset))} samples traced again: {worst}, the others by less")
 
 
 @app.command

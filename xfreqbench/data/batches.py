@@ -4,48 +4,37 @@ from __future__ import annotations
 
 import hashlib
 import io
-import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
 from xfreqbench.data.plan import Plan
-from xfreqbench.errors import StorageError
-from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_text
+from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.system.files import atomic_path, require_own, sole_worker, storage_errors, write_text
 from xfreqbench.tracing.tracer import Channel
+
+_MARKER, _LOCK, _BATCHES = "job.sha256", "lock", "[0-9]*-*.npz"
+_ADVICE = "Rename it, or choose another output with -o."
 
 
 class BatchStore:
-    """Finished batches of one job in a folder; each file's name carries the sha256 of its bytes.
+    """Finished batches of one job in a folder, which `claimed_batches` gives to one process at a time.
 
-    A file is written under another name, synced and renamed. One that is there with the right digest is
-    therefore whole, and a batch that is lost, cut short or damaged is traced again.
+    A file's name carries the number of the batch, the digest of its job and the sha256 of its bytes, and these bytes
+    hold number and job once more. It is written under another name, synced and renamed. One that has its sha256 and
+    its job is therefore a whole batch of this very job, whoever wrote it; one that is lost, cut short, damaged or of
+    another job is traced again.
     """
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.folder = folder
         self.plan = plan
-        self._claim()
-        self._paths = self._found()
-
-    def _claim(self) -> None:
-        """Make the folder this job's, or raise `OutputExistsError` where it is another's."""
-        marker, sha256 = self.folder / "job.sha256", self.plan.sha256
-        fault = "marks batches of an unfinished run with other settings, software or transmitters"
-        advice = f"Run that one to its end, delete {self.folder}, or choose another output with -o."
-        require_own(marker, lambda file: None if file.read_text() == sha256 else fault, advice)
-        write_text(marker, sha256)
-
-    def _found(self) -> dict[int, Path]:
-        """Whole batches by index; the others are removed."""
-        found = {}
-        for path in self.folder.glob("[0-9]*-*.npz"):
-            index, _, sha256 = path.stem.partition("-")
-            if _sha256(path) == sha256:
-                found[int(index)] = path
-            else:
-                path.unlink()
-        return found
+        pattern = f"[0-9]*-{plan.sha256[:16]}-*.npz"
+        self._paths = {_index(path): path for path in folder.glob(pattern) if self._channel(path)}
 
     def missing(self) -> list[tuple[int, slice]]:
         """Batches that have to be traced, each with its index and its transmitters."""
@@ -54,25 +43,123 @@ class BatchStore:
     def write(self, index: int, channel: Channel) -> None:
         """Keep a batch; raises `StorageError`."""
         buffer = io.BytesIO()
-        np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths)
+        np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index))
         content = buffer.getvalue()
-        path = self.folder / f"{index:06d}-{hashlib.sha256(content).hexdigest()}.npz"
+        path = self.folder / f"{self._name(index)}-{hashlib.sha256(content).hexdigest()}.npz"
         with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
         self._paths[index] = path
 
     def read(self, index: int) -> Channel:
         """A batch that was kept; raises `StorageError` where it is there no longer, or was changed."""
-        path = self._paths[index]
-        if not path.is_file() or _sha256(path) != path.stem.partition("-")[2]:
+        channel = self._channel(self._paths[index])
+        if channel is None:
             raise StorageError(f"Batch {index} has gone from {self.folder}. Run the same command again.")
-        with np.load(path) as content:
-            return Channel(content["cfr"], content["num_paths"])
+        return channel
 
-    def remove(self) -> None:
-        """Delete the folder, once the data set is whole."""
-        shutil.rmtree(self.folder)
+    def _channel(self, path: Path) -> Channel | None:
+        """The channel in a file; None where it is no whole batch of this job. Links are not followed."""
+        if path.is_symlink() or not path.is_file():
+            return None
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != path.stem.rpartition("-")[2]:
+            return None
+        try:
+            with np.load(io.BytesIO(content)) as stored:
+                is_ours = str(stored["batch"]) == self._name(_index(path))
+                return Channel(stored["cfr"], stored["num_paths"]) if is_ours else None
+        except (ValueError, LookupError, OSError, BadZipFile):
+            return None
+
+    def _name(self, index: int) -> str:
+        return f"{index:06d}-{self.plan.sha256[:16]}"
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+@contextmanager
+def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
+    """The batches of a job, beside its output in `OUTPUT.parts`, for this process alone during the block.
+
+    They are removed when the block ends without an exception. Raises `OutputExistsError` where the folder is
+    another job's or somebody else's, and `StorageError` where another process is at it.
+    """
+    folder = batch_folder(output)
+    _require_ours(folder)
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with sole_worker(folder / _LOCK, output):
+        _mark(folder, plan)
+        yield BatchStore(folder, plan)
+        with storage_errors(folder):
+            _remove(folder)
+
+
+def batch_folder(output: Path) -> Path:
+    """Where the batches of an output are kept."""
+    return output.with_name(output.name + ".parts")
+
+
+def holds_batches_of(output: Path, plan: Plan) -> bool:
+    """Whether a process that was killed at its very end left the batches of a job beside the output."""
+    marker = batch_folder(output) / _MARKER
+    return (
+        not batch_folder(output).is_symlink()
+        and marker.is_file()
+        and marker.read_bytes() == plan.sha256.encode()
+    )
+
+
+def _require_ours(folder: Path) -> None:
+    """Raise `OutputExistsError` unless a folder is absent, empty or marked as one of batches, and is no link."""
+    with storage_errors(folder):
+        if folder.is_symlink():
+            raise OutputExistsError(f"{folder} is a symbolic link, which is not followed. {_ADVICE}")
+        if not folder.exists():
+            return
+        if not folder.is_dir():
+            raise OutputExistsError(
+                f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}"
+            )
+        foreign = sorted(path.name for path in folder.iterdir() if path.name != _LOCK)
+        if foreign and not (folder / _MARKER).is_file():
+            raise OutputExistsError(
+                f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is no folder of unfinished batches. {_ADVICE}"
+            )
+
+
+def _mark(folder: Path, plan: Plan) -> None:
+    """Make a folder this job's, or raise `OutputExistsError` where it is another's."""
+    marker = folder / _MARKER
+    fault = "marks batches of an unfinished run with other settings, software or transmitters"
+    advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
+    if not require_own(
+        marker, lambda file: None if file.read_bytes() == plan.sha256.encode() else fault, advice
+    ):
+        write_text(marker, plan.sha256)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of batches, and what kills have left of such removals; whatever else is in it stays there.
+
+    It is renamed first, so that a kill never leaves half of it under its name, without its marker.
+    """
+    doomed = Path(tempfile.mkdtemp(".removed", f".{folder.name}.", folder.parent))
+    folder.replace(doomed)
+    for each in folder.parent.glob(f".{folder.name}.*.removed"):
+        if not each.is_symlink():
+            _empty(each)
+    if doomed.exists():
+        doomed.rename(folder)
+
+
+def _empty(folder: Path) -> None:
+    """Remove batches, marker and lock from a folder, and the folder if nothing else is in it."""
+    for pattern in (_BATCHES, f".{_BATCHES}.*.partial", _MARKER, f".{_MARKER}.*.partial", _LOCK):
+        for path in folder.glob(pattern):
+            if path.is_symlink() or path.is_file():
+                path.unlink(missing_ok=True)
+    with suppress(OSError):  # something else is in it
+        folder.rmdir()
+
+
+def _index(path: Path) -> int:
+    return int(path.name.partition("-")[0])

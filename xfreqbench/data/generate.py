@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.batches import BatchStore
+from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
 from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
-from xfreqbench.data.plan import Plan, Tracing, plan_generation
+from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.retrace import require_origin
+from xfreqbench.data.trace import forget_rays, traced
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -22,10 +24,12 @@ from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.tracing.solvers import make_tracer
-from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
+from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+
+NUM_RETRACED = 4  # samples of every data set that are traced again before it gets its name
 
 
 def generate(
@@ -72,21 +76,29 @@ def generate_planned(
     `progress` and `write_progress` are told, for either stage, how many transmitters are done and how many there
     are. `workers` trace; the file is written in this process, and is the same whoever traced.
 
-    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. An output that
-    already holds this job is left as it is. Raises `OutputExistsError` for one that holds another,
-    `StorageError` where there is no room, and `ClusterError` for workers whose solvers differ, or that die.
+    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. Before the file gets its
+    name, four of its samples are traced again from its own header. An output that already holds this job is left as
+    it is. Raises `OutputExistsError` for one that holds another, `StorageError` where there is no room or another
+    process writes it, `DataError` where a sample differs, and `ClusterError` for workers whose solvers differ, or
+    that die.
     """
     num_tx = len(plan.tx_position_m)
-    if holds_same_job(path, plan.sha256, "job"):
-        progress(num_tx, num_tx)
-        write_progress(num_tx, num_tx)
-        return path
-    require_space(path, plan.num_bytes)
-    _require_same_software(plan, workers)
-    store = BatchStore(path.with_name(path.name + ".parts"), plan)
-    _trace_missing(plan, store, progress, workers)
-    _write(plan, store, path, write_progress)
-    store.remove()
+    is_whole = holds_same_job(path, plan.sha256, "job")
+    if not is_whole:
+        require_space(path, plan.num_bytes)
+        _require_same_software(plan, workers)
+    if not is_whole or holds_batches_of(path, plan):
+        try:
+            with claimed_batches(path, plan) as store:
+                if not holds_same_job(
+                    path, plan.sha256, "job"
+                ):  # nor did another process write it in the meantime
+                    _trace_missing(plan, store, progress, workers)
+                    _write(plan, store, path, write_progress, workers)
+        finally:
+            forget_rays()
+    progress(num_tx, num_tx)
+    write_progress(num_tx, num_tx)
     return path
 
 
@@ -104,31 +116,21 @@ def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, work
     done = len(plan.tx_position_m) - sum(rows.stop - rows.start for _, rows in missing)
     report(done, len(plan.tx_position_m))
     batches = ((index, plan.tx_position_m[rows]) for index, rows in missing)
-    try:
-        for (index, tx), traced in side_by_side(workers, partial(_traced, plan.tracing), batches, ahead=1):
-            store.write(index, traced.result())
-            done += len(tx)
-            report(done, len(plan.tx_position_m))
-    finally:
-        _tracer.cache_clear()  # in this process; in a worker it stays for the next batch
+    for (index, tx), channel in side_by_side(workers, partial(traced, plan.tracing), batches, ahead=1):
+        store.write(index, channel.result())
+        done += len(tx)
+        report(done, len(plan.tx_position_m))
 
 
-def _traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """Channel of a batch of transmitters; this is the call that workers make."""
-    _, tx_position_m = batch
-    return _tracer(tracing).channel(tx_position_m)
-
-
-@lru_cache(maxsize=1)
-def _tracer(tracing: Tracing) -> Tracer:
-    """The tracer of a job, whose rays are shot once in each process."""
-    return make_tracer(tracing.scene, tracing.carrier_hz, tracing.settings, tracing.geometry())
-
-
-def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback) -> None:
-    """Derive the maps of each batch, and write it."""
+def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, workers: Workers) -> None:
+    """Derive the maps of each batch, write it, and let the file prove its origin before it gets its name."""
     beam = BartlettBeam(plan.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
-    with PasWriter(path, plan.header) as writer:
+
+    def prove(written: Path) -> None:
+        seed, folder = int(plan.sha256[:8], 16), plan.scene.folder
+        require_origin(open_dataset(written), NUM_RETRACED, seed, folder=folder, workers=workers)
+
+    with PasWriter(path, plan.header, prove=prove) as writer:
         for index, rows in enumerate(plan.batches):
             channel = store.read(index)
             samples = SampleBlock.of_channels(channel.cfr, channel.num_paths, beam, plan.header.pas_kind)

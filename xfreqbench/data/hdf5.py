@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import prod
@@ -99,10 +99,12 @@ def create_sealed(
     variables: Sequence[Variable],
     attributes: Mapping[str, str],
     groups: Mapping[str, Mapping[str, str]] | None = None,
+    prove: Callable[[Path], None] | None = None,
 ) -> Iterator[SealedWriter]:
     """Write a sealed file: a context manager. The file appears at `path`, whole, when the block ends.
 
-    `groups` are the attributes of the groups that variables are in, by the group's name. Raises `StorageError`.
+    `groups` are the attributes of the groups that variables are in, by the group's name. `prove` is called with the
+    sealed file before it gets its name; if it raises, there will be none. Raises `StorageError`.
     """
     num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
     with atomic_path(path, num_bytes) as temporary:
@@ -119,6 +121,8 @@ def create_sealed(
                 writer.seal()
                 file.close()
                 _append_trailer(temporary)
+            if prove:
+                prove(temporary)
         finally:
             with suppress(OSError, RuntimeError):  # a full disk fails here once more
                 file.close()

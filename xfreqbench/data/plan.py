@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from xfreqbench.data.schema import DatasetHeader
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.data.trace import Tracing
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import Geometry, check_overlaps
 from xfreqbench.scene.materials import check_dispersion
@@ -35,36 +34,6 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz_list
 
 BATCH = 16  # transmitters a batch: the most that a killed process has to trace again
-
-
-@dataclass(frozen=True)
-class Tracing:
-    """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
-
-    `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
-    It is not pickled: another process reads the meshes itself.
-    """
-
-    scene: Scene
-    scene_sha256: str
-    carrier_hz: tuple[float, ...]
-    settings: TraceSettings
-    known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings)
-
-    def geometry(self) -> Geometry:
-        """Meshes and facets of the scene; raises `ClusterError` where a worker finds other meshes than planned."""
-        if self.known_geometry is not None:
-            return self.known_geometry
-        geometry = Geometry(surface_meshes(self.scene))
-        if meshes_sha256(geometry.meshes) != self.scene_sha256:
-            raise ClusterError(
-                f"A worker on {platform.node()} finds other meshes of scene {self.scene.name!r} in "
-                f"{self.scene.folder}. Keep them on a file system that all workers share."
-            )
-        return geometry
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -66,13 +67,19 @@ class PasWriter:
     Maps are on `grid`, the hemisphere unless it is given, and are stored where the header says so. Raises
     `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
     where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
-    end, not before.
+    end, not before: `prove` is first called with the path of the sealed file, which is given up if that raises.
     """
 
-    def __init__(self, path: Path, header: DatasetHeader, grid: AngularGrid | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: DatasetHeader,
+        grid: AngularGrid | None = None,
+        prove: Callable[[Path], None] | None = None,
+    ) -> None:
         self._header = header
         self._grid = grid or AngularGrid.hemisphere()
-        self._context = create_sealed(path, variables(header, self._grid), header.attributes())
+        self._context = create_sealed(path, variables(header, self._grid), header.attributes(), prove=prove)
 
     def __enter__(self) -> PasWriter:
         self._file = self._context.__enter__()

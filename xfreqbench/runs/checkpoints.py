@@ -8,7 +8,6 @@ there is a whole one, and every byte of it is checked before a fit goes on from 
 from __future__ import annotations
 
 import hashlib
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs.records import CurvePoint
-from xfreqbench.system.files import storage_errors, sync
+from xfreqbench.system.files import remove, storage_errors, sync
 
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
 _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
@@ -61,7 +60,7 @@ class CheckpointFolder:
         unfinished = self.path / _UNFINISHED
         numbers = self._numbers()
         with storage_errors(self.path):
-            _remove(unfinished)
+            remove(unfinished)
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
@@ -70,7 +69,7 @@ class CheckpointFolder:
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
             for number in numbers:
-                _remove(self.path / str(number))
+                remove(self.path / str(number))
 
     def newest(self) -> Path | None:
         """The folder of the newest checkpoint; None if there is none yet."""
@@ -116,10 +115,10 @@ class CheckpointFolder:
         """Remove the folder. It is renamed first, so that a kill never leaves half of it under its name."""
         removed = self.path.with_name(f".{self.path.name}.removed")
         with storage_errors(self.path):
-            _remove(removed)
+            remove(removed)
             if self.path.exists():
                 self.path.rename(removed)
-                _remove(removed)
+                remove(removed)
 
     def _numbers(self) -> list[int]:
         names = [path.name for path in self.path.glob("*")]
@@ -147,11 +146,6 @@ def _sha256_by_name(folder: Path) -> dict[str, str]:
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
     }
-
-
-def _remove(folder: Path) -> None:
-    if folder.exists():
-        shutil.rmtree(folder)
 
 
 def _sync_tree(folder: Path) -> None:

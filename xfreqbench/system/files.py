@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import glob
 import os
+import platform
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 
 from xfreqbench.errors import OutputExistsError, StorageError
 
@@ -22,11 +25,11 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
     exception the temporary file is removed and `target` is as it was. A killed process leaves a hidden file
-    `.NAME.PID.partial`, which the next writer of the same file removes. Raises `StorageError`.
+    `.NAME.HOST-PID.partial`, which the next writer of the same file removes. Raises `StorageError`.
     """
     _remove_abandoned(target)
     require_space(target, num_bytes)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    temporary = _partial(target)
     try:
         with storage_errors(target, num_bytes):
             _try_allocating(temporary, num_bytes)
@@ -39,12 +42,26 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def _partial(target: Path) -> Path:
+    """The hidden path beside `target` under which this process, on this machine, writes it."""
+    return target.with_name(f".{target.name}.{platform.node()}-{os.getpid()}.partial")
+
+
 def _remove_abandoned(target: Path) -> None:
-    """Remove the partial files of `target` whose processes have ended; a running one may still be writing its own."""
+    """Remove partial files of `target` whose processes, on this machine, have ended; others may still be writing."""
+    ours = re.compile(rf"{re.escape(f'.{target.name}.{platform.node()}')}-(\d+)\.partial")
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
-        process = path.name.split(".")[-2]
-        if process.isdigit() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
-            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+        found = ours.fullmatch(path.name)
+        if found and Path("/proc/self").exists() and not Path(f"/proc/{found[1]}").exists():
+            remove(path)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a folder with all that is in it, or a symbolic link, but never what a link points to."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -52,12 +69,12 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside `target`, which is renamed to `target` if the block ends without an exception.
 
     Raises `OutputExistsError` unless `target` is absent or an empty folder, and `StorageError`. A killed process
-    leaves a hidden folder `.NAME.PID.partial`, which the next writer of the same folder removes.
+    leaves a hidden folder `.NAME.HOST-PID.partial`, which the next writer of the same folder removes.
     """
     target = target.absolute()
     require_empty(target)
     _remove_abandoned(target)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    temporary = _partial(target)
     with storage_errors(target):
         temporary.mkdir(parents=True)
     try:
@@ -83,7 +100,7 @@ def require_own(
     or cannot be read.
     """
     with storage_errors(path):
-        if not path.exists():
+        if not path.exists() and not path.is_symlink():
             return False
         if not path.is_file():
             raise StorageError(f"{path} is not a file, and nothing can be written in its place. {advice}")
@@ -168,4 +185,27 @@ def exclusive(lock: Path) -> Iterator[None]:
         lock.unlink(
             missing_ok=True
         )  # while it is held: a process that waits for it notices, and makes it anew
+        held.release()
+
+
+@contextmanager
+def sole_worker(lock: Path, output: Path) -> Iterator[None]:
+    """Hold a lock during the block, or raise `StorageError` at once, which names the process that works on `output`.
+
+    The system releases the lock of a process that is killed; the file stays, and may be removed during the block.
+    """
+    with storage_errors(lock):
+        held = FileLock(lock)
+        try:
+            held.acquire(blocking=False)
+        except Timeout as error:
+            raise StorageError(
+                f"{output} is being written by {lock.read_text(encoding='utf-8') or 'another process'}. Wait until "
+                "that one ends, or choose another output."
+            ) from error
+        since = datetime.now().astimezone().isoformat(" ", "seconds")
+        lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
+    try:
+        yield
+    finally:
         held.release()

@@ -291,7 +291,7 @@ def test_of_one_carrier_nothing_is_compared(tmp_path: Path) -> None:
 
 def test_imported_maps_show_places_alone_and_say_why(imported: PasDataset, tmp_path: Path) -> None:
     shown = plan_view(str(imported.path)).with_rays()
-    assert "do not say which scene" in shown.missing
+    assert "does not say which scene" in shown.missing
     assert shown.room.in_sight is None and not shown.room.rays and not shown.room.meshes
     write_view(shown, tmp_path / "out")
     nodes = set(trimesh.load_scene(tmp_path / "out" / "scene.glb").graph.nodes_geometry)

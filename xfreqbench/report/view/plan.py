@@ -11,11 +11,12 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.retrace import traced_scene
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.report.view.room import ShownRoom, strongest_rays
 from xfreqbench.report.view.summary import known_line_of_sight
-from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
 from xfreqbench.tracing.solvers import make_tracer
@@ -100,9 +101,9 @@ def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | N
     chosen = _chosen_tx(tx, position_m, dataset.path.name)
     scene, settings, missing = None, None, ""
     try:
-        scene = _scene_of(dataset)
-    except SceneError as error:
-        missing = str(error)
+        scene = traced_scene(dataset)
+    except (DataError, SceneError) as error:
+        missing = f"{error} Only the receiver and the transmitters are shown."
     try:
         settings = dataset.trace_settings
     except DataError:
@@ -117,37 +118,6 @@ def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | N
         rays=[],
     )
     return ViewPlan(header, room, carrier_hz, dataset, scene, settings, dataset.sha256, missing)
-
-
-def _scene_of(dataset: PasDataset) -> Scene:
-    """The scene that was traced, its meshes beside the data or in the working folder.
-
-    Raises `SceneError` where no scene is stored, or its surfaces are not those that were traced.
-    """
-    header = dataset.header
-    try:
-        scene = dataset.scene
-    except DataError as error:
-        raise SceneError(
-            "The data do not say which scene they were traced in, as data that others published. Without it no "
-            "surface can be drawn and no ray traced: only the receiver and the transmitters are shown."
-        ) from error
-    for folder in (dataset.path.parent, Path.cwd()):
-        placed = replace(scene, folder=folder)
-        if _are_the_meshes(placed, header.scene_sha256):
-            return placed
-    raise SceneError(
-        f"The surfaces of scene {header.scene_name!r} are not those that the data were traced among"
-        + (f": {scene.scene} is missing or another. Put it beside the data." if scene.scene else ".")
-        + " Only the receiver and the transmitters are shown."
-    )
-
-
-def _are_the_meshes(scene: Scene, sha256: str) -> bool:
-    try:
-        return meshes_sha256(surface_meshes(scene)) == sha256
-    except SceneError:
-        return False
 
 
 def _chosen_tx(tx: int | None, position_m: Float[FloatArray, "T 3"], where: str) -> int:

@@ -1,0 +1,91 @@
+"""A data set that is not what its header says is found out by tracing it again, whatever its hashes say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzzing import xfreqbench
+from plans import SETTINGS, small_plan
+
+from xfreqbench.data.batches import BatchStore
+from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.retrace import require_origin
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import DataError, SceneError
+from xfreqbench.tracing.tracer import Channel
+
+
+@pytest.fixture(scope="module", params=["image", "sionna"])
+def traced(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> PasDataset:
+    plan = small_plan(num_transmitters=20, settings=replace(SETTINGS, solver=request.param))
+    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("traced") / "rooms.h5"))
+
+
+def rewritten(
+    dataset: PasDataset, path: Path, cfr: object = None, tx_position_m: object = None
+) -> PasDataset:
+    """A data set with valid hashes and the same header, but other channels, maps or positions."""
+    header, tables = dataset.header, dataset.tables
+    stored = tables["cfr"] if cfr is None else np.asarray(cfr)
+    samples = SampleBlock.of_channels(stored, tables["num_paths"], dataset.beam, header.pas_kind)
+    with PasWriter(path, header) as writer:
+        positions = tables["tx_position_m"] if tx_position_m is None else np.asarray(tx_position_m)
+        writer.append(positions, tables["line_of_sight"].astype(bool), samples)
+    verify(path)
+    return open_dataset(path)
+
+
+def test_what_was_traced_is_found_again(traced: PasDataset) -> None:
+    assert require_origin(traced, 40).difference < 3e-4  # maps are stored in 16 bits
+    worst = require_origin(traced, 3, seed=5)
+    assert worst.carrier_hz in traced.header.carrier_hz
+    assert 0 <= worst.tx < 20
+    assert {require_origin(traced, 1, seed).tx for seed in range(6)} != {worst.tx}
+
+
+def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp_path: Path) -> None:
+    cfr, position_m = traced.tables["cfr"], traced.tables["tx_position_m"]
+    refusal = r"does not hold what its header says: traced again, transmitter \d+ at .* GHz differs by"
+    for name, changes in {
+        "swapped": {"cfr": np.roll(cfr, 1, axis=0)},
+        "carriers": {"cfr": cfr[:, ::-1]},
+        "louder": {"cfr": cfr * 1.002},
+        "moved": {"tx_position_m": position_m + np.array([0.001, 0, 0])},
+    }.items():
+        with pytest.raises(DataError, match=refusal):
+            require_origin(rewritten(traced, tmp_path / f"{name}.h5", **changes), 2)
+    require_origin(rewritten(traced, tmp_path / "same.h5"), 2)
+
+
+def test_a_generation_whose_channels_are_not_its_own_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = BatchStore.read
+
+    def wrong(store: BatchStore, index: int) -> Channel:
+        channel = read(store, index)
+        return Channel(channel.cfr[::-1].copy(), channel.num_paths)
+
+    monkeypatch.setattr(BatchStore, "read", wrong)
+    with pytest.raises(DataError, match="does not hold what its header says"):
+        generate_planned(small_plan(num_transmitters=4), tmp_path / "rooms.h5")
+    assert [path.name for path in tmp_path.iterdir()] == ["rooms.h5.parts"]
+    monkeypatch.undo()
+    generate_planned(small_plan(num_transmitters=4), tmp_path / "rooms.h5")
+
+
+def test_info_traces_samples_again(traced: PasDataset) -> None:
+    told = xfreqbench("info", traced.path, "--retrace", "3")
+    assert told.code == 0
+    assert "3 samples traced again: transmitter" in told.stdout
+    assert "--retrace and --seed take 0 or more" in xfreqbench("info", traced.path, "--retrace", "-1").stderr
+
+
+def test_without_its_meshes_nothing_can_be_traced(traced: PasDataset) -> None:
+    other = replace(traced, header=replace(traced.header, scene_sha256="0" * 64))
+    with pytest.raises(SceneError, match="not those that the data were traced among"):
+        require_origin(other, 1)

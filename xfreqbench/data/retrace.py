@@ -1,0 +1,110 @@
+"""A data set proves its origin: some of its samples are traced again, from what its own header says, and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Complex, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.trace import Tracing, traced
+from xfreqbench.errors import DataError, SceneError
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.system.workers import HERE, Workers, side_by_side
+from xfreqbench.types import IntArray
+from xfreqbench.units import format_ghz
+
+TOLERANCE = 1e-3  # a transmitter moved by a millimetre differs by 0.02 at 1 GHz; other machines by 1e-5
+
+
+@dataclass(frozen=True)
+class Retraced:
+    """A sample that was traced again: its transmitter's index, its carrier, and how far the file is from it.
+
+    `difference` is the larger of ‖h − h′‖ / ‖h′‖, where h is the stored channel and h′ the one traced again, and
+    of the greatest difference between the stored map and the map of h, whose peak is 1.
+    """
+
+    tx: int
+    carrier_hz: float
+    difference: float
+
+    def __str__(self) -> str:
+        return f"transmitter {self.tx} at {format_ghz(self.carrier_hz)} differs by {self.difference:.1e}"
+
+
+def require_origin(
+    dataset: PasDataset, number: int, seed: int = 0, *, folder: Path | None = None, workers: Workers = HERE
+) -> Retraced:
+    """Trace samples of a whole data set again, `number` of them as `seed` draws them, and return the worst.
+
+    Scene, carriers and settings are those of the header, so that whatever went wrong on the way to the file is
+    found. The scene's meshes are in `folder`, or where `traced_scene` looks for them. `workers` trace. Raises
+    `DataError` where a sample differs by more than `TOLERANCE` or nothing says how it was traced, and `SceneError`
+    where the scene's meshes are not at hand.
+    """
+    rows = np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
+    worst = max(_retraced(dataset, rows, folder, workers), key=lambda each: each.difference)
+    if not worst.difference <= TOLERANCE:
+        raise DataError(
+            f"{dataset.path} does not hold what its header says: traced again, {worst}, more than {TOLERANCE:g}. "
+            "It was damaged before it was sealed, or other software wrote it. Generate it again."
+        )
+    return worst
+
+
+def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
+    """The scene that was traced, its meshes in `folder`, or else beside the data or in the working folder.
+
+    Raises `DataError` where no scene is stored, and `SceneError` where its surfaces are not those that were traced.
+    """
+    scene = dataset.scene
+    for place in [folder] if folder else [dataset.path.parent, Path.cwd()]:
+        placed = replace(scene, folder=place.absolute())
+        if _are_the_meshes(placed, dataset.header.scene_sha256):
+            return placed
+    raise SceneError(
+        f"The surfaces of scene {scene.name!r} are not those that the data were traced among"
+        + (f": {scene.scene} is missing or another. Put it beside the data." if scene.scene else ".")
+    )
+
+
+def _are_the_meshes(scene: Scene, sha256: str) -> bool:
+    try:
+        return meshes_sha256(surface_meshes(scene)) == sha256
+    except SceneError:
+        return False
+
+
+def _retraced(
+    dataset: PasDataset, rows: Int[IntArray, "n"], folder: Path | None, workers: Workers
+) -> Iterator[Retraced]:
+    header, num_carriers = dataset.header, dataset.num_carriers
+    carriers_hz = tuple(header.carrier_hz.tolist())
+    scene = traced_scene(dataset, folder)
+    tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings)
+    rows_of = {tx: rows[rows // num_carriers == tx] for tx in np.unique(rows // num_carriers).tolist()}
+    batches = ((tx, dataset.tables["tx_position_m"][tx : tx + 1]) for tx in rows_of)
+    for (tx, _), channel in side_by_side(workers, partial(traced, tracing), batches):
+        yield from _compared(dataset, rows_of[tx], channel.result().cfr[0])
+
+
+def _compared(
+    dataset: PasDataset, rows: Int[IntArray, "n"], again: Complex[NDArray[np.complexfloating], "F M"]
+) -> Iterator[Retraced]:
+    """Samples of one transmitter beside its channel at all carriers, traced again."""
+    asked = dataset.subset(rows)
+    maps = dataset.beam.maps(asked.cfr, dataset.header.pas_kind)[0]
+    map_differences = np.abs(asked.pas() - maps).max(axis=(1, 2))
+    for row, stored, map_difference in zip(rows, asked.cfr, map_differences, strict=True):
+        carrier = row % dataset.num_carriers
+        length = np.linalg.norm(again[carrier])
+        apart = np.linalg.norm(stored - again[carrier]) / length if length else float(stored.any())
+        carrier_hz = float(dataset.header.carrier_hz[carrier])
+        yield Retraced(int(row // dataset.num_carriers), carrier_hz, max(float(apart), float(map_difference)))

@@ -1,0 +1,64 @@
+"""The call that workers make: the channels of some transmitters in a scene whose rays are shot once a process."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from jaxtyping import Float
+
+from xfreqbench.errors import ClusterError
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
+from xfreqbench.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
+
+    `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
+    It is not pickled: another process reads the meshes itself.
+    """
+
+    scene: Scene
+    scene_sha256: str
+    carrier_hz: tuple[float, ...]
+    settings: TraceSettings
+    known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings)
+
+    def geometry(self) -> Geometry:
+        """Meshes and facets of the scene; raises `ClusterError` where a worker finds other meshes than planned."""
+        if self.known_geometry is not None:
+            return self.known_geometry
+        geometry = Geometry(surface_meshes(self.scene))
+        if meshes_sha256(geometry.meshes) != self.scene_sha256:
+            raise ClusterError(
+                f"A worker on {platform.node()} finds other meshes of scene {self.scene.name!r} in "
+                f"{self.scene.folder}. Keep them on a file system that all workers share."
+            )
+        return geometry
+
+
+def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
+    """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
+    _, tx_position_m = batch
+    return _tracer(tracing).channel(tx_position_m)
+
+
+def forget_rays() -> None:
+    """Free the rays that this process has shot; in a worker they stay for the next batch."""
+    _tracer.cache_clear()
+
+
+@lru_cache(maxsize=1)
+def _tracer(tracing: Tracing) -> Tracer:
+    return make_tracer(tracing.scene, tracing.carrier_hz, tracing.settings, tracing.geometry())
