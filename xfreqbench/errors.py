@@ -26,6 +26,13 @@ class XFreqBenchError(Exception):
     """Something a user can do something about; the message says what was given, what is allowed and what to do."""
 
 
+def was_interrupted(error: BaseException | None) -> bool:
+    """Whether an exception is a `KeyboardInterrupt`, or was raised because of one, as Numba raises `SystemError`."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 class UnknownNameError(XFreqBenchError):
     """There is no such `kind` of thing as `given`; the message names the nearest of `choices`, and all of them."""
 

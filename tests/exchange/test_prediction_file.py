@@ -15,6 +15,7 @@ from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange import prediction_file as external_file
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.maps import metrics
+from xfreqbench.runs.predictions import fault_of_maps
 
 
 @pytest.fixture(autouse=True)
@@ -188,4 +189,4 @@ def test_maps_are_accepted_where_every_value_is_and_never_otherwise(values: list
     part = np.ones((1, 1, len(values) + 1), kind)
     part[0, 0, 1:] = values
     is_allowed = all(-1e-4 <= value <= 1.0001 for value in np.asarray(values, kind).tolist())
-    assert (external_file._fault_of(part) is None) == is_allowed
+    assert (fault_of_maps(part) is None) == is_allowed

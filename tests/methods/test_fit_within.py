@@ -22,8 +22,8 @@ from synthetic import write_dataset
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
-from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.fitting import Fit, fit_within, predict_checked
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.fitting import Fit, checked_num_parameters, fit_within, predict_checked
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +153,7 @@ def test_a_fit_that_yields_something_else_breaks_the_contract(train: PasDataset)
     ("answer", "words"),
     [
         (None, "NoneType; it must be a NumPy array"),
+        (np.ma.masked_less(np.ones((2, 90, 360), np.float32), 0), "MaskedArray; it must be a NumPy array"),
         (np.zeros((2, 90, 361), np.float32), "for 2 transmitters it must be"),
         (np.zeros((2, 90, 360)), "dtype float64"),
         (np.full((2, 90, 360), np.nan, np.float32), "not finite"),
@@ -165,6 +166,32 @@ def test_predictions_that_break_the_contract_are_described(answer: object, words
     method.answer = answer
     with pytest.raises(MethodError, match=f"Endless.predict returned .*{words}"):
         predict_checked(method, np.zeros((2, 3)), np.full(2, 1e9), (90, 360))
+
+
+class Counting(Endless):
+    counts: object = None
+
+    def fit(self, train, budget, seed):
+        yield Progress(1, 1.0, self.counts)
+
+
+def test_a_count_whose_name_is_no_text_breaks_the_contract(train: PasDataset) -> None:
+    method = Counting()
+    method.counts = {"\udcff": 1.0}
+    with pytest.raises(MethodError, match=r"Counting\.fit yielded the count"):
+        fit_within(method, train, Budget(), seed=0)
+
+
+class Countless(Endless):
+    """Its number of parameters is what it is given."""
+
+
+@pytest.mark.parametrize("count", [math.nan, "many", -1, True, None, 2.0, 10**400])
+def test_a_number_of_parameters_that_is_no_count_breaks_the_contract(count: object) -> None:
+    method = Countless()
+    method.num_parameters = count  # type: ignore[assignment]
+    with pytest.raises(MethodError, match=r"Countless\.num_parameters is "):
+        checked_num_parameters(method)
 
 
 def test_good_predictions_pass_unchanged() -> None:

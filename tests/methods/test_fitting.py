@@ -33,7 +33,9 @@ class Flat:
         assert not train.tables["cfr"][:, 4].any()  # 24.25 GHz is tested: none of it may be here
         yield Progress(1, 0.0)
     def predict(self, tx_position_m, carrier_hz):
-        return np.full((len(carrier_hz), 90, 360), LEVEL, np.float32)
+        maps = np.full((len(carrier_hz), 90, 360), LEVEL, np.float32)
+        maps[:, 0, 0] = 1
+        return maps
     def save(self, directory): ...
     @classmethod
     def load(cls, directory): return cls()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from xfreqbench.methods.contract import TRIVIAL
 from xfreqbench.methods.registry import (
     build_method,
     code_sha256,
+    method_description,
     method_names,
     method_summaries,
     resolve_method,
@@ -50,20 +52,77 @@ def test_a_module_that_fails_while_it_is_imported_says_how(
         resolve_method("broken_method:Method")
 
 
-def test_a_broken_plugin_does_not_hide_the_other_methods(monkeypatch: pytest.MonkeyPatch) -> None:
-    entries = {
-        "absent": "no_such_module:Method",
-        "endless": "stub_methods:Endless",
-        "incomplete": "stub_methods:Incomplete",
-        "silent": "stub_methods:Silent",
-    }
-    found = [EntryPoint(name, value, "xfreqbench.methods") for name, value in entries.items()]
-    monkeypatch.setattr("xfreqbench.methods.registry.entry_points", lambda group: found)
+def test_methods_are_listed_without_the_code_of_a_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "theirs.py").write_text("raise SystemExit(0)")
+    information = tmp_path / "their_package-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text("[xfreqbench.methods]\ntheirs = theirs:Method\n")
+    monkeypatch.syspath_prepend(tmp_path)
     summaries = method_summaries()
-    assert summaries["absent"] == "cannot be imported: No module named 'no_such_module'"
-    assert summaries["endless"] == "Trains for ever and predicts `answer`."
-    assert "lacks predict" in summaries["incomplete"]
-    assert summaries["silent"] == ""  # it has no docstring
+    assert summaries["theirs"] == "plug-in, from their-package"
+    assert summaries["nearest"].startswith("Copies the map of the nearest transmitter")
+    assert "theirs" not in sys.modules
+    with pytest.raises(MethodError, match="'theirs' cannot be imported: SystemExit: 0"):
+        method_description("theirs")
+
+
+def test_a_method_is_described_with_its_options_and_no_other_is_imported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = [EntryPoint("absent", "no_such_module:Method", "xfreqbench.methods")]
+    found.append(EntryPoint("endless", "stub_methods:Endless", "xfreqbench.methods"))
+    monkeypatch.setattr("xfreqbench.methods.registry.entry_points", lambda group: found)
+    assert method_summaries() == {"absent": "plug-in", "endless": "plug-in"}
+    told = method_description("endless")
+    assert told == "Trains for ever and predicts `answer`.\n\noptions of --set:\n  pause_s=0.0"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "raise SystemExit(0)",
+        "raise GeneratorExit",
+        "class Method:\n    def __init__(self, config=None): raise SystemExit(0)",
+        "class Method(Short):\n    @property\n    def num_parameters(self): raise SystemExit(0)",
+        "class Method(Short):\n    num_parameters = property(lambda self: 1 / 0)",
+    ],
+)
+def test_a_method_that_ends_the_process_before_its_fit_is_an_error(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if code.startswith("class Method:"):
+        code += "\n    fit = predict = save = load = None"
+    (tmp_path / "leaving_method.py").write_text(f"from stub_methods import Short\n{code}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "leaving_method", raising=False)
+    with pytest.raises(MethodError, match=r"'leaving_method:Method' (cannot be|failed in num_parameters)"):
+        build_method("leaving_method:Method")
+
+
+def test_a_configuration_that_ends_the_process_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "leaving_config.py").write_text(
+        "from dataclasses import dataclass\nfrom stub_methods import Short\n\n\n@dataclass(frozen=True)\n"
+        "class Config:\n    width: int = 1\n\n    def __post_init__(self):\n        if self.width > 1:\n"
+        "            raise SystemExit(0)\n\n\nclass Method(Short):\n    def __init__(self, config=Config()):\n"
+        "        self.config = config\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(MethodError, match="cannot be configured with width=2: SystemExit: 0"):
+        build_method("leaving_config:Method", ["width=2"])
+
+
+def test_an_interruption_while_a_method_is_imported_stays_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "interrupted_method.py").write_text("raise KeyboardInterrupt")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        resolve_method("interrupted_method:Method")
 
 
 def test_a_class_that_lacks_part_of_the_contract_is_told_which() -> None:

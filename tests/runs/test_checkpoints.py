@@ -26,7 +26,7 @@ from places import SUPPORT
 from synthetic import paper_dataset
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import DataError, DivergenceError, StorageError
+from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
@@ -236,7 +236,8 @@ def test_a_checkpoint_without_its_state_is_refused(folder: CheckpointFolder) -> 
 def test_a_method_that_cannot_load_its_own_files_is_told_where_they_are(folder: CheckpointFolder) -> None:
     save(folder, 1)
     (folder.path / "1" / "method" / "state.json").unlink()
-    with pytest.raises(DataError, match=r"checkpoints/abc cannot be loaded: FileNotFoundError.*Delete"):
+    words = r"checkpoints/abc cannot be loaded: Descent\.load raised FileNotFoundError.*Delete"
+    with pytest.raises(MethodError, match=words):
         folder.load(Descent())
 
 

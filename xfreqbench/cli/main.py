@@ -9,7 +9,7 @@ import sys
 
 from xfreqbench.cli import data, exchange, findings, measure, runs
 from xfreqbench.cli.options import app
-from xfreqbench.errors import StorageError, XFreqBenchError
+from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
 
 __all__ = [
     "app",
@@ -49,7 +49,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _leave_interrupted()
     except SystemError as error:  # which Numba raises where Ctrl-C interrupts a kernel
-        if not _was_interrupted(error):
+        if not was_interrupted(error):
             raise
         _leave_interrupted()
 
@@ -60,12 +60,6 @@ def _bound_console_width() -> None:
     width = shutil.get_terminal_size().columns
     if "COLUMNS" in os.environ or not low <= width <= high:
         os.environ["COLUMNS"] = str(min(max(width, low), high))
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _leave_interrupted() -> None:

@@ -14,10 +14,19 @@ from xfreqbench.errors import XFreqBenchError
 
 
 @app.command
-def methods() -> None:
-    """List the installed methods."""
-    from xfreqbench.methods.registry import method_summaries
+def methods(method: str | None = None) -> None:
+    """List the installed methods, or describe one with its options.
 
+    Parameters
+    ----------
+    method
+        An installed method's name, or package.module:Class. Without one, no plug-in is imported.
+    """
+    from xfreqbench.methods.registry import method_description, method_summaries
+
+    if method is not None:
+        print(method_description(method))
+        return
     for name, summary in method_summaries().items():
         print(f"{name:22} {summary}")
 

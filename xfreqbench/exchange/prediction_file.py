@@ -15,14 +15,10 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import is_group, open_foreign, read_errors, stands_elsewhere
 from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, Split, make_splits
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
-from xfreqbench.runs.predictions import MapBatch
+from xfreqbench.runs.predictions import MapBatch, fault_of_maps
 from xfreqbench.runs.scoring import BATCH_SIZE
 
 PAS = "pas"
-RANGE_TOLERANCE = 1e-4  # single-precision rounding of a map that was divided by its own maximum
-PEAK_TOLERANCE = (
-    1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
-)
 _ADVICE = {
     "split_sha256": "Copy it from the split file: group.attrs.update(split.attrs).",
     "method": "Write group.attrs['method'] = 'mine', or give --method.",
@@ -81,7 +77,7 @@ class Part:
                 yield rows, values.astype(np.float32)
 
     def _require_maps(self, values: NDArray[Any], start: int) -> None:
-        fault = _fault_of(values)
+        fault = fault_of_maps(values)
         if fault:
             number, words = start + fault[0], fault[1]
             place = _place(self.path, self.group)
@@ -214,18 +210,3 @@ def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
         raise DataError(f"{place}: {PAS!r} has shape {found}, {advice if is_reversed else needed}")
     if dtype.kind not in "fiu":
         raise DataError(f"{place}: {PAS!r} has dtype {dtype}; it must be real numbers, best float32.")
-
-
-def _fault_of(values: NDArray[Any]) -> tuple[int, str] | None:
-    """Index of the first array that is no map, and why in words; None if all are maps."""
-    with np.errstate(invalid="ignore"):
-        in_range = (values >= -RANGE_TOLERANCE) & (values <= 1 + RANGE_TOLERANCE)  # nan is not
-    if not in_range.all():
-        place = np.argwhere(~in_range)[0].tolist()
-        value = values[tuple(place)]
-        return place[0], f"has {value:g} at {place[1:]}; maps are finite numbers from 0 to 1, their peak 1."
-    peaks = values.max(axis=(1, 2))
-    low = np.flatnonzero(peaks < 1 - PEAK_TOLERANCE)
-    if len(low):
-        return int(low[0]), f"has its peak at {peaks[low[0]]:g}. Divide each map by its own maximum."
-    return None

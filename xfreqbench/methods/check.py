@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import chdir
 from dataclasses import dataclass, field
@@ -20,7 +19,8 @@ from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Method, Progress
-from xfreqbench.methods.fitting import fit_within, predict_checked
+from xfreqbench.methods.fitting import checked_num_parameters, fit_within, predict_checked
+from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method
 from xfreqbench.types import IntArray
 from xfreqbench.units import ghz_to_hz
@@ -93,14 +93,12 @@ def _result(check: _Check, trial: _Trial) -> CheckResult:
 
 def _fault_or_exception(check: _Check, trial: _Trial) -> str | None:
     try:
-        return check.fault_of(trial)
+        with method_code("it raised", ""):
+            return check.fault_of(trial)
     except UnknownNameError:
         raise
     except XFreqBenchError as error:
         return str(error)
-    except Exception as error:  # a method's own code can raise anything
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        return f"it raised {type(error).__name__}: {error} ({frame.filename}, line {frame.lineno})."
 
 
 @dataclass
@@ -213,12 +211,7 @@ def _steps_fault(trial: _Trial) -> str | None:
 
 
 def _parameters_fault(trial: _Trial) -> str | None:
-    count = trial.fitted.num_parameters
-    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-        return (
-            f"it is {count!r}, a {type(count).__name__}. Return the number of values that training sets, or 0; "
-            "a method's num_parameters is an attribute or a property."
-        )
+    checked_num_parameters(trial.fitted)
     return None
 
 

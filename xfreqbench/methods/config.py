@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.errors import PydanticUserError
 
 from xfreqbench.errors import MethodError, UnknownNameError
+from xfreqbench.methods.guard import plain_json, readable
 
 Config = TypeVar("Config")
 
@@ -32,10 +33,10 @@ def as_json(config: Any) -> dict[str, Any]:
     """A configuration as values of JSON, a `Path` as text and a tuple as a list; raises `MethodError`."""
     adapter = _adapter(config, type(config))
     try:
-        return adapter.dump_python(config, mode="json", warnings=False)
-    except ValueError as error:
+        return plain_json(adapter.dump_python(config, mode="json", warnings=False))
+    except (ValueError, TypeError, RecursionError) as error:
         raise MethodError(
-            f"{type(config).__name__} cannot be written as JSON: {error}. Give it fields that can."
+            f"{type(config).__name__} cannot be written as JSON: {readable(str(error))}. Give it fields that can."
         ) from error
 
 

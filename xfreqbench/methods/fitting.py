@@ -15,6 +15,7 @@ from jaxtyping import Float
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.methods.contract import Budget, Maps, Method, Progress
+from xfreqbench.methods.guard import readable
 from xfreqbench.types import FloatArray
 
 _ENDED = object()
@@ -155,7 +156,23 @@ def _require_finite(before: Fit | None, now: Fit) -> None:
 def _checked_progress(method: Method, progress: object) -> Progress:
     if not isinstance(progress, Progress):
         raise MethodError(f"{_name(method)}.fit yielded {progress!r}; it must yield Progress(step, loss).")
+    for name in progress.counts:
+        if not isinstance(name, str) or readable(name) != name:
+            raise MethodError(
+                f"{_name(method)}.fit yielded the count {name!r}; its name must be Unicode text."
+            )
     return progress
+
+
+def checked_num_parameters(method: Method) -> int:
+    """How many numbers the training of a fitted method has set; raises `MethodError` for what is no such number."""
+    count = method.num_parameters
+    if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count < 2**63:
+        raise MethodError(
+            f"{_name(method)}.num_parameters is {count!r}, a {type(count).__name__}. Return the number of values that "
+            "training sets, or 0; num_parameters is an attribute or a property."
+        )
+    return count
 
 
 def predict_checked(
@@ -177,8 +194,8 @@ def checked_maps(method: Method, maps: Any, shape: tuple[int, int, int]) -> Floa
 
 
 def _fault_of(maps: Any, shape: tuple[int, ...]) -> str | None:
-    if not isinstance(maps, np.ndarray):
-        return f"{type(maps).__name__}; it must be a NumPy array"
+    if type(maps) is not np.ndarray:  # a masked array, among others, computes in its own way
+        return f"{type(maps).__name__}; it must be a NumPy array and of no other class"
     if maps.shape != shape:
         return f"shape {maps.shape}; for {shape[0]} transmitters it must be {shape}"
     if maps.dtype != np.float32:

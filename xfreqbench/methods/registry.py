@@ -6,13 +6,15 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from inspect import getdoc
 from pathlib import Path
 from typing import Any, cast
 
-from xfreqbench.errors import MethodError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import override
 from xfreqbench.methods.contract import Method
+from xfreqbench.methods.guard import method_code, readable
 from xfreqbench.methods.moved import new_places
 from xfreqbench.system.source import reachable_sha256
 
@@ -26,15 +28,35 @@ def method_names() -> list[str]:
 
 
 def method_summaries() -> dict[str, str]:
-    """By the name of every installed method, the first line of its docstring, or why it cannot be used."""
-    return {name: _summary_line(name) for name in method_names()}
+    """A line on each installed method by its name, without running a plug-in's code, in alphabetical order.
+
+    It is the first line of a built-in method's docstring; of a plug-in, it says which distribution it is from.
+    """
+    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
+    return {entry.name: _summary(entry) for entry in entries}
 
 
-def _summary_line(name: str) -> str:
-    try:
-        return (resolve_method(name).__doc__ or "").strip().partition("\n")[0]
-    except MethodError as error:
-        return f"cannot be imported: {error.__cause__}" if error.__cause__ else str(error)
+def _summary(entry: EntryPoint) -> str:
+    if entry.value.startswith("xfreqbench."):
+        return _docstring(entry.load()).partition("\n")[0]
+    return f"plug-in, from {entry.dist.name}" if entry.dist else "plug-in"
+
+
+def method_description(name: str) -> str:
+    """What the docstring of one method says, and its options with their defaults; imports no other method.
+
+    Raises as `build_method` does.
+    """
+    config = build_method(name).config
+    with method_code(f"Method {name!r} cannot be described:", "Mend its docstring or its config."):
+        options = [f"  {each.name}={getattr(config, each.name)}" for each in fields(config)]
+        return "\n".join(
+            [_docstring(resolve_method(name)), "", "options of --set:", *(options or ["  none"])]
+        )
+
+
+def _docstring(method_class: Callable[..., Method]) -> str:
+    return readable(getdoc(method_class) or "")
 
 
 def resolve_method(name: str) -> Callable[..., Method]:
@@ -51,14 +73,13 @@ def resolve_method(name: str) -> Callable[..., Method]:
         module, _, attribute = entries[name].partition(":")
     elif str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # last, so that a module of the working folder hides no other
-    try:
-        method_class = getattr(import_module(module), attribute)
-    except Exception as error:  # a module runs its own code while it is imported
+
+    def advice(error: BaseException) -> str:
         moved = new_places(error, module, attribute) if isinstance(error, ImportError) else ""
-        raise MethodError(
-            f"Method {name!r} cannot be imported: {type(error).__name__}: {error}. "
-            f"{moved or 'Install it, or mend it or its name.'}"
-        ) from error
+        return moved or "Install it, or mend it or its name."
+
+    with method_code(f"Method {name!r} cannot be imported:", advice, passed=()):
+        method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)
     return cast("Callable[..., Method]", method_class)
 
@@ -87,28 +108,29 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     overrides = tuple(overrides)
     defaults = _constructed(name, method_class)
     for attribute in ("config", "num_parameters"):
-        if not hasattr(defaults, attribute):
-            raise MethodError(f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes.")
+        with method_code(f"Method {name!r} failed in {attribute}:", "Mend it."):
+            if not hasattr(defaults, attribute):
+                raise MethodError(
+                    f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes."
+                )
     if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
         raise MethodError(
             f"Method {name!r} has config {defaults.config!r}; it must be an instance of a frozen dataclass."
         )
     if not overrides:
         return defaults
-    return _constructed(name, method_class, override(defaults.config, overrides))
+    with method_code(
+        f"Method {name!r} cannot be configured with {', '.join(overrides)}:", "Mend the values."
+    ):
+        config = override(defaults.config, overrides)
+    return _constructed(name, method_class, config)
 
 
 def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
-    try:
+    given = f"with {config[0]!r}" if config else "without arguments"
+    advice = "Its constructor takes one config, with a default."
+    with method_code(f"Method {name!r} cannot be constructed {given}:", advice):
         return method_class(*config)
-    except XFreqBenchError:
-        raise
-    except Exception as error:
-        given = f"with {config[0]!r}" if config else "without arguments"
-        raise MethodError(
-            f"Method {name!r} cannot be constructed {given}: {type(error).__name__}: {error}. Its constructor "
-            "takes one config, with a default."
-        ) from error
 
 
 def device_option(name: str, device: str) -> tuple[str, ...]:

@@ -17,10 +17,12 @@ from xfreqbench.errors import DataError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.fitting import Fit
+from xfreqbench.methods.guard import method_code
 from xfreqbench.runs.records import CurvePoint
 from xfreqbench.system.files import remove, storage_errors, sync
 
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
+_ADVICE = "Delete that folder to fit anew."
 _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
 
 
@@ -100,13 +102,12 @@ class CheckpointFolder:
     def load(self, method: Method) -> Method:
         """The method as the newest checkpoint holds it; its class and configuration are those of `method`.
 
-        Raises `DataError` if it cannot be loaded or has another configuration.
+        Raises `MethodError` if the method fails to load it, and `DataError` if it has another configuration.
         """
-        try:
+        failed = f"The checkpoint in {self.path} cannot be loaded: {type(method).__name__}.load raised"
+        with method_code(failed, _ADVICE):
             loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
-        except Exception as error:  # a method reads its files in its own way
-            raise self._refusal(f"cannot be loaded: {type(error).__name__}: {error}") from error
-        config = getattr(loaded, "config", None)
+            config = getattr(loaded, "config", None)
         if as_json(config) != as_json(method.config):
             raise self._refusal(f"has configuration {config!r}, but the job has {method.config!r}")
         return loaded
@@ -137,7 +138,7 @@ class CheckpointFolder:
         )
 
     def _refusal(self, fault: str) -> DataError:
-        return DataError(f"The checkpoint in {self.path} {fault}. Delete that folder to fit anew.")
+        return DataError(f"The checkpoint in {self.path} {fault}. {_ADVICE}")
 
 
 def _sha256_by_name(folder: Path) -> dict[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -13,10 +12,10 @@ from typing import Any
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.splits import Split, find_split
-from xfreqbench.errors import MethodError, XFreqBenchError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method
+from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import Job
@@ -64,17 +63,9 @@ class Task:
     @contextmanager
     def method_errors(self, part: str) -> Iterator[None]:
         """Turn whatever the method raises in `part`, such as "fit", into a `MethodError` that says where."""
-        try:
+        failed = f"Method {self.job.method!r} failed in {part} on split {self.split.name!r}:"
+        with method_code(failed, "Mend it and run the same command again; finished jobs are kept."):
             yield
-        except XFreqBenchError:
-            raise
-        except Exception as error:
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            raise MethodError(
-                f"Method {self.job.method!r} failed in {part} on split {self.split.name!r}: "
-                f"{type(error).__name__}: {error} ({frame.filename}, line {frame.lineno}). "
-                "Mend it and run the same command again; finished jobs are kept."
-            ) from error
 
 
 def look_up(job: Job, dataset: PasDataset) -> Task:

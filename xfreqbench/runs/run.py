@@ -5,20 +5,24 @@ A long fit is saved on its way, and a run that was killed goes on from there.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from xfreqbench.methods.contract import ExplainedMethod, Method
-from xfreqbench.methods.fitting import Stopwatch, checked_maps
+from jaxtyping import Float, Int
+
+from xfreqbench.errors import MethodError
+from xfreqbench.methods.contract import ExplainedMethod, Maps, Method
+from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
+from xfreqbench.methods.guard import plain_json
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, look_up_all
-from xfreqbench.runs.predictions import MapBatch, write_predictions
+from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
 from xfreqbench.runs.records import Job, RunRecord, machine_and_time
 from xfreqbench.runs.scoring import BATCH_SIZE, scored_fields
 from xfreqbench.runs.watch import FittingCallback, WatchedFit
 from xfreqbench.system import machine
+from xfreqbench.types import IntArray
 
 __all__ = ["Job", "RunRecord", "run_job", "run_jobs", "run_one"]
 
@@ -87,7 +91,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FittingCallback | None =
         fit_seconds=fit.seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
         peak_memory_mib=peak_memory_mib,
-        parameters=method.num_parameters,
+        parameters=_num_parameters(task, method),
         counts=dict(fit.counts),
         curve=watched.curve,
         code_sha256=task.code_sha256,
@@ -104,12 +108,26 @@ def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatc
         rows, asked = task.split.test[part], (test.tx_position_m[part], test.carrier_hz[part])
         with task.method_errors("predict"), clock:
             maps = method.predict(*asked)
-        yield rows, checked_maps(method, maps, (len(rows), *test.grid.shape))
+        yield rows, _scorable(task, rows, checked_maps(method, maps, (len(rows), *test.grid.shape)))
+
+
+def _scorable(task: Task, rows: Int[IntArray, "n"], maps: Float[Maps, "n E A"]) -> Float[Maps, "n E A"]:
+    """The maps predicted for some rows; raises `MethodError` for the first that no file of predictions may hold."""
+    fault = fault_of_maps(maps)
+    if fault:
+        raise MethodError(
+            f"Method {task.job.method!r} failed in predict on split {task.split.name!r}: the map of row "
+            f"{rows[fault[0]]} {fault[1]}"
+        )
+    return maps
 
 
 def _findings(task: Task, method: Method) -> dict[str, Any]:
     """What the method says it has learned, as JSON has it; empty for a method that does not say."""
-    if not isinstance(method, ExplainedMethod):
-        return {}
     with task.method_errors("findings"):
-        return json.loads(json.dumps(dict(method.findings())))
+        return plain_json(dict(method.findings())) if isinstance(method, ExplainedMethod) else {}
+
+
+def _num_parameters(task: Task, method: Method) -> int:
+    with task.method_errors("num_parameters"):
+        return checked_num_parameters(method)
