@@ -48,14 +48,22 @@ class VirtualSource(LearnedMethod):
             )
         self._rows: _TransmitterRows | None = None
         self._train: PasDataset | None = None
+        self._budget = Budget()
 
     def field(self) -> VirtualSourceField:
         """The field without planes, before training."""
-        return VirtualSourceField(self.config, self.config)
+        field = VirtualSourceField(self.config, self.config)
+        field.budget = self._budget
+        return field
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
-        """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way."""
-        self._train = train
+        """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way.
+
+        Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then.
+        """
+        self._train, self._budget = train, budget
+        if self._training is not None:
+            _field(self._training).budget = budget
         yield from super().fit(train, budget, seed)
 
     def batch_loss(self, training: Training, targets: Targets) -> Tensor:

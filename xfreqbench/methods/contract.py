@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -32,6 +33,16 @@ class Budget:
         """The part of the limit that is spent, 1 at its end; of two limits the one that is nearer, 0 without any."""
         limits = (step, self.max_steps), (seconds, self.max_seconds)
         return max((spent / limit for spent, limit in limits if limit is not None), default=0.0)
+
+    def timer(self, share: float) -> Callable[[], bool]:
+        """A function that tells whether a share of the limit in seconds has passed since now; never without a limit.
+
+        It is for work that a method does between two yields, such as a search before the first step.
+        """
+        if self.max_seconds is None:
+            return lambda: False
+        end_s = time.perf_counter() + share * self.max_seconds
+        return lambda: time.perf_counter() >= end_s
 
 
 def parse_budget(text: str | None) -> Budget:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import ssim
+from xfreqbench.methods import contract
 from xfreqbench.methods.check import check_method
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
@@ -28,6 +31,7 @@ from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.virtual_source import field as field_module
 from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.field import VirtualSourceField
+from xfreqbench.methods.virtual_source.search.planes import Plane
 from xfreqbench.methods.virtual_source.search.range_profile import random_planes
 from xfreqbench.report.findings.model import StoredFindings
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
@@ -162,11 +166,11 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
 ) -> None:
     search = field_module.find_more_planes
     monkeypatch.setattr(field_module, "_MIN_STEPS_BETWEEN_LOOKS", 4)
-    monkeypatch.setattr(field_module, "find_planes", lambda train, seed: random_planes(train, seed, 3))
+    monkeypatch.setattr(field_module, "find_planes", lambda train, seed, _: random_planes(train, seed, 3))
     monkeypatch.setattr(
         field_module,
         "find_more_planes",
-        lambda train, known, explained: [
+        lambda train, known, explained, _: [
             *search(train, known, explained),
             *random_planes(train, len(known), 1),
         ],
@@ -186,6 +190,38 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
         model.save(tmp_path / name)
     for file in ("state.safetensors", "state.json"):
         assert (tmp_path / "unbroken" / file).read_bytes() == (tmp_path / "resumed" / file).read_bytes()
+
+
+def test_searches_take_a_share_of_a_budget_in_seconds_and_all_the_time_they_need_of_one_in_steps(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [100.0]
+    over_at: dict[Budget, list[float]] = {}
+    monkeypatch.setattr(contract.time, "perf_counter", lambda: now_s[0])
+
+    def searched(train: PasDataset, seed: int, is_over: Callable[[], bool]) -> list[Plane]:
+        start_s = now_s[0]
+        while not is_over() and now_s[0] < start_s + 1000:
+            now_s[0] += 1
+        over_at.setdefault(budget, []).append(now_s[0] - start_s)
+        return random_planes(train, seed, 3)
+
+    monkeypatch.setattr(field_module, "find_planes", searched)
+    for budget in (Budget(max_seconds=20), Budget(max_steps=1)):
+        next(tiny().fit(dataset, budget, 0))
+    assert over_at == {Budget(max_seconds=20): [15], Budget(max_steps=1): [1000]}
+
+
+def test_no_look_begins_that_would_end_after_the_budget(dataset: PasDataset) -> None:
+    method = tiny(planes="random")
+    trained(method, dataset, 1)
+    field = method._training.field
+    field.config = replace(field.config, planes="search")
+    assert field.is_time_to_look(10_000, 0.79)
+    assert field.is_time_to_look(10_000, 0.99)
+    field.budget = Budget(max_seconds=20)
+    assert field.is_time_to_look(10_000, 0.79)
+    assert not field.is_time_to_look(10_000, 0.81)
 
 
 def test_another_look_keeps_planes_that_hold_something_and_what_is_known_of_them() -> None:

@@ -13,6 +13,7 @@ from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.network import NetworkConfig
@@ -34,6 +35,10 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _FEWEST_PLANES = 3  # of a room; with fewer, free sources have to explain nearly everything
 _MIN_STEPS_BETWEEN_LOOKS = 250
+_SEARCH_SHARE, _LOOK_SHARE = (
+    0.75,
+    0.2,
+)  # most of a budget in seconds that the first search takes, and a later one
 _CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
 _START_FREE = 0.1  # amplitude of the free sources at the start, relative to the line of sight
 
@@ -69,6 +74,7 @@ class VirtualSourceField(ChannelField):
     last_look: Tensor
     is_lone: Tensor
     gain: PathGain | None
+    budget = Budget()  # of the fit, of which searches take a share
 
     def __init__(self, config: SourceConfig, network: NetworkConfig) -> None:
         super().__init__()
@@ -129,7 +135,7 @@ class VirtualSourceField(ChannelField):
         """The planes before training: found, or random ones, or none, as the options say."""
         seed = int(torch.randint(2**31, (), generator=generator))
         if self._searches:
-            return find_planes(train, seed)
+            return find_planes(train, seed, self.budget.timer(_SEARCH_SHARE))
         return random_planes(train, seed, self.config.max_planes) if self.config.max_order else []
 
     @property
@@ -144,18 +150,20 @@ class VirtualSourceField(ChannelField):
             return False
         looks = int(self.num_looks)
         has_learned = step - int(self.last_look) >= _MIN_STEPS_BETWEEN_LOOKS
-        return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned
+        has_time = self.budget.max_seconds is None or share < 1 - _LOOK_SHARE
+        return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned and has_time
 
     def look_again(
         self, train: PasDataset, explained: Explained, step: int, generator: torch.Generator
     ) -> None:
         """Search for planes in what the field does not explain, and choose images anew by what was learned."""
+        is_over = self.budget.timer(_LOOK_SHARE)
         self.num_looks += 1
         self.last_look.fill_(step)
         kept = self.room.worth_keeping()
         planes = self.room.planes
         known = [planes[index] for index in kept]
-        self.room.take(kept, find_more_planes(train, known, explained) if known else [])
+        self.room.take(kept, find_more_planes(train, known, explained, is_over) if known else [])
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
             self.gain = self._new_gain()

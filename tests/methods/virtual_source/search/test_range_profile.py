@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,8 +33,38 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 @pytest.fixture(scope="module")
-def found(room: PasDataset) -> list[Plane]:
-    return find_planes(room, 0)
+def searched(room: PasDataset) -> tuple[list[Plane], int]:
+    """The planes found, and how often the search asked whether its time was over."""
+    asked: list[bool] = []
+    return find_planes(room, 0, lambda: bool(asked.append(False))), len(asked)
+
+
+@pytest.fixture(scope="module")
+def found(searched: tuple[list[Plane], int]) -> list[Plane]:
+    return searched[0]
+
+
+def tried(times: int) -> Callable[[], bool]:
+    """An `is_over` that is True once it was asked more than some times."""
+    left = iter(range(times))
+    return lambda: next(left, None) is None
+
+
+def test_a_search_whose_time_is_over_ends_with_planes_that_it_would_have_found_anyway(
+    room: PasDataset, searched: tuple[list[Plane], int]
+) -> None:
+    found, num_asked = searched
+    assert find_planes(room, 0, tried(0)) == find_planes(room, 0, tried(num_asked // 10)) == []
+    assert set() < places(find_planes(room, 0, tried(num_asked * 9 // 10))) < places(found)
+
+
+def test_another_look_whose_time_is_over_finds_nothing_more(room: PasDataset, found: list[Plane]) -> None:
+    known = [the_one(found, WALL)]
+    assert find_more_planes(room, known, lambda rows: room.cfr[rows][None] * 0.5, tried(1)) == []
+
+
+def places(planes: Sequence[Plane]) -> set[tuple[float, ...]]:
+    return {(*plane.normal, plane.distance_m) for plane in planes}
 
 
 def the_one(planes: Sequence[Plane], wall: Wall) -> Plane:

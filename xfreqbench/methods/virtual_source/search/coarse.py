@@ -137,11 +137,11 @@ def _table_evidence(
 ) -> Float[FloatArray, "Q"]:
     """Evidence at the lowest carrier from the chosen transmitters, steering vectors rounded to those of a table."""
     table = _CrossTermTable(reference, chosen)
-    parts = [
-        table.evidence(place_m[start : start + _CELLS_AT_ONCE])
-        for start in range(0, len(place_m), _CELLS_AT_ONCE)
-    ]
-    return np.concatenate([np.zeros(0), *parts])
+    parts = [np.zeros(0)]
+    for start in range(0, len(place_m), _CELLS_AT_ONCE):
+        reference.require_time()
+        parts.append(table.evidence(place_m[start : start + _CELLS_AT_ONCE]))
+    return np.concatenate(parts)
 
 
 class _CrossTermTable:

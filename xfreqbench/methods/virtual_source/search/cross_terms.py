@@ -13,9 +13,11 @@ terms never adds up.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -33,12 +35,29 @@ ComplexArray = NDArray[np.complex128]
 PhasorArray = NDArray[np.complex64]
 BoolArray = NDArray[np.bool_]
 Explained = Callable[[IntArray], Complex[ComplexArray, "Q B M"]]
+IsOver = Callable[[], bool]
+Item = TypeVar("Item")
 
 _MAPS_AT_ONCE = 64
 _MAX_DIRECTIONS = 8192  # of a map that are used; a map of 4×4 elements has 49 degrees of freedom
 _SMALLEST_RESIDUAL = 0.002  # of an element's power; a line of sight without reflections leaves none
 _SMALLEST_SINGULAR = 3e-3  # of the largest; maps of a vertical array do not determine all lag averages
 MIN_EXCESS_CYCLES = 0.5  # with shorter detours the power of the line of sight itself adds up
+
+
+class SearchOverError(Exception):
+    """The time that a search may take is over; whoever began the search catches it."""
+
+
+def never() -> bool:
+    """The `is_over` of a search that may take as long as it needs."""
+    return False
+
+
+def until_over(found: Iterable[Item]) -> Iterator[Item]:
+    """What is found, until the time of the search is over."""
+    with suppress(SearchOverError):
+        yield from found
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +68,8 @@ class LineOfSightReference:
     matrix of lag averages of a map, less those of the line of sight, with the steering vector of the line of
     sight: Σ g_p a_p exp(−j2πf(d_p − d₀)/c) over reflections p. Each vector is scaled by the share of the line of
     sight in the map, divided by what it leaves unexplained, and is zero where there is no map. `amplitude` is
-    the amplitude of a reflection as strong and as long as the line of sight.
+    the amplitude of a reflection as strong and as long as the line of sight. `is_over` tells whether the time of the
+    search that uses the reference is over.
     """
 
     offset_m: Float[FloatArray, "T 3"]
@@ -58,13 +78,16 @@ class LineOfSightReference:
     element_position_wavelengths: Float[FloatArray, "M 3"]
     referred: Complex[ComplexArray, "T F M"]
     amplitude: Float[FloatArray, "T F"]
+    is_over: IsOver = never
 
     @classmethod
-    def of(cls, train: PasDataset, explained: Explained | None = None) -> LineOfSightReference:
+    def of(
+        cls, train: PasDataset, explained: Explained | None = None, is_over: IsOver = never
+    ) -> LineOfSightReference:
         """The reference from all rows of a data set that have a path; there may be none.
 
         `explained`, if given, returns the channels known so far of rows of the data set: Q that do not
-        interfere. They are subtracted in place of the line of sight alone.
+        interfere. They are subtracted in place of the line of sight alone. Raises `SearchOverError`.
         """
         rows = np.flatnonzero(train.has_path)
         _, first, tx = np.unique(train.tx_index[rows], return_index=True, return_inverse=True)
@@ -74,7 +97,7 @@ class LineOfSightReference:
         element = train.beam.element_position_wavelengths
         referred = np.zeros((len(first), len(carrier_hz), len(element)), complex)
         amplitude = np.zeros(referred.shape[:2])
-        lags = _Lags(train)
+        lags = _Lags(train, is_over)
         for column, wavelength_m in enumerate(SPEED_OF_LIGHT_M_S / carrier_hz):
             here = np.flatnonzero(carrier == column)
             waves = _spherical_waves(offset_m[tx[here]] @ receiver.rotation / wavelength_m, element)
@@ -85,7 +108,11 @@ class LineOfSightReference:
                 explained,
                 phasor(np.linalg.norm(offset_m[tx[here]], axis=1) / wavelength_m),
             )
-        return cls(offset_m, carrier_hz, receiver.rotation, element, referred, amplitude)
+        return cls(offset_m, carrier_hz, receiver.rotation, element, referred, amplitude, is_over)
+
+    def require_time(self) -> None:
+        """Raise `SearchOverError` if the time of the search is over."""
+        _require_time(self.is_over)
 
     @cached_property
     def distance_m(self) -> Float[FloatArray, "T"]:
@@ -98,14 +125,20 @@ class LineOfSightReference:
         return 2 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_M_S
 
 
+def _require_time(is_over: IsOver) -> None:
+    if is_over():
+        raise SearchOverError
+
+
 class _Lags:
     """Averages of h hᴴ over pairs of elements with equal lags, as the maps of a data set determine them."""
 
-    def __init__(self, train: PasDataset) -> None:
+    def __init__(self, train: PasDataset, is_over: IsOver) -> None:
         element = train.beam.element_position_wavelengths
         lag = element_lags(element)
         self._lag, of_pair, count = np.unique(lag, axis=0, return_inverse=True, return_counts=True)
         self._train, self._of_pair, self._count = train, of_pair.reshape(-1), count
+        self._is_over = is_over
         self._mean = np.zeros((len(lag), len(count)))
         self._mean[np.arange(len(lag)), self._of_pair] = 1 / count[self._of_pair]
 
@@ -120,6 +153,7 @@ class _Lags:
 
         `travel` holds exp(+j2πfd₀/c) of each row, by which explained channels are referred to the line of sight.
         """
+        _require_time(self._is_over)
         measured, direct = self._measured(rows), self._told(self._of_channels(waves[None]))
         share = self._share(measured, direct).clip(0)
         known, known_share = direct, share
@@ -162,10 +196,11 @@ class _Lags:
     def _of_maps(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
         """Lag averages r_l by least squares from maps P(d) = Σ_l r_l exp(−j2π l·d), scaled to a mean power of 1."""
         kind, seen = self._train.header.pas_kind, self._directions
-        parts = [
-            power_of(self._train.pas(some), kind).reshape(len(some), -1)[:, seen] @ self._inverse_waves.T
-            for some in np.split(rows, range(_MAPS_AT_ONCE, len(rows), _MAPS_AT_ONCE))
-        ]
+        parts = []
+        for some in np.split(rows, range(_MAPS_AT_ONCE, len(rows), _MAPS_AT_ONCE)):
+            _require_time(self._is_over)
+            power = power_of(self._train.pas(some), kind).reshape(len(some), -1)
+            parts.append(power[:, seen] @ self._inverse_waves.T)
         averages = self._complex(np.concatenate(parts))
         return averages / abs(averages).max(axis=1, keepdims=True).clip(1e-12)
 
@@ -259,8 +294,9 @@ def aligned(
     Terms are 0 for transmitters behind the plane, and where the detour is `min_excess_cycles` or shorter. Waves
     come from the transmitters' images in the plane, if `source_m` gives no other sources. With `less_mean` the
     mean of the terms is subtracted before they are turned: the line of sight leaves it, and it adds up where all
-    detours are about as long. References with explained channels have no such mean.
+    detours are about as long. References with explained channels have no such mean. Raises `SearchOverError`.
     """
+    reference.require_time()
     to_image_m = mirrored_receiver_m - reference.offset_m
     length_m = np.linalg.norm(to_image_m, axis=1)
     cycles = (length_m - reference.distance_m)[:, None] * reference.carrier_hz[carriers] / SPEED_OF_LIGHT_M_S

@@ -110,6 +110,7 @@ def _best(
     wavenumber = float(reference.wavenumber[joining])
     kept: list[Float[FloatArray, "3"]] = []
     for index in np.argsort(-evidence):
+        reference.require_time()
         if len(kept) == limit:
             break
         if not any(_is_same(reference, place_m[index], other, wavenumber) for other in kept):

@@ -25,8 +25,12 @@ from xfreqbench.methods.virtual_source.search.coarse import BEHIND_BOX_M
 from xfreqbench.methods.virtual_source.search.cross_terms import (
     Aligned,
     Explained,
+    IsOver,
     LineOfSightReference,
+    SearchOverError,
     aligned,
+    never,
+    until_over,
 )
 from xfreqbench.methods.virtual_source.search.planes import Plane, plane_of
 from xfreqbench.methods.virtual_source.search.selection import mirrored_receivers_m
@@ -139,17 +143,31 @@ def _is_usable(
     return (number >= _MIN_NEIGHBOURS) & (variance > _MIN_DEPTH_M**2)
 
 
-def find_planes(train: PasDataset, seed: int) -> list[Plane]:
-    """Planes found in the training maps without any prior knowledge, strongest first; there may be none."""
-    reference = LineOfSightReference.of(train)
-    images_m = mirrored_receivers_m(reference, seed)
+def find_planes(train: PasDataset, seed: int, is_over: IsOver = never) -> list[Plane]:
+    """Planes found in the training maps without any prior knowledge, strongest first; there may be none.
+
+    Once `is_over` returns True, the search ends with the planes that it has found.
+    """
+    try:
+        reference = LineOfSightReference.of(train, is_over=is_over)
+        images_m = mirrored_receivers_m(reference, seed)
+    except SearchOverError:
+        return []
     normals = images_m / np.linalg.norm(images_m, axis=1, keepdims=True)
     return profiled_planes(reference, _directions(normals)) if len(normals) else []
 
 
-def find_more_planes(train: PasDataset, known: Sequence[Plane], explained: Explained) -> list[Plane]:
-    """More planes along the normals of `known` ones, strongest first, found in what `explained` leaves of the maps."""
-    reference = LineOfSightReference.of(train, explained)
+def find_more_planes(
+    train: PasDataset, known: Sequence[Plane], explained: Explained, is_over: IsOver = never
+) -> list[Plane]:
+    """More planes along the normals of `known` ones, strongest first, found in what `explained` leaves of the maps.
+
+    Once `is_over` returns True, the search ends with the planes that it has found.
+    """
+    try:
+        reference = LineOfSightReference.of(train, explained, is_over)
+    except SearchOverError:
+        return []
     return profiled_planes(reference, _directions([plane.normal for plane in known]), known, _TRIAL)
 
 
@@ -185,22 +203,28 @@ def profiled_planes(
 ) -> list[Plane]:
     """Planes with about these normals that meet the demand, strongest first, without those that are known already.
 
-    Their score is the evidence above chance, less what their tilt costs.
+    Their score is the evidence above chance, less what their tilt costs. Once the time of the search is over, the
+    planes are those found until then.
     """
-    found: list[Plane] = []
-    for normal in normals:
-        profile = range_profile(reference, normal)
-        is_peak = profile.total == maximum_filter1d(profile.total, round(_PEAK_M / _STEP_M))
-        speaks = np.flatnonzero(is_peak & (profile.best > demand.best) & (profile.total > demand.total))
-        highest_first = speaks[np.argsort(-profile.total[speaks])].tolist()
-        peaks = [index for index in highest_first if not _is_known(reference, profile, index, known)]
-        planes = [_sharpened(reference, profile, index) for index in peaks[: 2 * demand.most]]
-        kept: list[Plane] = []
-        for plane in sorted(planes, key=lambda plane: plane.score, reverse=True):
-            if not any(_is_side_lobe(plane, other) for other in kept):
-                kept.append(plane)
-        found += kept[: demand.most]
+    profiles = until_over(range_profile(reference, normal) for normal in normals)
+    found = [plane for profile in profiles for plane in _along(reference, profile, known, demand)]
     return sorted(found, key=lambda plane: plane.score, reverse=True)
+
+
+def _along(
+    reference: LineOfSightReference, profile: Profile, known: Sequence[Plane], demand: _Demand
+) -> list[Plane]:
+    """The planes of one profile, strongest first."""
+    is_peak = profile.total == maximum_filter1d(profile.total, round(_PEAK_M / _STEP_M))
+    speaks = np.flatnonzero(is_peak & (profile.best > demand.best) & (profile.total > demand.total))
+    highest_first = speaks[np.argsort(-profile.total[speaks])].tolist()
+    peaks = [index for index in highest_first if not _is_known(reference, profile, index, known)]
+    planes = until_over(_sharpened(reference, profile, index) for index in peaks[: 2 * demand.most])
+    kept: list[Plane] = []
+    for plane in sorted(planes, key=lambda plane: plane.score, reverse=True):
+        if not any(_is_side_lobe(plane, other) for other in kept):
+            kept.append(plane)
+    return kept[: demand.most]
 
 
 def _is_known(reference: LineOfSightReference, profile: Profile, index: int, known: Sequence[Plane]) -> bool:

@@ -49,7 +49,7 @@ def mirrored_receivers_m(
     chooses the transmitters of the coarse search where there are too many. Line-of-sight flags are not used.
 
     A path over two planes that are found is not taken for a third plane. Where all transmitters have the same
-    height, a floor cannot be told from a ceiling, and neither is returned.
+    height, a floor cannot be told from a ceiling, and neither is returned. Raises `SearchOverError`.
     """
     if not len(reference.offset_m):
         return np.zeros((0, 3))
