@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import time
 from pathlib import Path
 
 import pytest
 
 from xfreqbench.errors import OutputExistsError, StorageError
-from xfreqbench.system.files import exclusive, require_own
+from xfreqbench.system.files import exclusive, read_bytes, read_text, require_own
 
 
 def _count_up(folder: Path) -> None:
@@ -77,3 +78,15 @@ def test_nothing_may_be_written_over_but_what_is_known_to_be_ours(tmp_path: Path
         require_own(tmp_path, fault_of)
     with pytest.raises(StorageError, match="output"):
         require_own(path, lambda file: (file / "no folder").read_text())
+
+
+def test_only_what_ends_is_read(tmp_path: Path) -> None:
+    (tmp_path / "text").write_bytes("λ/2 é".encode())
+    assert read_text(tmp_path / "text") == read_bytes(tmp_path / "text").decode() == "λ/2 é"
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        for read in (read_text, read_bytes):
+            with pytest.raises(OSError, match=f"a pipe or a device, not a file: '{path}'"):
+                read(path)
+    with pytest.raises(FileNotFoundError):
+        read_text(tmp_path / "nothing")

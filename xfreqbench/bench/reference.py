@@ -22,7 +22,7 @@ from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.visibility import sees
-from xfreqbench.system.files import atomic_path, require_own, storage_errors
+from xfreqbench.system.files import atomic_path, require_own, require_regular, storage_errors
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback
@@ -73,7 +73,10 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
 
 def _read(path: Path) -> Reference:
     try:
-        with path.open("rb") as file, np.load(file) as content:  # NumPy leaves a broken file open
+        with (
+            require_regular(path).open("rb") as file,
+            np.load(file) as content,
+        ):  # NumPy leaves a broken file open
             about = json.loads(str(content["about"]))
             return Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
     except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:

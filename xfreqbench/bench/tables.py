@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from xfreqbench.runs.records import BenchFigure, BenchRecord, append, machine_and_time, read
-from xfreqbench.system.files import storage_errors
+from xfreqbench.system.files import require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
 
@@ -48,6 +48,8 @@ class Bench:
         if self.output is not None:
             with storage_errors(self.output):
                 self.output.parent.mkdir(parents=True, exist_ok=True)
+                if self.output.exists():
+                    require_regular(self.output)
                 self.output.open("ab").close()
             read(self.output)
         machine = hardware()

@@ -140,8 +140,10 @@ def _read_positions(path: Path | None) -> Any:
 
     import numpy as np
 
+    from xfreqbench.system.files import read_text
+
     try:
-        text = io.StringIO(path.read_text())
+        text = io.StringIO(read_text(path))
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore"

@@ -32,6 +32,7 @@ from xfreqbench.exchange.png_images import BRIGHTEST, read_levels, shape_of
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
@@ -113,7 +114,7 @@ def map_path(folder: Path, number: int) -> Path:
 def _lines(path: Path) -> list[str]:
     """The lines of a text file, without blank lines at its end."""
     try:
-        return path.read_text("utf-8-sig").rstrip().splitlines()
+        return read_text(path, "utf-8-sig").rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(

@@ -19,7 +19,7 @@ from xfreqbench.methods.contract import Method
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.methods.guard import method_code
 from xfreqbench.runs.records import CurvePoint
-from xfreqbench.system.files import remove, storage_errors, sync
+from xfreqbench.system.files import read_bytes, remove, storage_errors, sync
 
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
 _ADVICE = "Delete that folder to fit anew."
@@ -66,7 +66,7 @@ class CheckpointFolder:
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
-            (unfinished / _STATE_FILE).write_text(state.model_dump_json())
+            (unfinished / _STATE_FILE).write_text(state.model_dump_json(), "utf-8")
             _sync_tree(unfinished)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
@@ -87,7 +87,7 @@ class CheckpointFolder:
         if newest is None:
             return None
         try:
-            checkpoint = Checkpoint.model_validate_json((newest / _STATE_FILE).read_bytes())
+            checkpoint = Checkpoint.model_validate_json(read_bytes(newest / _STATE_FILE))
             sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
         except (OSError, ValidationError) as error:
             fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]

@@ -16,7 +16,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
-from xfreqbench.system.files import exclusive, require_space, storage_errors
+from xfreqbench.system.files import exclusive, require_regular, require_space, storage_errors
 
 _RECORDS, _PREDICTIONS, _CHECKPOINTS = "records.jsonl", "predictions", "checkpoints"
 
@@ -108,7 +108,7 @@ class ResultsFolder:
             with storage_errors(folder), tempfile.TemporaryFile(dir=folder):
                 pass
         if self.records_path.exists():
-            with storage_errors(self.records_path), self.records_path.open("ab"):
+            with storage_errors(self.records_path), require_regular(self.records_path).open("ab"):
                 pass
 
     def _file_state(self) -> tuple[int, ...] | None:

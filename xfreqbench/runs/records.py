@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.system.files import exclusive, storage_errors
+from xfreqbench.system.files import exclusive, read_bytes, require_regular, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
 
 NUM_QUANTILES = 101
@@ -203,6 +203,8 @@ def append(path: Path, record: RunRecord | BenchRecord) -> None:
     """
     line = record.model_dump_json().encode() + b"\n"
     with exclusive(path.with_name(f".{path.name}.lock")), storage_errors(path, len(line)):
+        if path.exists():
+            require_regular(path)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             _append_line(path, descriptor, line)
@@ -219,7 +221,7 @@ def read(path: Path) -> StoredRecords:
     if not path.exists():
         return StoredRecords(())
     try:
-        *lines, rest = path.read_bytes().split(b"\n")
+        *lines, rest = read_bytes(path).split(b"\n")
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from error
     _require_half_a_record(path, rest)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.materials import material_bands
 from xfreqbench.scene.model import FAR_M, Scene, Surface
+from xfreqbench.system.files import require_regular
 from xfreqbench.types import FloatArray, IntArray
 
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
@@ -87,7 +88,7 @@ def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_],
 def _imported_meshes(xml: Path) -> list[SurfaceMesh]:
     """Meshes of a Mitsuba XML with `itu-radio-material` materials and PLY shapes, as Sionna reads them."""
     try:
-        root = ElementTree.parse(xml).getroot()
+        root = ElementTree.parse(require_regular(xml)).getroot()
     except OSError as error:
         raise SceneError(f"The Mitsuba scene {xml} cannot be read: {error.strerror}.") from error
     except (ElementTree.ParseError, LookupError, ValueError) as error:  # of XML, its encoding, its path
@@ -145,10 +146,11 @@ def _imported_mesh(
     ply = xml.parent / (filename.get("value", "") if filename is not None else "")
     try:
         with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
-            loaded = trimesh.load_mesh(ply, process=False)
+            loaded = trimesh.load_mesh(require_regular(ply), process=False)
             mesh = _surface_mesh(name, material, thickness_m, loaded)
     except Exception as error:  # trimesh raises whatever its parsers do
-        raise SceneError(f"{xml}: the mesh {ply} of shape {name!r} cannot be read: {error}.") from error
+        fault = getattr(error, "strerror", None) or error
+        raise SceneError(f"{xml}: the mesh {ply} of shape {name!r} cannot be read: {fault}.") from error
     _check_triangles(mesh, ply, xml)
     return mesh
 

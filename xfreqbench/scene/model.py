@@ -23,6 +23,7 @@ from xfreqbench.scene.array import (
     rotation_quaternion,
 )
 from xfreqbench.scene.materials import material_bands
+from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
@@ -224,7 +225,7 @@ class Scene:
 
 def shipped_scenes() -> dict[str, str]:
     """Names and descriptions of the scenes that ship with the toolkit."""
-    return {path.stem: tomllib.loads(path.read_text())["description"] for path in _shipped_files()}
+    return {path.stem: tomllib.loads(read_text(path))["description"] for path in _shipped_files()}
 
 
 def _shipped_files() -> Iterator[Path]:
@@ -246,7 +247,7 @@ def load_scene(name_or_path: str) -> Scene:
             raise UnknownNameError("scene", name_or_path, [*shipped, "PATH.toml"])
         path = shipped[name_or_path]
     try:
-        return parse_scene(path.read_text(), folder=path.parent)
+        return parse_scene(read_text(path), folder=path.parent)
     except OSError as error:
         raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
     except (SceneError, UnicodeDecodeError) as error:

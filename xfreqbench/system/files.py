@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import platform
 import re
 import shutil
+import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -209,3 +211,24 @@ def sole_worker(lock: Path, output: Path) -> Iterator[None]:
         yield
     finally:
         held.release()
+
+
+def require_regular(path: Path) -> Path:
+    """Return `path`, which is to be read, unless a pipe or a device is there, whose reading may never end.
+
+    Raises `OSError` that names the path, as opening it would: for what is neither a file nor a folder, or is missing.
+    """
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+    return path
+
+
+def read_text(path: Path, encoding: str = "utf-8") -> str:
+    """The text in a file; raises as `require_regular`, and `UnicodeDecodeError`."""
+    return require_regular(path).read_text(encoding)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes in a file; raises as `require_regular`."""
+    return require_regular(path).read_bytes()

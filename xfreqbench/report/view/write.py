@@ -25,7 +25,14 @@ from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, summarize
-from xfreqbench.system.files import atomic_path, require_own, require_space, storage_errors, write_text
+from xfreqbench.system.files import (
+    atomic_path,
+    read_text,
+    require_own,
+    require_space,
+    storage_errors,
+    write_text,
+)
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 PAGE, MODEL, ROOM = "index.html", "scene.glb", "scene.png"
@@ -118,6 +125,6 @@ def _plot_maps(dataset: PasDataset, room: ShownRoom, folder: Path) -> None:
 
 def _is_ours(page: Path, subject: str) -> bool:
     try:
-        return is_of_subject(page.read_text("utf-8"), subject)
+        return is_of_subject(read_text(page), subject)
     except (OSError, UnicodeDecodeError):
         return False
