@@ -67,7 +67,7 @@ class Block:
 def blocks(document: Path) -> list[Block]:
     """Every fenced block of a document, as CommonMark sees it."""
     above, found = "", []
-    for token in MarkdownIt().parse(document.read_text()):
+    for token in MarkdownIt().parse(document.read_text(encoding="utf-8")):
         if token.type == "inline":
             above = token.content
         if token.type == "fence":

@@ -77,7 +77,9 @@ def refusal(call: Callable[[], Any]) -> str | None:
 def _bounded() -> Iterator[None]:
     """Stop what hangs, and refuse memory that no input here is worth."""
     limits = resource.getrlimit(resource.RLIMIT_AS)
-    mapped_bytes = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    mapped_bytes = (
+        int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
+    )
     before = signal.signal(signal.SIGALRM, _hangs)
     timer = signal.setitimer(signal.ITIMER_REAL, SLEEPY_S)  # pytest-timeout's own, put back below
     resource.setrlimit(resource.RLIMIT_AS, (mapped_bytes + MEMORY_BYTES, limits[1]))

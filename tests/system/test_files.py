@@ -66,7 +66,7 @@ def test_nothing_may_be_written_over_but_what_is_known_to_be_ours(tmp_path: Path
     path = tmp_path / "output"
 
     def fault_of(file: Path) -> str | None:
-        return None if file.read_text() == "ours" else "is not ours."
+        return None if file.read_text(encoding="utf-8") == "ours" else "is not ours."
 
     assert not require_own(path, fault_of)
     path.write_text("ours")

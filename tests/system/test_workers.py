@@ -195,8 +195,8 @@ def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.
 def _text_of(path: Path) -> str:
     deadline_s = time.monotonic() + 60
     while time.monotonic() < deadline_s:
-        if path.exists() and path.read_text():
-            return path.read_text()
+        if path.exists() and path.read_text(encoding="utf-8"):
+            return path.read_text(encoding="utf-8")
         time.sleep(0.05)
     raise TimeoutError(path)
 
@@ -204,6 +204,8 @@ def _text_of(path: Path) -> str:
 def _runs(process: int) -> bool:
     status = Path(f"/proc/{process}/stat")
     try:
-        return status.read_text().rpartition(")")[2].split()[0] != "Z"  # ended, its parent gone
+        return (
+            status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+        )  # ended, its parent gone
     except FileNotFoundError:
         return False

@@ -84,7 +84,7 @@ def test_what_is_not_run_says_so(document: Path) -> None:
 @every_document
 def test_no_block_is_overlooked(document: Path) -> None:
     """Fences as a plain search finds them are those that are followed."""
-    fences = re.findall(r"^ *(```+)(\w*)$", document.read_text(), re.MULTILINE)
+    fences = re.findall(r"^ *(```+)(\w*)$", document.read_text(encoding="utf-8"), re.MULTILINE)
     assert [language for _, language in fences[::2]] == [block.language for block in blocks(document)]
 
 
@@ -113,7 +113,7 @@ def test_every_command_line_can_be_given(document: Path) -> None:
 
 def command_lines(document: Path) -> list[list[str]]:
     """What follows the word xfreqbench in every line of code, up to where the shell begins something else."""
-    tokens = MarkdownIt().parse(document.read_text())
+    tokens = MarkdownIt().parse(document.read_text(encoding="utf-8"))
     tokens += [child for token in tokens for child in token.children or []]
     texts = [token.content for token in tokens if token.type in ("fence", "code_block", "code_inline")]
     lines = [line.strip() for text in texts for line in text.replace("\\\n", " ").splitlines()]
@@ -130,14 +130,14 @@ def test_the_readme_names_commands_that_are_checked() -> None:
 
 @every_document
 def test_every_link_between_documents_leads_somewhere(document: Path) -> None:
-    text = document.read_text()
+    text = document.read_text(encoding="utf-8")
     targets = re.findall(r"\]\((?!https?://)([^)#\s]+)", text)
     assert not [target for target in targets if not (document.parent / target).exists()]
 
 
 def table(document: Path, heading: str) -> list[list[str]]:
     """Cells of the first table below a heading, without its head; code marks taken off."""
-    below = document.read_text().split(f"\n{heading}\n", 1)[1]
+    below = document.read_text(encoding="utf-8").split(f"\n{heading}\n", 1)[1]
     rows = re.findall(r"^\|(.*)\|$", below.split("\n#", 1)[0], re.MULTILINE)
     return [[cell.strip().replace("`", "") for cell in row.split("|")] for row in rows[2:]]
 

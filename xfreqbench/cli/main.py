@@ -10,6 +10,7 @@ import sys
 from xfreqbench.cli import data, exchange, findings, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
+from xfreqbench.system.machine import require_thread_count
 
 __all__ = [
     "app",
@@ -29,6 +30,7 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
     try:
+        require_thread_count()
         app()
         sys.stdout.flush()
     except StorageError as error:
@@ -38,12 +40,16 @@ def main() -> None:
         print(f"xfreqbench: {error}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # the program that reads our output, such as `head`, has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         sys.exit(1)
     except OSError as error:
-        if error.filename is None:
-            raise
         fault = f"{error.filename} cannot be used: {error.strerror}. Mend the path or its permissions."
+        if error.filename is None:
+            if not _is_output_lost():
+                raise
+            fault = (
+                f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
+            )
         print(f"xfreqbench: {fault}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
@@ -52,6 +58,21 @@ def main() -> None:
         if not was_interrupted(error):
             raise
         _leave_interrupted()
+
+
+def _is_output_lost() -> bool:
+    """Whether an empty line cannot be printed; what is left to print is then discarded."""
+    try:
+        print(flush=True)
+    except OSError:
+        _discard_output()
+        return True
+    return False
+
+
+def _discard_output() -> None:
+    """Send what is left to print nowhere, because the interpreter's exit would fail of it once more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _bound_console_width() -> None:

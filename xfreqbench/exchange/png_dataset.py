@@ -150,10 +150,10 @@ def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> N
     header = dataset.header
     position_m = dataset.tables["tx_position_m"].tolist() * dataset.num_carriers
     lines = ["x,y,z", *(",".join(map(repr, position)) for position in position_m)]
-    (folder / POSITIONS).write_text("\n".join(lines) + "\n")
+    (folder / POSITIONS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     carrier_ghz = np.repeat(header.carrier_hz / 1e9, header.num_tx).tolist()
-    (folder / CARRIERS).write_text("".join(f"{carrier:.15g}\n" for carrier in carrier_ghz))
-    (folder / RECEIVER).write_text(_receiver_yaml(header, convention))
+    (folder / CARRIERS).write_text("".join(f"{carrier:.15g}\n" for carrier in carrier_ghz), encoding="utf-8")
+    (folder / RECEIVER).write_text(_receiver_yaml(header, convention), encoding="utf-8")
 
 
 def _receiver_yaml(header: DatasetHeader, convention: Convention) -> str:

@@ -53,12 +53,12 @@ class TrainingTransmitters:
     def save(self, directory: Path) -> None:
         """Store which rows of which data set these are, without the maps."""
         reference = [str(self.train.path), self.train.sha256, self.train.rows.tolist()]
-        (directory / _ROWS_FILE).write_text(json.dumps(reference))
+        (directory / _ROWS_FILE).write_text(json.dumps(reference), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> TrainingTransmitters:
         """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
-        return cls(reopen(*json.loads((directory / _ROWS_FILE).read_text())))
+        return cls(reopen(*json.loads((directory / _ROWS_FILE).read_text(encoding="utf-8"))))
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,12 @@ class TransmitterLookup:
 
     def save(self, directory: Path) -> None:
         """Store the configuration and which rows were trained on."""
-        (directory / _CONFIG_FILE).write_text(json.dumps(asdict(self.config)))
+        (directory / _CONFIG_FILE).write_text(json.dumps(asdict(self.config)), encoding="utf-8")
         self.transmitters.save(directory)
 
     @classmethod
     def load(cls, directory: Path) -> TransmitterLookup:
         """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
-        method = cls(cls.Config(**json.loads((directory / _CONFIG_FILE).read_text())))
+        method = cls(cls.Config(**json.loads((directory / _CONFIG_FILE).read_text(encoding="utf-8"))))
         method.transmitters = TrainingTransmitters.load(directory)
         return method

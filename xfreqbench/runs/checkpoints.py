@@ -66,7 +66,7 @@ class CheckpointFolder:
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
-            (unfinished / _STATE_FILE).write_text(state.model_dump_json(), "utf-8")
+            (unfinished / _STATE_FILE).write_text(state.model_dump_json(), encoding="utf-8")
             _sync_tree(unfinished)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power

@@ -10,16 +10,29 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from xfreqbench.errors import XFreqBenchError
+
 _STATUS = Path("/proc/self/status")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
+_THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
 _LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "safetensors", "numba")
+
+
+def require_thread_count() -> None:
+    """Raise `XFreqBenchError` where the environment asks Numba for a number of threads that cannot be."""
+    asked = os.environ.get(_THREADS, "1")
+    if not (asked.isdecimal() and len(asked) < 9 and 1 <= int(asked) <= _MOST_THREADS):
+        raise XFreqBenchError(
+            f"{_THREADS} is set to {asked!r}. Set it to a number of threads from 1 to {_MOST_THREADS}, or unset it: "
+            "there is then one for each core."
+        )
 
 
 def reset_peak_memory() -> None:
     """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
     try:
-        _CLEAR_REFS.write_text("5")
+        _CLEAR_REFS.write_text("5", encoding="utf-8")
     except OSError:
         return
 
@@ -27,7 +40,7 @@ def reset_peak_memory() -> None:
 def peak_memory_mib() -> float:
     """Largest resident memory of this process since `reset_peak_memory`, in MiB, with interpreter and libraries."""
     try:
-        lines = _STATUS.read_text().splitlines()
+        lines = _STATUS.read_text(encoding="utf-8").splitlines()
         return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
     except (OSError, StopIteration):
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -50,7 +63,11 @@ def hardware() -> dict[str, str]:
 
 def _gpus() -> dict[str, str]:
     """Names of the GPUs, as the NVIDIA driver has them; empty without that driver."""
-    lines = [line for path in sorted(_GPUS.glob("*/information")) for line in path.read_text().splitlines()]
+    lines = [
+        line
+        for path in sorted(_GPUS.glob("*/information"))
+        for line in path.read_text(encoding="utf-8").splitlines()
+    ]
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
     return {"gpu": " + ".join(names)} if names else {}
 
@@ -89,7 +106,7 @@ def _version(name: str) -> str | None:
 
 def _processor() -> str:
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import _ctypes
 import importlib.metadata
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -36,6 +38,10 @@ def install(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
     monkeypatch.setattr(importlib.metadata, "files", lambda package: [ListedFile(path) for path in paths])
 
 
+def let_any_file_load(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(llvm.ctypes, "CDLL", lambda path: SimpleNamespace(LLVMContextCreate=None))
+
+
 def system_library(tmp_path: Path, name: str) -> Path:
     (tmp_path / "system").mkdir(exist_ok=True)
     path = tmp_path / "system" / name
@@ -46,6 +52,7 @@ def system_library(tmp_path: Path, name: str) -> Path:
 def test_the_packages_real_file_is_taken_and_not_its_symlink(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    let_any_file_load(monkeypatch)
     real = tmp_path / "libLLVM.so.23.1"
     real.touch()
     link = tmp_path / "libLLVM.so.23"
@@ -64,6 +71,7 @@ def test_dr_jit_is_told_where_the_library_is(monkeypatch: pytest.MonkeyPatch, tm
 
 
 def test_a_library_that_the_user_set_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    let_any_file_load(monkeypatch)
     chosen = tmp_path / "libLLVM-19.so.1"
     chosen.touch()
     packaged = tmp_path / "libLLVM.so.23.1"
@@ -78,6 +86,20 @@ def test_a_path_of_the_users_without_a_file_is_an_error(monkeypatch: pytest.Monk
     monkeypatch.setenv(llvm.VARIABLE, "/nowhere/libLLVM.so")
     with pytest.raises(MissingLLVMError, match=r"/nowhere/libLLVM\.so.*pip install karellen-llvm-core"):
         llvm.ensure_llvm()
+
+
+def test_a_file_of_the_users_that_is_not_llvm_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "libLLVM.so").write_bytes(b"no library")
+    libraries = {
+        str(tmp_path / "libLLVM.so"): "no library that can be loaded",
+        _ctypes.__file__: "without LLVM",
+    }
+    for path, fault in libraries.items():
+        monkeypatch.setenv(llvm.VARIABLE, path)
+        with pytest.raises(MissingLLVMError, match=fault):
+            llvm.ensure_llvm()
 
 
 def test_without_the_package_the_newest_usable_system_library_is_taken(tmp_path: Path) -> None:

@@ -179,12 +179,12 @@ class LearnedMethod:
             "share": training.share,
             "kind": training.kind,
         }
-        (directory / STATE_FILE).write_text(json.dumps(state))
+        (directory / STATE_FILE).write_text(json.dumps(state), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> LearnedMethod:
         """The method as it was saved; its `fit` continues from there."""
-        state = json.loads((directory / STATE_FILE).read_text())
+        state = json.loads((directory / STATE_FILE).read_text(encoding="utf-8"))
         method = cls(cls.Config(**state["config"]))
         tensors = load_file(directory / TENSORS_FILE, device=str(method._device))
         grid = AngularGrid(

@@ -6,6 +6,7 @@ catch that. So the library of the pip package is taken first, and of the system'
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 import os
 import re
@@ -25,7 +26,7 @@ def ensure_llvm() -> str:
     """Tell Dr.Jit of a libLLVM that works, and return the path or name of that library.
 
     A `DRJIT_LIBLLVM_PATH` that the user has set is kept. Must run before drjit, mitsuba or sionna is first
-    imported. Raises `MissingLLVMError` where no library is found, or the user's path names no file.
+    imported. Raises `MissingLLVMError` where no library is found, or the user's path names none.
     """
     given = os.environ.get(VARIABLE)
     if given:
@@ -47,12 +48,22 @@ def llvm_version() -> str:
 
 
 def _existing(path: str) -> str:
-    if not Path(path).is_file():
+    fault = _fault_of(path)
+    if fault:
         raise MissingLLVMError(
-            f"{VARIABLE} is set to {path!r}, where there is no file. Set it to a libLLVM.so of version "
+            f"{VARIABLE} is set to {path!r}, {fault}. Set it to a libLLVM.so of version "
             f"{LOWEST_VERSION} or later, or unset it and run `pip install {PACKAGE}`."
         )
     return path
+
+
+def _fault_of(path: str) -> str | None:
+    if not Path(path).is_file():
+        return "where there is no file"
+    try:
+        return None if hasattr(ctypes.CDLL(path), "LLVMContextCreate") else "a library without LLVM"
+    except OSError:
+        return "which is no library that can be loaded"
 
 
 def _packaged_library() -> str | None:
