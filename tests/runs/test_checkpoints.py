@@ -233,6 +233,27 @@ def test_a_checkpoint_without_its_state_is_refused(folder: CheckpointFolder) -> 
         folder.read()
 
 
+def test_a_checkpoint_whose_state_was_changed_is_refused(folder: CheckpointFolder) -> None:
+    save(folder, 7)
+    state = folder.path / "1" / "checkpoint.json"
+    state.write_text(state.read_text().replace('"step":7', '"step":8'))
+    with pytest.raises(DataError, match=r"it was changed after it was written.*Delete that folder"):
+        folder.read()
+
+
+@pytest.mark.parametrize(("name", "value"), [("seconds", -1.0), ("seconds", "NaN"), ("step", 10**400)])
+def test_a_checkpoint_with_a_time_or_step_that_no_fit_has_is_refused(
+    folder: CheckpointFolder, name: str, value: object
+) -> None:
+    save(folder, 7)
+    state = folder.path / "1" / "checkpoint.json"
+    content = json.loads(state.read_text())
+    del content["content_sha256"]
+    state.write_text(json.dumps(content | {name: value}))
+    with pytest.raises(DataError, match=f"cannot be read: {name}: "):
+        folder.read()
+
+
 def test_a_method_that_cannot_load_its_own_files_is_told_where_they_are(folder: CheckpointFolder) -> None:
     save(folder, 1)
     (folder.path / "1" / "method" / "state.json").unlink()

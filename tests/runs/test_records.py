@@ -6,11 +6,13 @@ import multiprocessing
 from pathlib import Path
 
 import pytest
+from leaderboard_records import make_bench
 from stored_records import make_record, make_summary
 
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.records import CurvePoint, Job, append, read
+from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunRecord, append, read
+from xfreqbench.runs.sealed import SealedModel
 
 
 def test_records_come_back_in_order_with_infinite_scores(tmp_path: Path) -> None:
@@ -108,6 +110,91 @@ def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> No
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="cannot be written"):
         append(tmp_path / "file" / "records.jsonl", make_record())
+
+
+def edited(record: SealedModel, place: str, value: object) -> str:
+    """The record as a line of JSON without a hash, as earlier versions wrote it, with one field changed."""
+    content = json.loads(record.model_dump_json())
+    *parents, last = [int(each) if each.isdigit() else each for each in place.split(".")]
+    part = content
+    for each in parents:
+        part = part[each]
+    part[last] = value
+    return json.dumps(content) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("split_sha256", "nothing hexadecimal"),
+        ("split_sha256", "b" * 65),
+        ("dataset_sha256", ""),
+        ("num_test", 10**400),
+        ("num_test", 0),
+        ("num_without_path", -1),
+        ("step", -1),
+        ("fit_seconds", "NaN"),
+        ("fit_seconds", -1.0),
+        ("predict_ms_per_map", "Infinity"),
+        ("peak_memory_mib", -1),
+        ("parameters", 10**400),
+        ("nearest_trained_m", -0.5),
+        ("ssim_by_tx.0.0", "NaN"),
+        ("ssim_by_tx.0", []),
+        ("curve.0.seconds", "NaN"),
+        ("curve.0.seconds", -1.0),
+        ("curve.0.ssim", "Infinity"),
+        ("curve.0.step", -1),
+        ("job.seed", -1),
+        ("job.budget.max_steps", 0),
+        ("job.budget.max_seconds", "NaN"),
+        ("external.sha256", "abc"),
+    ],
+)
+def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
+    tmp_path: Path, place: str, value: object
+) -> None:
+    point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4)
+    whole = make_record(curve=(point,), ssim_by_tx=((0.5,),), external=External(sha256="a" * 64))
+    path = tmp_path / "records.jsonl"
+    append(path, make_record())
+    path.write_text(path.read_text() + edited(whole, place, value))
+    with pytest.raises(
+        DataError, match=rf"records\.jsonl, line 2, is no run record: {place.partition('.')[0]}"
+    ):
+        read(path)
+
+
+@pytest.mark.parametrize(("place", "value"), [("rows.0", ["image"]), ("columns", []), ("note", None)])
+def test_a_table_with_other_cells_than_columns_is_refused(tmp_path: Path, place: str, value: object) -> None:
+    path = tmp_path / "records.jsonl"
+    path.write_text(edited(make_bench(), place, value).replace('{"bench": ', '{"bench":'))
+    with pytest.raises(DataError, match=r"records\.jsonl, line 1, is no run record"):
+        read(path)
+
+
+@pytest.mark.parametrize("record", [make_record(), make_bench()], ids=["run", "bench"])
+def test_a_record_that_was_changed_afterwards_is_refused(
+    tmp_path: Path, record: RunRecord | BenchRecord
+) -> None:
+    path = tmp_path / "records.jsonl"
+    append(path, record)
+    append(path, record)
+    stored = read(path)
+    assert [*stored.records, *stored.benches] == [record, record]
+    first, second = path.read_text().splitlines()
+    assert list(json.loads(second))[-1] == "content_sha256"
+    path.write_text(f"{first}\n{second.replace('2026-01-01', '2026-01-02')}\n")
+    with pytest.raises(DataError, match=r"line 2, .*it was changed after it was written.*Delete the line"):
+        read(path)
+
+
+def test_the_hash_of_a_record_does_not_depend_on_how_its_json_is_spaced(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    infinite = make_record(scores={"psnr": make_summary(math.inf)}, findings={"size": 1e-7, "µ": [1, None]})
+    append(path, infinite)
+    path.write_text(json.dumps(json.loads(path.read_text()), sort_keys=True) + "\n")
+    assert read(path).records == (infinite,)
 
 
 def test_a_summary_has_a_hundred_and_one_quantiles() -> None:

@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+from pydantic import Field
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
@@ -26,8 +27,8 @@ Maps = NDArray[np.float32]
 class Budget:
     """The limits of training, in steps, in seconds, or both; without one, the method decides when training ends."""
 
-    max_steps: int | None = None
-    max_seconds: float | None = None
+    max_steps: Annotated[int, Field(gt=0, lt=2**63)] | None = None
+    max_seconds: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
     def share(self, step: int, seconds: float) -> float:
         """The part of the limit that is spent, 1 at its end; of two limits the one that is nearer, 0 without any."""

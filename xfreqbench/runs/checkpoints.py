@@ -11,14 +11,15 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ConfigDict, ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.methods.guard import method_code
-from xfreqbench.runs.records import CurvePoint
+from xfreqbench.runs.records import Amount, Count, CurvePoint, fault_of_fields
+from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, remove, storage_errors, sync
 
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
@@ -26,16 +27,16 @@ _ADVICE = "Delete that folder to fit anew."
 _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
 
 
-class Checkpoint(BaseModel):
+class Checkpoint(SealedModel):
     """How a fit stood when its method was saved; `sha256` holds the hash of every file that the method wrote."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     task_id: str
-    step: int
+    step: Count
     loss: float
-    seconds: float
-    share: float
+    seconds: Amount
+    share: Amount
     counts: dict[str, float]
     curve: tuple[CurvePoint, ...]
     sha256: dict[str, str]
@@ -66,7 +67,7 @@ class CheckpointFolder:
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
-            (unfinished / _STATE_FILE).write_text(state.model_dump_json(), encoding="utf-8")
+            (unfinished / _STATE_FILE).write_bytes(state.sealed_json())
             _sync_tree(unfinished)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
@@ -90,7 +91,7 @@ class CheckpointFolder:
             checkpoint = Checkpoint.model_validate_json(read_bytes(newest / _STATE_FILE))
             sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
         except (OSError, ValidationError) as error:
-            fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
+            fault = error.strerror if isinstance(error, OSError) else fault_of_fields(error)
             raise self._refusal(f"cannot be read: {fault}") from error
         if checkpoint.task_id != self.task_id:
             raise self._refusal(f"belongs to job {checkpoint.task_id}, not to {self.task_id}")

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
+from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
 
@@ -24,6 +25,10 @@ _RECORD_START = b'{"'
 _BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
 CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
 
 
@@ -39,7 +44,7 @@ class Job:
     protocol: str
     split: str
     overrides: tuple[str, ...] = ()
-    seed: int = 0
+    seed: Count = 0
     budget: Budget = field(default_factory=Budget)
 
 
@@ -68,10 +73,10 @@ class CurvePoint(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    step: int
-    seconds: float
+    step: Count
+    seconds: Amount
     loss: float
-    ssim: float
+    ssim: Finite
 
 
 class External(BaseModel):
@@ -83,12 +88,12 @@ class External(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    sha256: str
+    sha256: Sha256
     hardware: str | None = None
     url: str | None = None
 
 
-class RunRecord(BaseModel):
+class RunRecord(SealedModel):
     """One run: what was run, on which data, with which result. `id` is the hash of all that determines the result.
 
     * `pas_kind` and `settings` are those of the data set: the kind of its maps, and the settings of the tracer.
@@ -110,33 +115,33 @@ class RunRecord(BaseModel):
 
     id: str
     job: Job
-    dataset_sha256: str
+    dataset_sha256: Sha256
     scene: str
     pas_kind: str
     settings: dict[str, Any]
-    split_sha256: str
+    split_sha256: Sha256
     protocol_version: str
     metrics_version: str
     config: dict[str, Any]
-    step: int
-    fit_seconds: float | None
-    predict_ms_per_map: float | None
-    peak_memory_mib: float | None
-    parameters: int | None
-    num_test: int
-    num_without_path: int
+    step: Count
+    fit_seconds: Amount | None
+    predict_ms_per_map: Amount | None
+    peak_memory_mib: Amount | None
+    parameters: Count | None
+    num_test: Annotated[Count, Field(ge=1)]
+    num_without_path: Count
     shares_transmitters: bool
     scores: dict[str, Summary]
     hardware: dict[str, str]
     software: dict[str, str]
     git_commit: str | None
     time_utc: str
-    counts: dict[str, float] = {}
+    counts: dict[str, float] = Field(default_factory=dict)
     curve: tuple[CurvePoint, ...] = ()
-    ssim_by_tx: tuple[tuple[float, ...], ...] = ()
-    nearest_trained_m: float | None = None
+    ssim_by_tx: tuple[Annotated[tuple[Finite, ...], Field(min_length=1)], ...] = ()
+    nearest_trained_m: Amount | None = None
     code_sha256: str | None = None
-    findings: dict[str, Any] = {}
+    findings: dict[str, Any] = Field(default_factory=dict)
     external: External | None = None
 
 
@@ -162,7 +167,7 @@ class BenchFigure(BaseModel):
     points: tuple[BenchPoint, ...]
 
 
-class BenchRecord(BaseModel):
+class BenchRecord(SealedModel):
     """A table of a measurement, with cells as printed. `command` makes it again; `note` says how to read it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -171,13 +176,20 @@ class BenchRecord(BaseModel):
     title: str
     command: str
     note: str
-    columns: tuple[str, ...]
+    columns: Annotated[tuple[str, ...], Field(min_length=1)]
     rows: tuple[tuple[str, ...], ...]
     figure: BenchFigure | None = None
     hardware: dict[str, str]
     software: dict[str, str]
     git_commit: str | None
     time_utc: str
+
+    @model_validator(mode="after")
+    def _require_cells(self) -> BenchRecord:
+        for number, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise ValueError(f"row {number} has {len(row)} cells for {len(self.columns)} columns")
+        return self
 
 
 @dataclass(frozen=True)
@@ -201,7 +213,7 @@ def append(path: Path, record: RunRecord | BenchRecord) -> None:
     Processes that append to one file take turns. Half a line that a killed run left at the end is removed.
     Raises `StorageError`, and `DataError` where the end of the file is anything else.
     """
-    line = record.model_dump_json().encode() + b"\n"
+    line = record.sealed_json() + b"\n"
     with exclusive(path.with_name(f".{path.name}.lock")), storage_errors(path, len(line)):
         if path.exists():
             require_regular(path)
@@ -259,12 +271,17 @@ def _parse(path: Path, number: int, line: bytes) -> RunRecord | BenchRecord:
     try:
         return kind.model_validate_json(line)
     except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(map(str, fault["loc"]))
         raise DataError(
-            f"{path}, line {number}, is no run record: {place + ': ' if place else ''}{fault['msg']}. "
+            f"{path}, line {number}, is no run record: {fault_of_fields(error)}. "
             "Delete the line; the run it stood for is then run again."
         ) from error
+
+
+def fault_of_fields(error: ValidationError) -> str:
+    """The first field that was refused, and why: `job.seed: Input should be a valid integer`."""
+    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    place = ".".join(map(str, fault["loc"]))
+    return f"{place}: {fault['msg']}" if place else fault["msg"]
 
 
 def machine_and_time(versions: Mapping[str, str] | None = None) -> dict[str, Any]:

@@ -27,8 +27,8 @@ def data_statement(board: Board) -> str:
     parts = [f"{board.pas_kind} maps"]
     if "solver" in settings:
         parts.append(f"{settings['solver']} solver")
-    if "interactions" in settings:
-        parts.append(" and ".join(settings["interactions"]) or "no interactions")
+    if isinstance(settings.get("interactions"), list):
+        parts.append(" and ".join(map(str, settings["interactions"])) or "no interactions")
     if "max_depth" in settings:
         parts.append(f"depth {settings['max_depth']}")
     return f"Data set `{board.dataset_sha256[:16]}`: {', '.join(parts)}"

@@ -76,7 +76,7 @@ def _by_carrier(records: Sequence[RunRecord]) -> list[list[float]]:
     medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
     carriers = sorted(medians[0], key=float)
     return [
-        [float(carrier) / 1e9, _rounded(float(np.mean([each[carrier] for each in medians])))]
+        [float(carrier) / 1e9, _rounded(float(np.mean([each.get(carrier, nan) for each in medians])))]
         for carrier in carriers
     ]
 

@@ -1,0 +1,39 @@
+"""Stored models that carry the hash of their own content, so that a line changed by hand is noticed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from pydantic import BaseModel, model_validator
+from pydantic_core import from_json
+
+SEAL = "content_sha256"  # the last field of the JSON, and no field of the model
+
+
+class SealedModel(BaseModel):
+    """A model that `sealed_json` writes with its hash, and that is refused where its hash is that of other content.
+
+    JSON without a hash, as earlier versions wrote it, is read as it is.
+    """
+
+    def sealed_json(self) -> bytes:
+        """The model as JSON on one line, its hash last."""
+        content = self.model_dump_json()
+        return f'{content[:-1]},"{SEAL}":"{content_sha256(from_json(content))}"}}'.encode()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_sealed(cls, fields: Any) -> Any:
+        if not isinstance(fields, dict) or SEAL not in fields:
+            return fields
+        content = {name: value for name, value in fields.items() if name != SEAL}
+        if fields[SEAL] != content_sha256(content):
+            raise ValueError(f"it was changed after it was written, for its {SEAL} is that of other content")
+        return content
+
+
+def content_sha256(content: dict[str, Any]) -> str:
+    """Hash of values of JSON, whatever the order of their keys and the space between them."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
