@@ -1,0 +1,132 @@
+"""The commands that are disturbed, and the small data that they work on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.hdf5 import Variable, create_sealed
+from xfreqbench.data.splits import make_splits
+from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
+from xfreqbench.units import ghz_to_hz
+
+_TRACE = "--rays 20000 --max-depth 3 -q"
+_LOFO = "--data inputs/data.h5 --protocol lofo --targets 24.25"
+
+
+def _preset(*methods: str) -> Preset:
+    block = Block("two_rooms", "lofo", tuple(map(Setting, methods)), "3steps", targets_ghz=(24.25,))
+    return Preset("a disturbed benchmark", (block,), "nearly everything", {"two_rooms": 12})
+
+
+_PRESETS = {"chaos": _preset("nearest", "aperture-gs"), "rival": _preset("mean-over-frequency")}
+
+
+def use_small_presets() -> None:
+    """Let this process know two presets of a few seconds each, which `benchmark` is disturbed with."""
+    cast("dict[str, Preset]", PRESETS).update(_PRESETS)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command line, given in a folder that has `inputs`; it writes nothing but the paths in `outputs`.
+
+    `rival` writes something else to the same outputs.
+    """
+
+    name: str
+    line: str
+    outputs: tuple[str, ...]
+    rival: str
+
+    @property
+    def words(self) -> list[str]:
+        """The words of the command line."""
+        return self.line.split()
+
+
+def _generate(solver: str, freqs: str, num_tx: int) -> str:
+    return f"generate two_rooms --solver {solver} --freqs {freqs} --tx {num_tx} {_TRACE} -o out.h5"
+
+
+def _run(methods: str, more: str = "") -> str:
+    return f"run {_LOFO} --method {methods} --budget 6steps -q --results results {more}".strip()
+
+
+COMMANDS = (
+    Command(
+        "generate, image", _generate("image", "1,24.25", 80), ("out.h5",), _generate("image", "2.4,60", 80)
+    ),
+    Command(
+        "generate, sionna", _generate("sionna", "1,24.25", 40), ("out.h5",), _generate("sionna", "5,60", 40)
+    ),
+    Command("run", _run("nearest,aperture-gs"), ("results",), _run("mean-over-frequency")),
+    Command("run, two processes", _run("nearest,xfreq-gs", "--executor 2"), ("results",), _run("nearest")),
+    Command(
+        "benchmark",
+        "benchmark --preset chaos --data data --results results --executor 2 -q",
+        ("data", "results"),
+        "benchmark --preset rival --data data --results results --executor 2 -q",
+    ),
+    Command(
+        "report",
+        "report inputs/results -o board.md --html board.html -q",
+        ("board.md", "board.html", "figures"),
+        "report inputs/fewer -o board.md --html board.html -q",
+    ),
+    Command(
+        "import",
+        "import inputs/maps -o out.h5 --convention xfreq-gs --set plane=xy -q",
+        ("out.h5",),
+        "import inputs/maps -o out.h5 --convention xfreq-gs --set plane=xy --set rows=ascending -q",
+    ),
+    Command(
+        "export",
+        "export inputs/small.h5 -o out --convention xfreq-gs --set plane=xy -q",
+        ("out",),
+        "export inputs/small.h5 -o out --convention wrf-gs --set plane=xy -q",
+    ),
+    Command(
+        "score",
+        "score inputs/predictions.h5 --data inputs/data.h5 --results results -q",
+        ("results",),
+        "score inputs/predictions.h5 --data inputs/data.h5 --results results --method other -q",
+    ),
+    Command("view", "view inputs/small.h5 -o seen -q", ("seen",), "view inputs/data.h5 -o seen -q"),
+    Command(
+        "findings",
+        "findings inputs/results --data inputs/data.h5 -o found -q",
+        ("found",),
+        "view inputs/small.h5 -o found -q",
+    ),
+)
+
+
+def prepare(folder: Path, give: Callable[[str], None]) -> None:
+    """Make `folder/inputs`; `give` gives a command line in `folder`, and raises where it fails."""
+    (folder / "inputs").mkdir(parents=True)
+    generated = "--freqs 2.4,24.25,77 --solver image"
+    give(f"generate two_rooms {generated} --tx 40 {_TRACE} -o inputs/data.h5")
+    give(f"generate two_rooms {generated} --tx 4 {_TRACE} -o inputs/small.h5")
+    give("export inputs/small.h5 -o inputs/maps --convention xfreq-gs --set plane=xy -q")
+    run = f"run {_LOFO} --budget 3steps -q"
+    give(f"{run} --method mean-over-frequency --results inputs/fewer")
+    give(f"{run} --method nearest,virtual-source --results inputs/results")
+    _write_predictions(folder / "inputs" / "data.h5", folder / "inputs" / "predictions.h5")
+
+
+def _write_predictions(data: Path, path: Path) -> None:
+    """Predictions of one split as other programs hand them in: noise, for nobody looks at its scores."""
+    dataset = open_dataset(data)
+    (split,) = make_splits(dataset, "lofo", [ghz_to_hz(24.25)])
+    shape = (len(split.test), *dataset.grid.shape)
+    maps = np.random.default_rng(0).random(shape, np.float32)
+    told = {"split_sha256": split.sha256, "method": "noise"}
+    pas = Variable(f"{split.name}/pas", "<f4", shape, (), "1", "predicted map")
+    with create_sealed(path, [pas], {}, {split.name: told}) as writer:
+        writer.append(pas.name, maps / maps.max(axis=(1, 2), keepdims=True))
