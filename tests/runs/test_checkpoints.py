@@ -220,6 +220,20 @@ def _raise_interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
+def test_a_link_in_a_checkpoints_place_is_not_followed(folder: CheckpointFolder, tmp_path: Path) -> None:
+    somebodys = tmp_path / "chapters"
+    (somebodys / "1").mkdir(parents=True)
+    (somebodys / "1" / "thesis.tex").write_text("years of work", encoding="utf-8")
+    folder.path.parent.mkdir(parents=True, exist_ok=True)
+    folder.path.symlink_to(somebodys, target_is_directory=True)
+    with pytest.raises(DataError, match="symbolic link"):
+        folder.read()
+    with pytest.raises(DataError, match="symbolic link"):
+        save(folder, 2)
+    folder.remove()
+    assert (somebodys / "1" / "thesis.tex").exists() and not folder.path.is_symlink()
+
+
 def test_a_checkpoint_of_another_job_is_refused(folder: CheckpointFolder) -> None:
     save(folder, 1)
     with pytest.raises(DataError, match=r"checkpoints/abc belongs to job abc, not to xyz\. Delete"):

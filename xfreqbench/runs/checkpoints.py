@@ -123,6 +123,8 @@ class CheckpointFolder:
                 remove(removed)
 
     def _numbers(self) -> list[int]:
+        if self.path.is_symlink():  # numbered folders are removed here, and this one may be anybody's
+            raise self._refusal("is a symbolic link, which is not followed")
         names = [path.name for path in self.path.glob("*")]
         return sorted(int(name) for name in names if name.isascii() and name.isdigit())
 
