@@ -36,8 +36,17 @@ def test_bad_input_is_refused_before_any_ray() -> None:
         plan_generation(office, [1e9], pas_kind="powr")
     with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
         plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
-    with pytest.raises(XFreqBenchError, match="depth"):
-        plan_generation(office, [1e9], TraceSettings(max_depth=-1))
+    for settings, message in (
+        (TraceSettings(max_depth=-1), "depth is -1; give a number from 0 to 16"),
+        (TraceSettings(max_depth=1_000_000), "depth is 1,000,000; give a number from 0 to 16"),
+        (
+            TraceSettings(rays=10**12),
+            "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000",
+        ),
+        (TraceSettings(seed=2**32), "seed is 4,294,967,296; give a number from 0 to 4,294,967,295"),
+    ):
+        with pytest.raises(XFreqBenchError, match=message):
+            plan_generation(office, [1e9], settings)
 
 
 def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(

@@ -10,8 +10,9 @@ from PIL import Image
 from png_folders import TRANSMITTERS, imported, levels, read, write_folder
 from synthetic import write_dataset
 
-from xfreqbench.data.dataset import verify
+from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.exchange import png_dataset
 from xfreqbench.exchange.png_dataset import import_png_folder
 
 
@@ -111,3 +112,16 @@ def test_a_map_that_is_nowhere_white_has_peak_1_and_its_own_peak_power(tmp_path:
     dataset = imported(folder, tmp_path / "data.h5")
     assert dataset.pas([0]).max() == 1  # sample 3 comes first
     np.testing.assert_allclose(dataset.peak_power, [(127 / 255) ** 2, 1, 1, 1])  # amplitude, squared
+
+
+def test_large_maps_are_imported_a_transmitter_at_a_time_with_the_same_outcome(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = read(write_folder(tmp_path / "small"))
+    together, apart = tmp_path / "together.h5", tmp_path / "apart.h5"
+    import_png_folder(source, together)
+    monkeypatch.setattr(png_dataset, "_MAX_PIXELS", 1)
+    done: list[int] = []
+    import_png_folder(source, apart, lambda number, total: done.append(number))
+    assert done == list(range(1, len(TRANSMITTERS) + 1))
+    assert open_dataset(together).sha256 == open_dataset(apart).sha256

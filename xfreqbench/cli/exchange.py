@@ -53,7 +53,7 @@ def import_(
     Parameters
     ----------
     folder
-        Holds spectrum/00001.png, …, tx_pos.csv, gateway_info.yml and mostly freq.txt.
+        Holds spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and mostly freq.txt.
     """
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder

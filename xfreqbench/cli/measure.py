@@ -18,6 +18,8 @@ BenchOutput = Annotated[
     ),
 ]
 
+_MAX_GAUSSIANS, _MAX_BATCH = 1_000_000, 1000
+
 
 def _bench(
     name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object
@@ -101,15 +103,15 @@ def bench_generate(
 @bench.command(name="render")
 def bench_render(
     *,
-    gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, comma-separated.")] = "1000,4000,16000",
-    batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated.")] = "1,8,32",
+    gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, up to 1000000.")] = "1000,4000,16000",
+    batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated, up to 1000.")] = "1,8,32",
     step: Annotated[bool, Parameter(help="Also take the training step of xfreq-gs apart.")] = True,
     output: BenchOutput = None,
 ) -> None:
     """Print the speed of splatting and training, with errors, against dense rendering."""
     from xfreqbench.bench import rendering
 
-    numbers = _counts("--gaussians", gaussians), _counts("--batch", batch)
+    numbers = _counts("--gaussians", gaussians, _MAX_GAUSSIANS), _counts("--batch", batch, _MAX_BATCH)
     bench = _bench("render", output, gaussians=gaussians, batch=batch, no_step=not step)
     rendering.bench_render(bench, *numbers, step)
 
@@ -147,10 +149,12 @@ def bench_load(
     load.bench_load(_bench("load", output, methods=",".join(names)), names)
 
 
-def _counts(option: str, text: str) -> list[int]:
+def _counts(option: str, text: str, most: int) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and len(part) < 10 and int(part) > 0 for part in parts):
-        raise XFreqBenchError(f"{option} takes whole numbers from 1 on, as in 1,8,32, but got {text!r}.")
+    if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):
+        raise XFreqBenchError(
+            f"{option} takes whole numbers from 1 to {most}, as in 1,8,32, but got {text!r}."
+        )
     return [int(part) for part in parts]
 
 

@@ -14,6 +14,7 @@ instead of them after an import.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import metadata
@@ -43,6 +44,7 @@ from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, ProgressCallback, ignore_progress
 
 _BATCH = 16  # transmitters, or maps to export, that are in memory at once
+_MAX_PIXELS = 30_000_000  # of the transmitters that are in memory at once
 
 
 def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback = ignore_progress) -> bool:
@@ -54,9 +56,10 @@ def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback 
     header = _header(source)
     if holds_same_job(path, header.job_sha256(source.tx_position_m), "data set"):
         return False
+    batch = max(1, min(_BATCH, _MAX_PIXELS // (len(source.carrier_hz) * math.prod(source.grid.shape))))
     with PasWriter(path, header, source.grid) as writer:
-        for start in range(0, header.num_tx, _BATCH):
-            part = slice(start, start + _BATCH)
+        for start in range(0, header.num_tx, batch):
+            part = slice(start, start + batch)
             positions = source.tx_position_m[part]
             samples = SampleBlock.of_maps(*source.maps(part))
             writer.append(positions, np.ones(len(positions), bool), samples)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.errors import DataError
-from xfreqbench.system.files import storage_errors
+from xfreqbench.system.files import require_regular, storage_errors
 
 BRIGHTEST = 255
+MAX_PIXELS = 1_000_000  # a map with a step of a fifth of a degree has 810,000
 Levels = UInt8[NDArray[np.uint8], "R C"]
 
 
@@ -43,11 +44,25 @@ def write_levels(path: Path, levels: Levels) -> None:
 
 
 def _opened(path: Path) -> Image.Image:
+    """The image in a file, of which only the header is read yet; raises `DataError`, also where it is too large."""
     try:
-        return Image.open(io.BytesIO(path.read_bytes()), formats=["PNG"])
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
+            image = Image.open(require_regular(path), formats=["PNG"])
+    except Image.DecompressionBombError as error:
+        raise _too_large(path) from error
+    except (OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from error
+    if image.width * image.height > MAX_PIXELS:
+        image.close()
+        raise _too_large(path)
+    return image
+
+
+def _too_large(path: Path) -> DataError:
+    return DataError(f"{path} has more than {MAX_PIXELS:,} pixels, the most of a map. Export it with fewer.")
 
 
 def _unreadable(path: Path, error: Exception) -> DataError:
-    return DataError(f"{path} cannot be read as a PNG ({error}). Fetch the file again.")
+    fault = getattr(error, "strerror", None) or error
+    return DataError(f"{path} cannot be read as a PNG ({fault}). Fetch the file again.")

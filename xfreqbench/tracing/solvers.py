@@ -10,7 +10,16 @@ from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
-from xfreqbench.tracing.tracer import INTERACTIONS, Interaction, SolverName, Tracer, TraceSettings
+from xfreqbench.tracing.tracer import (
+    INTERACTIONS,
+    MAX_DEPTH,
+    MAX_RAYS,
+    MAX_SEED,
+    Interaction,
+    SolverName,
+    Tracer,
+    TraceSettings,
+)
 
 
 def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
@@ -27,13 +36,13 @@ def check_settings(settings: TraceSettings) -> None:
     if settings.solver not in get_args(SolverName):
         raise UnknownNameError("solver", settings.solver, get_args(SolverName))
     interactions_named(settings.interactions)
-    for name, value, least in (
-        ("depth", settings.max_depth, 0),
-        ("number of rays", settings.rays, 1),
-        ("seed", settings.seed, 0),
+    for name, value, least, most in (
+        ("depth", settings.max_depth, 0, MAX_DEPTH),
+        ("number of rays", settings.rays, 1, MAX_RAYS),
+        ("seed", settings.seed, 0, MAX_SEED),
     ):
-        if value < least:
-            raise XFreqBenchError(f"The {name} is {value}; give at least {least}.")
+        if not least <= value <= most:
+            raise XFreqBenchError(f"The {name} is {value:,}; give a number from {least} to {most:,}.")
 
 
 def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings:

@@ -16,6 +16,8 @@ from xfreqbench.types import FloatArray
 Interaction = Literal["specular", "refraction", "diffraction", "diffuse"]
 INTERACTIONS: tuple[Interaction, ...] = get_args(Interaction)
 SolverName = Literal["auto", "image", "sionna"]
+MAX_DEPTH, MAX_RAYS = 16, 10_000_000  # with both at once, paths fill some gigabytes of memory
+MAX_SEED = 2**32 - 1  # Sionna's are of 32 bits
 
 
 @dataclass(frozen=True)

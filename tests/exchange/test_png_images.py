@@ -1,0 +1,26 @@
+"""What a single PNG of a map may be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from xfreqbench.errors import DataError
+from xfreqbench.exchange.png_images import MAX_PIXELS, read_levels, shape_of
+
+
+@pytest.mark.parametrize("side", [1001, 12_000, 20_000])  # Pillow warns of the second, and refuses the third
+def test_a_map_of_too_many_pixels_is_refused_before_it_takes_memory(tmp_path: Path, side: int) -> None:
+    path = tmp_path / "00001.png"
+    Image.new("L", (side, side)).save(path)
+    for read in (shape_of, read_levels):
+        with pytest.raises(DataError, match=f"00001\\.png has more than {MAX_PIXELS:,} pixels"):
+            read(path)
+
+
+def test_a_map_of_as_many_pixels_as_may_be_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "00001.png"
+    Image.new("L", (1000, MAX_PIXELS // 1000)).save(path)
+    assert shape_of(path) == read_levels(path).shape == (1000, 1000)
