@@ -12,6 +12,8 @@ from cyclopts import App
 from xfreqbench.cli.main import app
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.exchange.png_images import MAX_PIXELS
+from xfreqbench.tracing.tracer import MAX_DEPTH, MAX_RAYS
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
 
@@ -81,6 +83,28 @@ def test_a_dry_run_prints_counts_size_and_time_and_writes_nothing(tmp_path: Path
     assert "20 samples" in done.stdout
     assert "estimated time" in done.stdout
     assert not output.exists()
+
+
+def test_a_dry_run_checks_the_executor_without_starting_any(tmp_path: Path) -> None:
+    words = f"generate empty --tx 10 --freqs 1,94 --dry-run -o {tmp_path / 'x.h5'} --executor".split()
+    refused = xfreqbench(*words, "many")
+    assert refused.returncode == 2
+    assert "--executor takes serial, a number of processes" in refused.stderr
+    assert xfreqbench(*words, "dask://nowhere:8786").returncode == 0
+
+
+def test_limits_are_in_the_help() -> None:
+    for command, limits in (("generate", (MAX_DEPTH, MAX_RAYS)), ("import", (MAX_PIXELS,))):
+        helped = " ".join(xfreqbench(command, "--help").stdout.split())
+        for limit in limits:
+            assert f"{limit:,}" in helped
+
+
+@pytest.mark.parametrize("words", ["--gaussians 1000001", "--batch 8,1001"])
+def test_measurements_that_would_fill_the_memory_are_refused(words: str) -> None:
+    refused = xfreqbench("bench", "render", *words.split())
+    assert refused.returncode == 2
+    assert "takes whole numbers from 1 to 100" in refused.stderr
 
 
 def test_carriers_are_read_in_gigahertz() -> None:

@@ -67,9 +67,9 @@ def generate(
     ] = None,
     solver: Solver = "auto",
     interactions: Interactions = DEFAULT_INTERACTIONS,
-    rays: Annotated[int, Parameter(help="Rays that look for paths.")] = 500_000,
+    rays: Annotated[int, Parameter(help="Rays that look for paths, 10,000,000 at most.")] = 500_000,
     max_depth: Annotated[
-        int, Parameter(help="Most interactions of a path, reflections and transmissions together.")
+        int, Parameter(help="Most interactions of a path, reflections and transmissions together; up to 16.")
     ] = 6,
     seed: Annotated[int, Parameter(help="Seed of the rays and of the choice of transmitters.")] = 1,
     pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
@@ -93,10 +93,11 @@ def generate(
     from xfreqbench.data.generate import estimate_seconds, generate_planned
     from xfreqbench.data.plan import plan_generation
     from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.workers import open_workers
+    from xfreqbench.system.workers import open_workers, require_executor
     from xfreqbench.tracing.solvers import interactions_named
     from xfreqbench.tracing.tracer import TraceSettings
 
+    require_executor(executor)
     if tx is not None and tx_positions is not None:
         raise XFreqBenchError(
             "--tx chooses from the scene's grid and --tx-positions replaces it; give one of them."
@@ -196,12 +197,12 @@ def plot(
 
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.maps.bartlett import power_of
-    from xfreqbench.report.drawing.figures import plot_pas_maps, require_own_png
+    from xfreqbench.report.drawing.figures import plot_pas_maps, require_own_figure
     from xfreqbench.units import format_ghz
 
     if output.suffix != ".png":
         raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
-    require_own_png(output)
+    require_own_figure(output)
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
         raise XFreqBenchError(

@@ -53,15 +53,22 @@ def open_workers(executor: str, *, is_fresh: bool = False) -> AbstractContextMan
     With `is_fresh`, every call on this machine is made in a new process. Raises `XFreqBenchError` for any other
     text, and what `xfreqbench.system.cluster.dask_workers` raises.
     """
+    require_executor(executor)
     if executor == SERIAL:
         return nullcontext(HERE)
-    if executor.isdecimal() and len(executor) < 5 and int(executor) > 0:
+    if executor.isdecimal():
         return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh)
-    if re.fullmatch(rf"{SCHEME}[^\s/]+:\d{{1,5}}", executor):
-        return dask_workers(executor)
-    raise XFreqBenchError(
-        f"--executor takes serial, a number of processes, or {SCHEME}host:port of a scheduler, but got {executor!r}."
-    )
+    return dask_workers(executor)
+
+
+def require_executor(executor: str) -> None:
+    """Raise `XFreqBenchError` for a text that names no workers; none are started or looked for."""
+    is_number = executor.isdecimal() and len(executor) < 5 and int(executor) > 0
+    if not (executor == SERIAL or is_number or re.fullmatch(rf"{SCHEME}[^\s/]+:\d{{1,5}}", executor)):
+        raise XFreqBenchError(
+            f"--executor takes serial, a number of processes, or {SCHEME}host:port of a scheduler, but got "
+            f"{executor!r}."
+        )
 
 
 def side_by_side(

@@ -102,3 +102,18 @@ def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="is a folder"):
         write_report(tmp_path, tmp_path)
     assert not (tmp_path / "figures").exists()
+
+
+def test_a_figure_of_somebody_else_is_left_and_named(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    theirs = tmp_path / "figures" / "office-lofo-aaaaaaaa-time.svg"
+    theirs.parent.mkdir()
+    theirs.write_bytes(b"<svg>mine</svg>")
+    with pytest.raises(OutputExistsError, match=r"aaaaaaaa-time\.svg exists and is no figure of"):
+        write_report(tmp_path, tmp_path / "BENCHMARK.md")
+    assert theirs.read_bytes() == b"<svg>mine</svg>"
+    assert [path.name for path in theirs.parent.iterdir()] == [theirs.name]
+    assert not (tmp_path / "BENCHMARK.md").exists()
+    theirs.unlink()
+    for _ in range(2):
+        assert theirs in write_report(tmp_path, tmp_path / "BENCHMARK.md").paths

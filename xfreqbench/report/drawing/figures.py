@@ -18,7 +18,7 @@ from PIL import Image
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
 
-_SOFTWARE = "xfreqbench"  # the mark in our PNG files, by which they are known when they are written over
+_SOFTWARE = "xfreqbench"  # the mark in our figures, by which they are known when they are written over
 _MAX_DISCS = 5  # maps side by side
 _DISPLAY_RANGE_DB = 30.0
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
@@ -83,20 +83,22 @@ def draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: Angul
     return image
 
 
-def require_own_png(path: Path) -> None:
-    """Raise `OutputExistsError` where `path` holds anything but a PNG that `save_figure` wrote."""
-    require_own(path, lambda file: None if _is_own_png(file) else "is no figure of xfreqbench")
+def require_own_figure(path: Path) -> None:
+    """Raise `OutputExistsError` where `path` holds anything but a figure that `save_figure` wrote."""
+    require_own(path, lambda file: None if _is_own_figure(file) else "is no figure of xfreqbench")
 
 
-def _is_own_png(path: Path) -> bool:
+def _is_own_figure(path: Path) -> bool:
     with path.open("rb") as file:
-        head = file.read(256)  # the chunk that names the software follows the image's size
+        head = file.read(1024)  # which holds the metadata, after the image's size
+    if path.suffix == ".svg":
+        return f"<dc:title>{_SOFTWARE}</dc:title>".encode() in head
     return head.startswith(b"\x89PNG") and b"Software\0" + _SOFTWARE.encode() in head
 
 
 def save_figure(figure: Figure, path: Path, kind: str) -> None:
     """Write a figure to a file of `kind` `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
-    metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": _SOFTWARE}
+    metadata = {"Date": None, "Creator": _SOFTWARE} if kind == "svg" else {"Software": _SOFTWARE}
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
     with mpl.rc_context(fixed), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

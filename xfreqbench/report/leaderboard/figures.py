@@ -28,6 +28,15 @@ def bench_figure(record: BenchRecord) -> str:
     return f"{FIGURES_FOLDER}/bench-{slug}.svg"
 
 
+def require_own_figures(boards: Iterable[Board], benches: Iterable[BenchRecord], folder: Path) -> None:
+    """Raise `OutputExistsError` where a figure of the report in `folder` would replace what is none of ours."""
+    from xfreqbench.report.drawing.figures import require_own_figure
+
+    links = [link for board in boards for link in figure_links(board).values()]
+    for link in [*links, *(bench_figure(record) for record in benches if record.figure)]:
+        require_own_figure(folder / link)
+
+
 def draw_board(board: Board, folder: Path) -> list[Path]:
     """Draw a board's figures and return their paths; `folder` holds the report. Raises `StorageError`."""
     draw = {"cdf": _draw_cdf, "time": _draw_curves}

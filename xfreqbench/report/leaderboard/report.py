@@ -18,7 +18,13 @@ from xfreqbench.report.leaderboard.captions import (
 )
 from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison, Resampling
-from xfreqbench.report.leaderboard.figures import bench_figure, draw_bench, draw_board, figure_links
+from xfreqbench.report.leaderboard.figures import (
+    bench_figure,
+    draw_bench,
+    draw_board,
+    figure_links,
+    require_own_figures,
+)
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_section
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -66,10 +72,12 @@ def write_report(results: Path, output_md: Path) -> WrittenReport:
     """Write a Markdown report and its figures from `results`: a results folder, or one file of records.
 
     In an existing report only the text between the two marker comments is replaced. Raises `DataError` where there
-    are no records and as `boards` does, `OutputExistsError` where `output_md` is another file, and `StorageError`.
+    are no records and as `boards` does, `OutputExistsError` where `output_md` or a figure is another file, and
+    `StorageError`.
     """
     found = read_results(results)
     before, after = _kept_text(output_md)
+    require_own_figures(found.boards, found.benches, output_md.parent)
     figures = [path for board in found.boards for path in draw_board(board, output_md.parent)]
     figures += [draw_bench(record, output_md.parent) for record in found.benches if record.figure]
     generated = report_markdown(found.boards, found.benches)
