@@ -4,6 +4,11 @@ The names of `__init__.pyi` are the public interface, described in docs/api.md; 
 used. Everything else may change.
 """
 
+import os
+
 import lazy_loader as lazy
 
+os.environ.setdefault(
+    "OMP_WAIT_POLICY", "passive"
+)  # before OpenMP starts: waiting threads leave cores to others
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
