@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,11 +18,17 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
 
 _SOFTWARE = "xfreqbench"  # the mark in our figures, by which they are known when they are written over
 _MAX_DISCS = 5  # maps side by side
 _DISPLAY_RANGE_DB = 30.0
+_MAX_LETTERS = 80  # of a text in a figure
+_UNKNOWN_LETTERS = (
+    "Glyph|Matplotlib currently does not support"  # warnings; whoever shows an SVG may know them
+)
+mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
 
 
@@ -39,7 +47,7 @@ def plot_pas_maps(
         axis.set_visible(False)
     for axis, pas_map, title in zip(axes, maps, titles, strict=False):
         image = draw_disc(axis, pas_map, grid)
-        axis.set_title(title, fontsize="medium")
+        axis.set_title(shown(title), fontsize="medium")
     figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
     save_figure(figure, path, "png")
 
@@ -53,6 +61,21 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     buffer = BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
+
+
+def shown(text: str) -> str:
+    """A text from outside as a figure shows it: one line, not too long, and in the legend whatever it begins with."""
+    line = plain(text)
+    cut = line if len(line) <= _MAX_LETTERS else f"{line[: _MAX_LETTERS - 1]}…"
+    return f" {cut}" if cut.startswith("_") else cut  # Matplotlib hides labels that begin with an underscore
+
+
+@contextmanager
+def any_letters() -> Iterator[None]:
+    """A block in which letters that the font lacks are drawn as boxes, without a warning."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", _UNKNOWN_LETTERS)
+        yield
 
 
 def label_decades(axis: Any) -> None:
@@ -100,5 +123,5 @@ def save_figure(figure: Figure, path: Path, kind: str) -> None:
     """Write a figure to a file of `kind` `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
     metadata = {"Date": None, "Creator": _SOFTWARE} if kind == "svg" else {"Software": _SOFTWARE}
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
-    with mpl.rc_context(fixed), atomic_path(path) as temporary, storage_errors(path):
+    with mpl.rc_context(fixed), any_letters(), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

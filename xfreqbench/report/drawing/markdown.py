@@ -1,20 +1,65 @@
-"""Tables and numbers as Markdown whose columns are also aligned in a terminal."""
+"""Tables, texts and numbers as Markdown, aligned for a terminal too. Text from outside is never markup in it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
 from math import isnan
 
 ABSENT = "–"
 _NUMBER_LIKE = re.compile(r"[-−–+±=∞]|\d|$")  # the beginning of a cell that is aligned to the right
+_MARKUP = re.compile(
+    r"[\\`*$~]"  # escapes, code, emphasis, formulas, struck text
+    r"|(?<=\])\("  # the address of a link or picture
+    r"|<(?=[A-Za-z/!?])|&(?=#?\w+;)"  # tags, comments, addresses, entities
+    r"|(?<![^\W_])_|_(?![^\W_])"  # emphasis; not within a word
+)
+_BLOCK_START = re.compile(r"([>+=\[-]|\d+(?=[.)]))")
+_CODE = re.compile("(`[^`]+`)")
 
 Cells = Sequence[str]
 
 
-def table(header: Cells, rows: Iterable[Cells]) -> str:
-    """A Markdown table: the first column and columns of words aligned to the left, columns of numbers to the right."""
-    lines = [[cell.replace("|", "\\|") for cell in row] for row in (header, *rows)]
+def plain(text: str) -> str:
+    """A text on one line: blanks in place of line ends, control characters and marks that turn the direction."""
+    return "".join(
+        " " if unicodedata.category(each)[0] == "C" or each in "\u2028\u2029" else each for each in text
+    )
+
+
+def literal(text: str) -> str:
+    """A text as Markdown that shows it as it is, within a line or a cell: no tag, link, code or emphasis."""
+    return _MARKUP.sub(_escaped, plain(text))
+
+
+def prose(text: str) -> str:
+    """As `literal`, but what stands between backticks is code."""
+    parts = _CODE.split(plain(text))
+    return "".join(part if index % 2 else literal(part) for index, part in enumerate(parts))
+
+
+def heading(text: str) -> str:
+    """As `literal`, for a heading or the words of a picture."""
+    return re.sub(r"[#\[\]]", r"\\\g<0>", literal(text))
+
+
+def paragraph(text: str, inline: Callable[[str], str] = literal) -> str:
+    """As `inline`, for a paragraph of its own, which is no list, quotation or heading whatever it begins with."""
+    shown = inline(text).lstrip().replace("#", "\\#")
+    start = _BLOCK_START.match(shown)
+    if not start:
+        return shown
+    number = start[0] if start[0].isdecimal() else ""
+    return f"{number}\\{shown[len(number) :]}"
+
+
+def table(header: Cells, rows: Iterable[Cells], inline: Callable[[str], str] = literal) -> str:
+    """A Markdown table: the first column and columns of words aligned to the left, columns of numbers to the right.
+
+    `inline`, either `literal` or `prose`, makes Markdown of a cell.
+    """
+    lines = [[inline(cell).replace("|", "\\|") for cell in row] for row in (header, *rows)]
     columns = list(zip(*lines, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
     right = [index > 0 and all(map(_NUMBER_LIKE.match, column[1:])) for index, column in enumerate(columns)]
@@ -39,6 +84,10 @@ def with_interval(value: float, interval: tuple[float, float], decimals: int) ->
 def seconds(value: float) -> str:
     """Seconds with three digits and at most two decimals: `0.01 s`, `4.69 s`, `75 s`, `1200 s`."""
     return f"{value:.2f} s" if value < 1 else f"{value:.3g} s" if value < 1000 else f"{value:.0f} s"
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return {"<": "&lt;", "&": "&amp;"}.get(found[0], f"\\{found[0]}")
 
 
 def _aligned(row: Cells, widths: Sequence[int], right: Sequence[bool]) -> str:

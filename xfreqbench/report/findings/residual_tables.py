@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
-from xfreqbench.report.drawing.markdown import number, table, with_interval
+from xfreqbench.report.drawing.markdown import heading, literal, number, table, with_interval
 from xfreqbench.report.findings.residual import DRAW_SEED, Residual, rows_by_transmitter
 from xfreqbench.report.findings.true_paths import FOUND_DISTANCE_M, FOUND_TILT_RAD
 from xfreqbench.system.files import require_own, require_space, write_text
@@ -73,8 +73,8 @@ def note(residual: Residual) -> str:
 def write_residual(residual: Residual, path: Path) -> None:
     """Write both tables and the note as Markdown; raises what `claim` raises, and `StorageError`."""
     claim(path, residual.compared.record.id)
-    heading = f"# Residual of {residual.compared.title}"
-    parts = [heading, table(*score_rows(residual)), table(*group_rows(residual)), note(residual)]
+    title = f"# Residual of {heading(residual.compared.title)}"
+    parts = [title, table(*score_rows(residual)), table(*group_rows(residual)), literal(note(residual))]
     write_text(path, "\n\n".join(parts) + "\n")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.report.drawing.glb import write_glb
-from xfreqbench.report.drawing.markdown import ABSENT, number, table
+from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.figures import DrawnPlane, DrawnScene, plot_reflection, plot_scene
 from xfreqbench.report.findings.match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
@@ -119,7 +119,7 @@ def _markdown(comparison: ComparedFindings) -> str:
     )
     header, rows = missing_rows(comparison)
     parts = [
-        f"# Findings of {comparison.title}",
+        f"# Findings of {heading(comparison.title)}",
         legend,
         table(*plane_rows(comparison)),
         *([table(header, rows)] if rows else []),

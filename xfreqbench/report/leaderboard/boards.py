@@ -23,6 +23,7 @@ from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 Configured = tuple[str, str, str | None]  # label, config as JSON, hash of the code
 Runs = dict[tuple[str, int], RunRecord]  # by split and seed
 GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
+_MAX_STEM_BYTES = 150  # a name of a file may have 255
 Quantity = Callable[[RunRecord], float]
 
 
@@ -126,7 +127,8 @@ class Board:
     @property
     def slug(self) -> str:
         """What the file names of its figures begin with."""
-        return re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}-{self.dataset_sha256[:8]}")
+        named = file_stem(re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}"))
+        return f"{named}-{self.dataset_sha256[:8]}"
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of a trivial predictor on a split; nan where none was run."""
@@ -173,6 +175,11 @@ def boards(records: Iterable[RunRecord]) -> list[Board]:
     return sorted(
         grouped, key=lambda board: (board.scene, board.dataset_sha256, order.get(board.protocol, len(order)))
     )
+
+
+def file_stem(text: str) -> str:
+    """The beginning of a text that is short enough for the name of a file."""
+    return text.encode()[:_MAX_STEM_BYTES].decode("utf-8", "ignore")
 
 
 def median_ssim(record: RunRecord) -> float:

@@ -31,7 +31,8 @@ def data_statement(board: Board) -> str:
         parts.append(" and ".join(map(str, settings["interactions"])) or "no interactions")
     if "max_depth" in settings:
         parts.append(f"depth {settings['max_depth']}")
-    return f"Data set `{board.dataset_sha256[:16]}`: {', '.join(parts)}"
+    told = ", ".join(parts).replace("`", "'")  # backticks are ours
+    return f"Data set `{board.dataset_sha256[:16]}`: {told}"
 
 
 def origin_statement(board: Board) -> str:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, file_stem, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.learning_curves import Reached, best_trivial, learning_curves, split_front
 from xfreqbench.runs.records import BenchRecord
 
@@ -24,7 +24,7 @@ def figure_links(board: Board) -> dict[str, str]:
 
 def bench_figure(record: BenchRecord) -> str:
     """The link from the report to a measurement's figure."""
-    slug = re.sub(r"\W+", "-", f"{record.bench} {record.title}".lower()).strip("-")
+    slug = file_stem(re.sub(r"\W+", "-", f"{record.bench} {record.title}".lower())).strip("-")
     return f"{FIGURES_FOLDER}/bench-{slug}.svg"
 
 

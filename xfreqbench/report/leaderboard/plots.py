@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from xfreqbench.report.drawing.figures import label_decades, save_figure
+from xfreqbench.report.drawing.figures import any_letters, label_decades, save_figure, shown
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 
@@ -47,10 +48,13 @@ def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path) ->
     for axis, (title, curves) in zip(axes, panels.items(), strict=True):
         for label, quantiles in curves.items():
             axis.plot(
-                quantiles, np.linspace(0, 1, len(quantiles)), label=label, **_style(labels.index(label))
+                quantiles,
+                np.linspace(0, 1, len(quantiles)),
+                label=shown(label),
+                **_style(labels.index(label)),
             )
         axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
-        axis.set_title(title, fontsize="medium")
+        axis.set_title(shown(title), fontsize="medium")
     _share_legend(figure, axes)
     save_figure(figure, path, "svg")
 
@@ -67,7 +71,7 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
         _draw_against_time(axis, panel, labels)
         axis.set(xlabel="seconds of fitting", xscale="log", ylabel="median SSIM, sample of maps")
         label_decades(axis)
-        axis.set_title(title, fontsize="medium")
+        axis.set_title(shown(title), fontsize="medium")
     _share_legend(figure, axes)
     save_figure(figure, path, "svg")
 
@@ -76,23 +80,30 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     """Draw accuracy against cost as SVG: less `x`, a cost, is better, and more `y`, an accuracy, is better.
 
     Each series is a line by increasing cost. Points that no other point beats in both have rings, and a grey step
-    joins them. Points of one place and label are labelled once. Equal figures give equal bytes. Raises
-    `StorageError`.
+    joins them. Points that are not finite have no place. Points of one place and label are labelled once. Equal
+    figures give equal bytes. Raises `StorageError`.
     """
     canvas = Figure(figsize=(8.0, 5.4), layout="constrained")
     axis = canvas.subplots()
-    by_series = _by_series(figure.points)
+    drawn = [point for point in figure.points if _has_place(point, figure.log_x)]
+    by_series = _by_series(drawn)
     for index, (series, points) in enumerate(by_series.items()):
         _draw_series(axis, index, series, points)
-    _draw_front(axis, figure.points)
-    axis.set(xlabel=figure.x_label, ylabel=figure.y_label, xscale="log" if figure.log_x else "linear")
+    _draw_front(axis, drawn)
+    axis.set(
+        xlabel=shown(figure.x_label), ylabel=shown(figure.y_label), xscale="log" if figure.log_x else "linear"
+    )
     if figure.log_x:
         label_decades(axis)
     axis.margins(0.1)
     axis.grid(alpha=0.3)
     canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
-    _write_labels(canvas, axis, figure.points, list(by_series))
+    _write_labels(canvas, axis, drawn, list(by_series))
     save_figure(canvas, path, "svg")
+
+
+def _has_place(point: BenchPoint, log_x: bool) -> bool:
+    return isfinite(point.x) and isfinite(point.y) and (point.x > 0 or not log_x)
 
 
 def _by_series(points: Sequence[BenchPoint]) -> dict[str, list[BenchPoint]]:
@@ -111,7 +122,7 @@ def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint
         marker=_MARKERS[index % len(_MARKERS)],
         markersize=5,
         color=_COLOURS[index % len(_COLOURS)],
-        label=series,
+        label=shown(series),
         linewidth=1.2,
     )
 
@@ -126,16 +137,18 @@ def _draw_front(axis: Any, points: Sequence[BenchPoint]) -> None:
 
 def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], series: Sequence[str]) -> None:
     """Write each label in the colour of its series where it covers least of others, with a line to its point."""
-    canvas.draw_without_rendering()
+    with any_letters():
+        canvas.draw_without_rendering()
     canvas.set_layout_engine("none")  # the axes stay where the places were looked for
-    shown = {(point.label, point.x, point.y): point.series for point in reversed(points)}
-    taken = [_around(*axis.transData.transform((x, y)).tolist()) for _, x, y in shown]
-    for (label, x, y), name in reversed(shown.items()):
+    named = {(point.label, point.x, point.y): point.series for point in reversed(points)}
+    taken = [_around(*axis.transData.transform((x, y)).tolist()) for _, x, y in named]
+    for (label, x, y), name in reversed(named.items()):
         colour = _COLOURS[series.index(name) % len(_COLOURS)]
         tie = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
         place = {"xytext": (0, 0), "textcoords": "offset points", "arrowprops": tie}
-        text = axis.annotate(label, (x, y), **place, fontsize=7, color=colour)
-        size = text.get_window_extent().padded(2)
+        text = axis.annotate(shown(label), (x, y), **place, fontsize=7, color=colour)
+        with any_letters():
+            size = text.get_window_extent().padded(2)
         boxes = [_around(*place, size.width, size.height) for place in _places(axis, x, y, size)]
         best = min(boxes, key=lambda box: _covered(box, taken, axis.bbox.frozen()))
         points_per_px = 72 / canvas.dpi
@@ -170,7 +183,7 @@ def _overlap(box: Bbox, other: Bbox) -> float:
 def _draw_against_time(axis: Any, panel: TimePanel, labels: Sequence[str]) -> None:
     for label, points in panel.lines.items():
         seconds, ssim = zip(*points, strict=True)
-        axis.plot(seconds, ssim, marker=".", markersize=4, label=label, **_style(labels.index(label)))
+        axis.plot(seconds, ssim, marker=".", markersize=4, label=shown(label), **_style(labels.index(label)))
     if panel.trivial is not None:
         axis.axhline(panel.trivial, color="0.4", linestyle="--", linewidth=1, label=_TRIVIAL_LABEL)
     if panel.front:
@@ -202,7 +215,7 @@ def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]
 
 def _legend_columns(labels: Sequence[str], width_in: float) -> int:
     """How many columns of labels fit in a width: a letter takes about 0.065 inches, the line before it 0.6."""
-    return max(1, int(width_in / (0.6 + 0.065 * max(map(len, labels)))))
+    return max(1, int(width_in / (0.6 + 0.065 * max((len(shown(label)) for label in labels), default=0))))
 
 
 def _share_legend(figure: Figure, axes: Sequence[Any]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
 from xfreqbench.methods.contract import TRIVIAL
-from xfreqbench.report.drawing.markdown import table
+from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, boards, short_commit
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
@@ -62,7 +62,7 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     Raises as `boards` does.
     """
     return "\n\n".join(
-        f"{board.title}. {leak_statement(board)}\n\n{ranking_table(Comparison(board, splits), BRIEF)}"
+        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(Comparison(board, splits), BRIEF)}"
         for board in boards(records)
         for splits in [*board.split_sets(), *((split,) for split in board.lone_splits())]
     )
@@ -80,7 +80,7 @@ def write_report(results: Path, output_md: Path) -> WrittenReport:
     require_own_figures(found.boards, found.benches, output_md.parent)
     figures = [path for board in found.boards for path in draw_board(board, output_md.parent)]
     figures += [draw_bench(record, output_md.parent) for record in found.benches if record.figure]
-    generated = report_markdown(found.boards, found.benches)
+    generated = report_markdown(found.boards, found.benches).replace("<!--", "&lt;!--")  # no marker but ours
     write_text(output_md, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
     return WrittenReport((output_md, *figures), found.num_truncated)
 
@@ -99,17 +99,17 @@ def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> 
 
 
 def _board_section(board: Board) -> str:
-    resampling = Resampling()
+    resampling, title = Resampling(), heading(board.title)
     links = figure_links(board)
-    time = [f"![SSIM against seconds of fitting, {board.title}]({links['time']})"] if "time" in links else []
+    time = [f"![SSIM against seconds of fitting, {title}]({links['time']})"] if "time" in links else []
     parts = [
-        f"## {board.title}",
-        f"{data_statement(board)}. **{leak_statement(board)}** {origin_statement(board)}",
+        f"## {title}",
+        f"{prose(data_statement(board))}. **{leak_statement(board)}** {literal(origin_statement(board))}",
         *ranking_tables(board, resampling),
         *curve_tables(board),
         *time,
         *split_tables(board, resampling),
-        f"![Distribution of SSIM, {board.title}]({links['cdf']})",
+        f"![Distribution of SSIM, {title}]({links['cdf']})",
         *published_section(board.protocol),
     ]
     return "\n\n".join(parts)
@@ -133,12 +133,12 @@ def _bench(record: BenchRecord) -> str:
         f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
     )
     parts = [
-        f"### {record.title}" if record.title != _WHAT_WAS_RUN_TITLE else "",
+        f"### {heading(record.title)}" if record.title != _WHAT_WAS_RUN_TITLE else "",
         "\n".join(f"    {line}" for line in record.command.splitlines()),
-        record.note,
-        table(record.columns, record.rows),
-        taken,
-        f"![{record.title}]({bench_figure(record)})" if record.figure else "",
+        paragraph(record.note, prose),
+        table(record.columns, record.rows, prose),
+        paragraph(taken),
+        f"![{heading(record.title)}]({bench_figure(record)})" if record.figure else "",
     ]
     return "\n\n".join(part for part in parts if part)
 

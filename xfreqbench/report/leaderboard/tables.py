@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from itertools import groupby
 from math import inf, isnan, nan
 
-from xfreqbench.report.drawing.markdown import ABSENT, number, seconds, table
+from xfreqbench.report.drawing.markdown import (
+    ABSENT,
+    heading,
+    literal,
+    number,
+    paragraph,
+    plain,
+    seconds,
+    table,
+)
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, median_ssim, short_name
 from xfreqbench.report.leaderboard.captions import notes
 from xfreqbench.report.leaderboard.columns import (
@@ -45,7 +55,7 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
         else "Median SSIM, best first"
     )
     caption = f"{where}; order within overlapping ranks means nothing:"
-    return "\n\n".join([caption, _leaderboard(comparison, columns), *notes(comparison.rows)])
+    return "\n\n".join([caption, _leaderboard(comparison, columns), *map(paragraph, notes(comparison.rows))])
 
 
 def split_tables(board: Board, resampling: Resampling) -> list[str]:
@@ -53,7 +63,8 @@ def split_tables(board: Board, resampling: Resampling) -> list[str]:
     first = board.split_sets()[0]
     others = [split for split in board.splits if split not in first]
     folded = [part for split in others for part in _split_parts(board, split, resampling)]
-    summary = f"<details><summary>{', '.join(map(short_name, others))}</summary>"
+    names = escape(plain(", ".join(map(short_name, others))), quote=False)
+    summary = f"<details><summary>{names}</summary>"
     return [
         *(part for split in first for part in _split_parts(board, split, resampling)),
         *([summary, *folded, "</details>"] if others else []),
@@ -95,8 +106,12 @@ def _split_parts(board: Board, split: str, resampling: Resampling) -> list[str]:
     record = comparison.rows[0].by_split[split][0]
     left_out = f"; {record.num_without_path} without any path are left out" if record.num_without_path else ""
     caption = f"{record.num_test} samples{left_out}. Medians where nothing else is said, means over seeds."
-    title = f"### {short_name(split)}"
-    alone = [*notes(comparison.rows), *_pair_table(comparison)] if split in board.lone_splits() else []
+    title = f"### {heading(short_name(split))}"
+    alone = (
+        [*map(paragraph, notes(comparison.rows)), *_pair_table(comparison)]
+        if split in board.lone_splits()
+        else []
+    )
     return [title, caption, _leaderboard(comparison, ONE_SPLIT), *alone, *_carrier_table(board, split)]
 
 
@@ -160,10 +175,10 @@ def _front_line(board: Board, curves: Sequence[LearningCurve], split: str) -> st
     """The front of a split: `* 2.4GHz: nearest 0.8000 (0.01 s); ours 0.8500 (75 s), 0.9000 (300 s).`"""
     front = split_front([curve for curve in curves if curve.split == split], best_trivial(board, split))
     methods = [
-        f"{label} {', '.join(map(_point_cell, points))}"
+        f"{literal(label)} {', '.join(map(_point_cell, points))}"
         for label, points in groupby(front, lambda point: point.label)
     ]
-    return f"* {short_name(split)}: {'; '.join(methods)}."
+    return f"* {literal(short_name(split))}: {'; '.join(methods)}."
 
 
 def _point_cell(point: Reached | None) -> str:

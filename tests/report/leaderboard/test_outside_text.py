@@ -1,0 +1,156 @@
+"""Whatever text records hold, every board is made, with all its rows, and none of the text becomes markup."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from leaderboard_records import leaderboard_markdown, make_bench, make_followed, make_records, with_job
+from markdown_it import MarkdownIt
+from stored_records import external, make_record
+
+from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
+from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord, append
+
+PARSER = MarkdownIt("commonmark").enable(["table", "strikethrough"])
+HOSTILE = (
+    "$\\frac{1}$",
+    "a | b",
+    "a\\",
+    "one\ntwo\r\n",
+    "`x`",
+    "</script><script>alert(1)</script>",
+    "[x](javascript:alert(1))",
+    "![x](https://example.org/x.png)",
+    '" onmouseover="alert(1)',
+    END,
+    f"\n{END}\n{BEGIN}",
+    "</summary></details>",
+    "_hidden_",
+    "x" * 500,
+    "名前 🛰 \u202e",
+    "\x00\x1b[31m",
+    "- # 1. > ===",
+)
+TEXTS = st.sampled_from(HOSTILE) | st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
+FIELDS = (
+    "method",
+    "scene",
+    "split",
+    "pas_kind",
+    "hardware",
+    "url",
+    "findings",
+    "settings",
+    "option",
+    "label",
+)
+
+
+def records_of(texts: dict[str, str]) -> tuple[list[RunRecord], list[BenchRecord]]:
+    """Records in which every text from outside is the one given for its field."""
+    split, method, machine = f"s{texts['split']}", f"m{texts['method']}", {"processor": texts["hardware"]}
+    common = {
+        "scene": f"s{texts['scene']}",
+        "pas_kind": texts["pas_kind"],
+        "settings": {"solver": texts["settings"], "interactions": [texts["settings"]]},
+        "hardware": machine,
+        "software": machine,
+        "git_commit": texts["hardware"],
+        "findings": {texts["findings"]: texts["findings"]},
+        "config": {"name": texts["option"]},
+    }
+    runs = [record.model_copy(update=common) for record in make_records()]
+    own = make_record(method, 0.7, **common)
+    runs += [own, with_job(own, split=split), with_job(make_followed(method), overrides=(texts["option"],))]
+    declared = {"sha256": "a" * 64, "hardware": texts["hardware"], "url": texts["url"]}
+    runs.append(external(method=method, external=declared, **common | {"hardware": {}}))
+    runs[-2] = runs[-2].model_copy(update=common)
+    label = texts["label"].replace("`", "'")  # code in the notes and cells of a measurement is its own
+    point = BenchPoint(series=label, label=label, x=1.0, y=2.0)
+    figure = BenchFigure(x_label=label, y_label=label, log_x=True, points=(point,))
+    cells = {"columns": (label, label), "rows": ((label, label),)}
+    bench = make_bench(
+        title=label, note=f"n{label}", command=f"c{label}", figure=figure, hardware=machine, **cells
+    )
+    return runs, [bench]
+
+
+PLAIN = records_of(dict.fromkeys(FIELDS, "plain"))
+
+
+def markup_of(markdown: str) -> Counter[tuple[str, str]]:
+    """How many parts of each kind Markdown has, HTML with its content; texts and their escapes do not count."""
+    blocks = PARSER.parse(markdown)
+    parts = [part for block in blocks for part in (block, *(block.children or ()))]
+    kinds = Counter((part.type, part.tag) for part in parts if not part.type.startswith(("text", "inline")))
+    return kinds - Counter({each: count for each, count in kinds.items() if each[0] == "softbreak"})
+
+
+class _Tags(HTMLParser):
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: Counter[tuple[str, ...]] = Counter()
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found[tag, *sorted(name for name, _ in attrs if name != "aria-sort")] += 1
+
+
+@cache
+def plain_markup() -> Counter[tuple[str, str]]:
+    return markup_of(leaderboard_markdown(*PLAIN))
+
+
+CASES = st.fixed_dictionaries(dict.fromkeys(FIELDS, TEXTS))
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(texts=CASES)
+def test_no_text_of_a_record_is_markdown(texts: dict[str, str]) -> None:
+    runs, benches = records_of(texts)
+    assert markup_of(leaderboard_markdown(runs, benches)) == plain_markup()
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_every_hostile_text_makes_whole_tables(text: str) -> None:
+    runs, benches = records_of(dict.fromkeys(FIELDS, text))
+    assert markup_of(leaderboard_markdown(runs, benches)) == plain_markup()
+
+
+@settings(
+    max_examples=1,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(texts=CASES)
+@example(texts=dict.fromkeys(FIELDS, "$\\frac{1}$"))
+@example(texts=dict.fromkeys(FIELDS, f"_\n{END}\x00名</script>" + "x" * 500))
+def test_report_figures_and_page_are_made_of_any_text(tmp_path: Path, texts: dict[str, str]) -> None:
+    folder = tmp_path / str(len(list(tmp_path.iterdir())))
+    runs, benches = records_of(texts)
+    for record in (*runs, *benches):
+        append(folder / "records.jsonl", record)
+    before, after = "# Ours\n\n", "\n\nOur own end.\n"
+    (folder / "BENCHMARK.md").write_text(f"{before}{BEGIN}\n{END}{after}", encoding="utf-8")
+    for _ in range(2):  # a report is written over as well
+        write_report(folder, folder / "BENCHMARK.md")
+    written = (folder / "BENCHMARK.md").read_text(encoding="utf-8")
+    assert written.startswith(before + BEGIN) and written.endswith(END + after)
+    assert written.count(END) == written.count(BEGIN) == 1
+    for figure in (folder / "figures").iterdir():
+        assert "\x00" not in figure.read_text(encoding="utf-8")
+    page = write_page(folder, folder / "page.html").read_text(encoding="utf-8")
+    for record in (*PLAIN[0], *PLAIN[1]):
+        append(folder / "plain" / "records.jsonl", record)
+    expected = write_page(folder / "plain", folder / "plain.html").read_text(encoding="utf-8")
+    assert _Tags(page).found == _Tags(expected).found
+    json.loads(page.partition('id="content">')[2].partition("</script>")[0])
