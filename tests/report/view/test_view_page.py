@@ -1,0 +1,168 @@
+"""The page of `xfreqbench view`, its figures, and what they say of a data set."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from screened_room import SCENE
+from synthetic import make_header, transmitters, write_dataset
+
+from xfreqbench.cli.data import view as view_command
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.splits import lofo
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.report.drawing.document import Picture, is_of_subject
+from xfreqbench.report.view.page import view_page
+from xfreqbench.report.view.plan import ViewPlan, plan_view
+from xfreqbench.report.view.summary import similarity, summarize
+from xfreqbench.report.view.write import FILES, write_view
+
+
+@pytest.fixture
+def imported(tmp_path: Path) -> PasDataset:
+    header = replace(make_header(num_tx=3, pas_kind="amplitude"), channels=False)
+    maps = write_dataset(tmp_path / "channels.h5", num_tx=3).pas()
+    told = replace(header, settings={"imported_from": "somebody", "convention": {"rows": "polar angle"}})
+    with PasWriter(tmp_path / "maps.h5", told) as writer:
+        samples = SampleBlock.of_maps(maps.reshape(3, 3, *maps.shape[1:]))
+        writer.append(transmitters(3), np.ones(3, bool), samples)
+    return open_dataset(tmp_path / "maps.h5")
+
+
+def test_all_files_are_written_and_show_something(folder: Path) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    for name in ("scene.png", "pas.png", "overview.png"):
+        with Image.open(folder / name) as picture:
+            assert min(picture.size) > 300
+            assert len(np.unique(np.asarray(picture.convert("L")))) > 50
+    drawn = (folder / "carriers.svg").read_text()
+    assert all(
+        title in drawn for title in ("median SSIM between carriers", "power: median", "without any path")
+    )
+
+
+def test_equal_data_give_equal_files(folder: Path, view: ViewPlan, tmp_path: Path) -> None:
+    write_view(view, tmp_path)
+    for name in FILES:
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def page_text(folder: Path) -> str:
+    """What a reader sees."""
+    return unescape(re.sub(r"<[^>]+>", " ", (folder / "index.html").read_text().partition("<body")[2]))
+
+
+def test_the_page_tells_what_the_data_set_holds(folder: Path, dataset: PasDataset) -> None:
+    text = page_text(folder)
+    lit = int(dataset.tables["line_of_sight"].sum())
+    assert f"{lit} in sight of the receiver, {dataset.header.num_tx - lit} in shadow" in text
+    assert dataset.sha256 in text and dataset.header.scene_sha256 in text
+    assert "image solver, specular, refraction, depth 2, 20,000 rays, seed 1" in text
+    assert SCENE.description in text
+    assert "reflected by ceiling" in text
+    for split in lofo(dataset):
+        assert re.search(rf"{split.name}\s+{len(split.train):,}\s+{len(split.test):,}\s", text)
+    assert "Protocol 'sparse' needs 1, 10, 37, 60, 94 GHz" in text
+
+
+def test_the_page_s_lines_of_python_load_the_data(
+    folder: Path, dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (code,) = re.findall(r"<pre>(.*?)</pre>", (folder / "index.html").read_text(), re.DOTALL)
+    monkeypatch.chdir(dataset.path.parent)
+    names: dict[str, object] = {}
+    exec(unescape(code), names)
+    maps = names["maps"]
+    assert isinstance(maps, np.ndarray)
+    assert f"({', '.join(map(str, maps.shape))})" in unescape(code)
+    np.testing.assert_array_equal(maps, dataset.pas(np.flatnonzero(dataset.tx_index == 0)))
+
+
+def test_similarity_is_the_median_ssim_of_each_pair_of_carriers(dataset: PasDataset) -> None:
+    found = similarity(dataset)
+    assert found.num_tx == dataset.header.num_tx
+    maps = dataset.pas().reshape(-1, 3, *dataset.grid.shape)
+    heard = dataset.has_path.reshape(-1, 3)
+    both = heard[:, 0] & heard[:, 2]
+    expected = np.median(ssim(maps[both, 0], maps[both, 2], dataset.grid))
+    assert found.median_ssim[0, 2] == found.median_ssim[2, 0] == pytest.approx(expected)
+    np.testing.assert_array_equal(np.diag(found.median_ssim), 1)
+
+
+def test_silent_samples_are_counted_and_compared_with_nothing(tmp_path: Path) -> None:
+    silent = write_dataset(tmp_path / "silent.h5", silent=((0, 0), (1, 0), (2, 0), (3, 0), (1, 2)))
+    summary = summarize(silent)
+    np.testing.assert_array_equal((~summary.has_path).sum(axis=0), [4, 0, 1])
+    assert np.isnan(summary.similarity.median_ssim[0, 1:]).all()
+    assert summary.similarity.median_ssim[1, 2] < 1
+    written = write_view(plan_view(str(silent.path)), tmp_path / "out")  # nothing is drawn of what is nan
+    assert written[0].exists()
+
+
+def test_of_one_carrier_nothing_is_compared(tmp_path: Path) -> None:
+    alone = write_dataset(tmp_path / "alone.h5", carriers_ghz=(10.0,))
+    write_view(plan_view(str(alone.path)), tmp_path / "out")
+    assert "SSIM" not in (tmp_path / "out" / "carriers.svg").read_text()
+    assert "needs two carriers or more" in page_text(tmp_path / "out")
+
+
+def test_imported_maps_show_places_alone_and_say_why(imported: PasDataset, tmp_path: Path) -> None:
+    shown = plan_view(str(imported.path)).with_rays()
+    assert "does not say which scene" in shown.missing
+    assert shown.room.in_sight is None and not shown.room.rays and not shown.room.meshes
+    write_view(shown, tmp_path / "out")
+    nodes = set(trimesh.load_scene(tmp_path / "out" / "scene.glb").graph.nodes_geometry)
+    assert nodes == {
+        "transmitters",
+        f"transmitter {shown.room.tx}",
+        "receiver",
+        "array elements at 1 GHz",
+        "boresight",
+    }
+    text = page_text(tmp_path / "out")
+    assert "sight of the receiver not published" in text
+    assert re.search(r"convention: rows\s+polar angle", text)
+    assert "power: median" not in (tmp_path / "out" / "carriers.svg").read_text()
+
+
+def test_a_scene_without_data_has_no_maps(tmp_path: Path) -> None:
+    view_command("empty", output=tmp_path / "out", quiet=True)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(FILES[:3])
+    text = page_text(tmp_path / "out")
+    assert "line of sight" in text and "Load it" not in text and "24.25 GHz" in text
+
+
+def test_names_from_the_data_are_shown_as_they_are(
+    dataset: PasDataset, view: ViewPlan, tmp_path: Path
+) -> None:
+    hostile = "</title><script>alert(1)</script>"
+    path = tmp_path / "<script>alert(1)<script>.h5"
+    shutil.copy(dataset.path, path)
+    told = {
+        "scene_name": hostile,
+        "settings": {hostile: hostile},
+        "software": {hostile: hostile},
+        "rejected": {hostile: 1},
+    }
+    shown = replace(
+        view,
+        header=replace(view.header, **told),
+        room=replace(view.room, rays=[replace(view.room.rays[0], events=(hostile,))]),
+        dataset=open_dataset(path),
+        scene=replace(SCENE, description=hostile),
+        subject=hostile,
+        missing=f"two\nlines {hostile}",
+    )
+    pictures = {name: Picture(name, f'"{hostile}', b"") for name in ("scene.png", "pas.png", "carriers.svg")}
+    html = view_page(shown, summarize(dataset), pictures, hostile)
+    assert "<script" not in html and html.count("&lt;script&gt;alert(1)") >= 12
+    assert is_of_subject(html, hostile) and not is_of_subject(html, "another")
