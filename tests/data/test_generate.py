@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from forked import command_line
 from plans import SETTINGS, small_plan
 
 from xfreqbench.data.dataset import open_dataset, verify
@@ -64,13 +64,9 @@ def test_a_damaged_or_foreign_output_is_not_taken_for_the_job(tmp_path: Path) ->
         generate_planned(small_plan(num_transmitters=2), tmp_path)
 
 
-def command(arguments: Sequence[str]) -> list[str]:
-    return [sys.executable, "-m", "xfreqbench.cli", *arguments]
-
-
 def generate_command(path: Path) -> list[str]:
-    options = "--freqs 1,10,60 --tx 640 --rays 50000 --max-depth 5 --quiet -o"
-    return command(["generate", "two_rooms", *options.split(), str(path)])
+    options = "--freqs 1,10,60 --tx 640 --rays 20000 --max-depth 5 --quiet -o"
+    return [command_line(), "generate", "two_rooms", *options.split(), str(path)]
 
 
 @pytest.mark.slow
@@ -80,7 +76,7 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
     chance = random.Random(0)
     num_kills = 0
     while not broken.exists():
-        process = subprocess.Popen(generate_command(broken))
+        process = subprocess.Popen(generate_command(broken), stderr=subprocess.PIPE)
         if num_kills < 5:
             wait_for_batches(process, broken, chance.randrange(6))
             time.sleep(chance.uniform(0, 0.05))
@@ -89,9 +85,9 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
             wait_for_writing(process, broken)
             time.sleep(chance.uniform(0, 0.03))
             process.send_signal(signal.SIGKILL)
-        status = process.wait()
-        num_kills += status == -signal.SIGKILL
-        assert status in (0, -signal.SIGKILL)
+        process.communicate()
+        num_kills += process.returncode == -signal.SIGKILL
+        assert process.returncode in (0, -signal.SIGKILL)
     assert num_kills >= 6  # at least one of them while the file was being written
     assert broken.read_bytes() == unbroken.read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.h5", "unbroken.h5"]
@@ -151,7 +147,7 @@ main()
     assert "cannot be written: File too large" in done.stderr
     assert "Traceback" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["rooms.h5.parts"]
-    subprocess.run(command(arguments.split()), check=True)
+    subprocess.run([command_line(), *arguments.split()], check=True)
     verify(tmp_path / "rooms.h5")
 
 

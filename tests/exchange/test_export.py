@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import command_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -342,7 +343,6 @@ def test_index_files_are_checked_by_the_publisher_s_numbering(
 def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
     write_random_folder(tmp_path / "first", 4, 2, 1, (0.1, 0.2, 0.3, 0.9))
     (tmp_path / "first" / "freq.txt").unlink()
-    program = [sys.executable, "-m", "xfreqbench.cli"]
     stated = ["--convention", "nerf2", "--set", "index=zero-based"]
     data, output = str(tmp_path / "data.h5"), str(tmp_path / "out")
     commands = [
@@ -352,7 +352,7 @@ def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
         ["conventions"],
     ]
     brought_in, out, again, table = (
-        subprocess.run([*program, *command], capture_output=True, text=True) for command in commands
+        subprocess.run([command_line(), *command], capture_output=True, text=True) for command in commands
     )
     assert "wrote" in brought_in.stdout
     assert "(2 maps)" in out.stdout

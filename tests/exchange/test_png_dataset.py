@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import command_line
 from PIL import Image
 from png_folders import TRANSMITTERS, imported, levels, read, write_folder
 from synthetic import write_dataset
@@ -95,7 +95,7 @@ def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:
 def test_the_command_says_what_it_ignores_and_what_it_wrote(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "small")
     (folder / "test_index.txt").write_text("00001")
-    command = [sys.executable, "-m", "xfreqbench.cli", "import", str(folder), "-o", str(tmp_path / "data.h5")]
+    command = [command_line(), "import", str(folder), "-o", str(tmp_path / "data.h5")]
     first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
     assert "test_index.txt ignored" in first.stdout
     assert "wrote" in first.stdout

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from forked import command_line
 
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.methods.check import check_method
@@ -276,7 +276,7 @@ def test_an_unknown_name_is_an_error_and_no_result(own_method) -> None:
 
 def test_the_command_prints_every_rule_and_ends_with_code_2_where_one_is_broken(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(SOUND + PREDICT + "        return maps * np.float32(0.5)\n")
-    command = [sys.executable, "-m", "xfreqbench.cli", "check-method"]
+    command = [command_line(), "check-method"]
     broken = subprocess.run([*command, "mine:Method"], capture_output=True, text=True, cwd=tmp_path)
     assert broken.returncode == 2
     assert "FAULT  every map has peak 1" in broken.stdout

@@ -19,6 +19,7 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from forked import ONE_THREAD, command_line
 from markdown_it import MarkdownIt
 from places import ROOT
 
@@ -32,9 +33,6 @@ _OFFLINE_PIP = {  # pip as the documents call it, but without a network and into
     "PIP_NO_BUILD_ISOLATION": "0",  # pip reads this one backwards: 0 is "no isolation"
     "PIP_DISABLE_PIP_VERSION_CHECK": "1",
 }
-_ONE_CORE = dict.fromkeys(
-    ["OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"], "1"
-)  # tests run side by side
 
 
 @dataclass(frozen=True)
@@ -129,12 +127,12 @@ class Reader:
     @property
     def _environment(self) -> dict[str, str]:
         site = self.folder.parent / "site"
-        commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        programs = [Path(command_line()).parent, Path(sys.executable).parent, os.environ["PATH"]]
         return {
             **os.environ,
             **_OFFLINE_PIP,
-            **_ONE_CORE,
-            "PATH": commands,
+            **ONE_THREAD,  # tests run side by side
+            "PATH": os.pathsep.join(map(str, programs)),
             "PIP_TARGET": str(site),
             "PYTHONPATH": str(site),
             "COLUMNS": "120",

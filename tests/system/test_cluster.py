@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forked import command_line
 from places import ROOT, SUPPORT
 from synthetic import paper_dataset
 from xfreqbench.baselines.nearest import Nearest
@@ -166,7 +167,7 @@ def test_a_worker_killed_in_mid_work_changes_no_byte_of_the_data(
 
 
 def _command(arguments: str) -> list[str]:
-    return [sys.executable, "-m", "xfreqbench.cli", *arguments.split()]
+    return [command_line(), *arguments.split()]
 
 
 def _driver(arguments: str, folder: Path) -> subprocess.Popen[str]:

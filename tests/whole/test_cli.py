@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from cyclopts import App
+from forked import command_line
 
 from xfreqbench.cli.main import app
 from xfreqbench.cli.options import parse_carriers_hz
@@ -19,9 +20,7 @@ HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy
 
 
 def xfreqbench(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "xfreqbench.cli", *arguments], capture_output=True, text=True
-    )
+    return subprocess.run([command_line(), *arguments], capture_output=True, text=True)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["generate", "--help"], ["run", "--help"]])
@@ -60,9 +59,7 @@ def test_every_option_of_generate_states_its_unit_or_choices() -> None:
     ],
 )
 def test_mistakes_end_with_code_2_and_words(arguments: list[str], message: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "xfreqbench.cli", *arguments], capture_output=True, text=True, cwd=tmp_path
-    )
+    done = subprocess.run([command_line(), *arguments], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr
     assert "Traceback" not in done.stderr

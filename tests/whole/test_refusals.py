@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import command_line
 from fuzzed_hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_dataset
 from fuzzed_png import PNG_FOLDER, png
 from fuzzed_scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
@@ -208,7 +209,7 @@ def test_a_reader_that_stops_reading_gets_no_traceback() -> None:
 def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
     data = os.fsdecode(bytes(tmp_path) + b"/\xff.h5")
     Path(data).write_bytes(sound_dataset())
-    done = subprocess.run([sys.executable, "-m", "xfreqbench.cli", "info", data], capture_output=True)
+    done = subprocess.run([command_line(), "info", data], capture_output=True)
     assert done.returncode == 0, done.stderr
     assert b"every hash holds" in done.stdout
 

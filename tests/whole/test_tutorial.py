@@ -6,12 +6,12 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import command_line
 from places import ROOT
 from synthetic import paper_dataset
 
@@ -56,7 +56,7 @@ def given(command: list[str], folder: Path) -> str:
     """Output of a command of the README, which must succeed."""
     assert command[0] == "xfreqbench"
     done = subprocess.run(
-        [sys.executable, "-m", "xfreqbench.cli", *command[1:]],
+        [command_line(), *command[1:]],
         capture_output=True,
         text=True,
         cwd=folder,

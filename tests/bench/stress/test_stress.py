@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from forked import command_line
 
 from xfreqbench.bench.stress import run as stress
 from xfreqbench.bench.stress.case import NothingToCompareError, StressCase, needing_two_threads
@@ -118,7 +119,7 @@ def test_a_selection_takes_areas_and_parts_of_names() -> None:
 
 
 def test_the_command_prints_a_line_for_each_case_and_their_number() -> None:
-    command = [sys.executable, "-m", "xfreqbench.cli", "stress", "--only", "encoding"]
+    command = [command_line(), "stress", "--only", "encoding"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     *rows, last = done.stdout.splitlines()[1:]
     assert len(rows) > 3
