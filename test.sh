@@ -6,6 +6,8 @@ cd "$(dirname "$0")"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
-.venv/bin/mypy
+.venv/bin/mypy &
+types=$!
 .venv/bin/lint-imports --no-cache
+wait "$types"
 .venv/bin/python -m pytest --numprocesses 2 --dist worksteal "$@"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +18,16 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
 PACKAGE = Path(__file__).parents[1] / "xfreqbench"
 SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]
 MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__init__"} - UNCHECKED
+# without files of bytecode every interpreter that a test starts compiles the package anew
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first, so that at the end no worker waits for a long one of another."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture
