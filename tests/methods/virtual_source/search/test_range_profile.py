@@ -24,7 +24,7 @@ SIDE = Wall(azimuth_deg=-94.0, elevation_deg=0.0, distance_m=3.1, reflection=-0.
 FLOOR = Wall(azimuth_deg=0.0, elevation_deg=-90.0, distance_m=2.45, reflection=-0.5j)
 FACET = Wall(azimuth_deg=197.0, elevation_deg=0.0, distance_m=3.9, lit_beyond_y_m=3.4)
 WALLS = WALL, SIDE, FLOOR, FACET  # a third of the room sees the last
-ROOM = Room(WALLS, CARRIER_HZ, num_tx=400)
+ROOM = Room(WALLS, CARRIER_HZ, num_tx=280)
 
 
 @pytest.fixture(scope="module")
