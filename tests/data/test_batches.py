@@ -86,6 +86,15 @@ def test_a_damaged_batch_is_traced_again(tmp_path: Path, whole: bytes) -> None:
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
 
 
+def test_a_kill_before_the_folder_is_marked_does_not_block_it(tmp_path: Path, whole: bytes) -> None:
+    folder = tmp_path / "rooms.h5.parts"
+    folder.mkdir()
+    (folder / "lock").write_text("process 1 on elsewhere", encoding="utf-8")
+    (folder / ".job.sha256.elsewhere-1.partial").write_text("half", encoding="utf-8")
+    assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
+    assert not folder.exists()
+
+
 def test_a_folder_of_somebody_else_is_refused_by_name(tmp_path: Path) -> None:
     folder = tmp_path / "rooms.h5.parts"
     folder.mkdir()

@@ -119,7 +119,8 @@ def _require_ours(folder: Path) -> None:
             raise OutputExistsError(
                 f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}"
             )
-        foreign = sorted(path.name for path in folder.iterdir() if path.name != _LOCK)
+        started = (_LOCK, f".{_MARKER}.*.partial")  # all that is there before the marker is
+        foreign = sorted(path.name for path in folder.iterdir() if not any(map(path.match, started)))
         if foreign and not (folder / _MARKER).is_file():
             raise OutputExistsError(
                 f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is no folder of unfinished batches. {_ADVICE}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from xfreqbench.bench.chaos.commands import Command
-from xfreqbench.bench.chaos.process import CommandLine, Outcome, Running
+from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
 
 _LEAST_FILE_BYTES = 1 << 13  # what the messages of a command need
 Disturbance = Callable[["Round"], None]
@@ -30,7 +30,7 @@ class Round:
     chance: random.Random
     seconds: float
     written: Sequence[str]
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[Ended] = field(default_factory=list)
     planted: list[Path] = field(default_factory=list)
     damaged: list[Path] = field(default_factory=list)
     may_refuse: bool = False

@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xfreqbench.bench.chaos.commands import use_small_presets
+from xfreqbench.bench.chaos.commands import use_small_preset
 from xfreqbench.runs import checkpoints
 
-HANGS_S = 120.0  # far beyond what any of the commands takes on a busy machine
+HANGS_S = 300.0  # far beyond what any of the commands takes on a busy machine
 _WARM = (
     "xfreqbench.cli.main",
     "xfreqbench.data.generate",
@@ -27,7 +27,7 @@ CommandLine = Callable[[], None]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Ended:
     """How a command ended: its exit code, negative for a signal and None if it had to be killed, and its stderr."""
 
     code: int | None
@@ -66,7 +66,7 @@ class Running:
         if self._process.exitcode is None and self._process.pid:
             os.kill(self._process.pid, sent)
 
-    def wait(self) -> Outcome:
+    def wait(self) -> Ended:
         """The outcome, once the command has ended."""
         self._process.join(HANGS_S)
         code = self._process.exitcode
@@ -75,7 +75,7 @@ class Running:
             self._process.join()
         stderr = self._stderr.read_text(encoding="utf-8", errors="replace") if self._stderr.exists() else ""
         self._log.cleanup()
-        return Outcome(code, stderr)
+        return Ended(code, stderr)
 
 
 def _child(
@@ -88,7 +88,7 @@ def _child(
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.argv = ["xfreqbench", *words]
-    use_small_presets()
+    use_small_preset()
     checkpoints.CHECKPOINT_SECONDS = 0.1
     (logged / "begun").touch()
     command_line()

@@ -16,7 +16,7 @@ from typing import Any
 
 from xfreqbench.bench.chaos.commands import COMMANDS, Command, prepare
 from xfreqbench.bench.chaos.disturbances import DISTURBANCES, Round
-from xfreqbench.bench.chaos.process import CommandLine, Outcome, Running
+from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
 from xfreqbench.runs.records import BenchRecord, append, machine_and_time
 
 _LITTER = (
@@ -36,7 +36,7 @@ _TIMED = (
     "time_utc",
     "hardware",
     "git_commit",
-    "sha256",
+    "content_sha256",
 )
 COLUMNS = ("command", "rounds", "same bytes", "refusal", "fault")
 Contents = Mapping[str, str]
@@ -158,7 +158,7 @@ def _undisturbed(seconds: float, one: Path, other: Path) -> Undisturbed:
     return Undisturbed(seconds, alike, frozenset(contents))
 
 
-def _faults_of_outcomes(at: Round, last: Outcome) -> Iterator[str]:
+def _faults_of_outcomes(at: Round, last: Ended) -> Iterator[str]:
     for each in (*at.outcomes, last):
         if each.code is None:
             yield "it did not end"
