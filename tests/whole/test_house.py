@@ -18,8 +18,6 @@ OFFERS_NAMES_LAZILY = {"xfreqbench/__init__.py", "xfreqbench/maps/__init__.py"}
 KERNELS = PACKAGE / "tracing" / "image" / "kernels.py"
 MAX_LINES = {KERNELS: 699}  # of other files 400: Numba compiles what is in one file together
 
-NOT_UNIQUE_YET = {"Outcome"}  # of runs on workers, and of runs under chaos
-
 # Each dependency that takes long to import, or that few need, and the files that may import it.
 HOMES = {
     "PIL": {"exchange/png_images.py", "report/drawing/figures.py"},
@@ -125,7 +123,7 @@ def test_a_class_name_stands_for_one_class() -> None:
     names = Counter(
         node.name for path in SOURCES for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)
     )
-    assert {name for name, count in names.items() if count > 1} <= NOT_UNIQUE_YET
+    assert not {name for name, count in names.items() if count > 1}
 
 
 @pytest.mark.parametrize("dependency", HOMES)
