@@ -11,6 +11,7 @@ import pytest
 from jaxtyping import install_import_hook
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
+    "xfreqbench.scene.visibility_kernels",
     "xfreqbench.tracing.image.kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",

@@ -40,6 +40,7 @@ HOMES = {
         "bench/savings.py",
         "methods/splatting/composite_kernels.py",
         "methods/splatting/footprint_kernels.py",
+        "scene/visibility_kernels.py",
         "tracing/image/kernels.py",
     },
     "rich": {"cli/options.py", "cli/runs.py"},

@@ -9,6 +9,7 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
+from xfreqbench.scene import visibility_kernels
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.types import FloatArray, IntArray
 
@@ -17,12 +18,8 @@ def distance_to_surfaces(
     meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]
 ) -> Float[FloatArray, "N"]:
     """Distance in metres from each of N points to the nearest triangle; infinite where there are no triangles."""
-    nearest = np.full(len(points_m), np.inf)
-    for corners in triangle_corners_m(meshes):
-        repeated = np.broadcast_to(corners, (len(points_m), 3, 3))
-        closest: FloatArray = trimesh.triangles.closest_point(repeated, points_m)  # type: ignore[no-untyped-call]
-        nearest = np.minimum(nearest, np.linalg.norm(closest - points_m, axis=1))
-    return nearest
+    corners_m = np.ascontiguousarray(triangle_corners_m(meshes))
+    return visibility_kernels.nearest_distances(corners_m, np.ascontiguousarray(points_m, dtype=np.float64))
 
 
 def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Int[IntArray, "N"]:
@@ -33,8 +30,10 @@ def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N
     """
     enclosing = np.full(len(points_m), -1)
     for index, mesh in enumerate(meshes):
-        if trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight:
-            enclosing[np.abs(_winding_number(mesh.corners_m, points_m)) > 0.5] = index
+        low_m, high_m = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+        near = np.flatnonzero(((points_m >= low_m) & (points_m <= high_m)).all(axis=1))
+        if len(near) and trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight:
+            enclosing[near[np.abs(_winding_number(mesh.corners_m, points_m[near])) > 0.5]] = index
     return enclosing
 
 
@@ -42,37 +41,23 @@ def _winding_number(
     corners_m: Float[FloatArray, "K 3 3"], points_m: Float[FloatArray, "N 3"]
 ) -> Float[FloatArray, "N"]:
     """Solid angle that the triangles subtend at each point, over 4π (van Oosterom and Strackee, 1983)."""
-    total = np.zeros(len(points_m))
-    for corners in corners_m:
-        a, b, c = corners[:, None, :] - points_m
-        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-        triple = np.einsum("ni,ni->n", a, np.cross(b, c))
-        denominator = (
-            la * lb * lc
-            + np.einsum("ni,ni->n", a, b) * lc
-            + np.einsum("ni,ni->n", b, c) * la
-            + np.einsum("ni,ni->n", c, a) * lb
-        )
-        total += np.arctan2(triple, denominator)
-    return total / (2 * np.pi)
+    number = [np.arctan2(*_triple_and_denominator(corners_m - point)).sum() for point in points_m]
+    return np.array(number) / (2 * np.pi)
+
+
+def _triple_and_denominator(
+    corners_m: Float[FloatArray, "K 3 3"],
+) -> tuple[Float[FloatArray, "K"], Float[FloatArray, "K"]]:
+    """Opposite and adjacent side of half the solid angle of each triangle, seen from the origin."""
+    a, b, c = np.moveaxis(corners_m, 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    ab, bc, ca = (np.einsum("ki,ki->k", *pair) for pair in ((a, b), (b, c), (c, a)))
+    return np.einsum("ki,ki->k", a, np.cross(b, c)), la * lb * lc + ab * lc + bc * la + ca * lb
 
 
 def sees(
     meshes: Sequence[SurfaceMesh], start_m: Float[FloatArray, "N 3"], end_m: Float[FloatArray, "3"]
 ) -> Bool[NDArray[np.bool_], "N"]:
     """Whether the straight segment from each of N starts to the one end meets no triangle (Möller–Trumbore)."""
-    free = np.ones(len(start_m), dtype=bool)
-    direction = np.asarray(end_m) - start_m
-    for corner, second, third in triangle_corners_m(meshes):
-        edge_u, edge_v = second - corner, third - corner
-        normal = np.cross(edge_u, edge_v)
-        along = direction @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            to_corner = start_m - corner
-            turned = np.cross(to_corner, direction)
-            u = -(turned @ edge_v) / along
-            v = (turned @ edge_u) / along
-            t = -(to_corner @ normal) / along
-            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)
-        free &= ~hit
-    return free
+    points_m = (np.ascontiguousarray(points, dtype=np.float64) for points in (start_m, end_m))
+    return visibility_kernels.free_segments(np.ascontiguousarray(triangle_corners_m(meshes)), *points_m)

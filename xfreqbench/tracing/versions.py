@@ -11,6 +11,8 @@ _PACKAGES: dict[SolverName, tuple[str, ...]] = {
     "sionna": ("sionna-rt", "mitsuba", "drjit"),
 }
 
+SELECTION = "2"  # of chains by solver `sionna`: 1 lost paths that only some elements of the array see
+
 
 def software_versions(solver: SolverName) -> dict[str, str]:
     """Versions of the packages that a solver's channels depend on; for `sionna` that of LLVM too."""
@@ -18,5 +20,5 @@ def software_versions(solver: SolverName) -> dict[str, str]:
     if solver == "sionna":
         from xfreqbench.tracing.sionna.llvm import llvm_version
 
-        versions["llvm"] = llvm_version()
+        versions |= {"llvm": llvm_version(), "selection": SELECTION}
     return versions

@@ -1,9 +1,9 @@
 """Specular and transmitted paths by Sionna RT, from rays that are shot once from the receiver.
 
 For each transmitter those chains are kept of which it sees the last point of some ray, and of these the ones
-that reach any of nine points across the aperture at the lowest carrier. Each of them is then solved at every
-carrier for every element's own position, from the transmitter to the element as in a forward solve: nothing
-here assumes that Sionna's field is reciprocal.
+that may reach some element (`reach`). Each of them is then solved at every carrier for every element's own
+position, from the transmitter to the element as in a forward solve: nothing here assumes that Sionna's field is
+reciprocal.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
+from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
 from xfreqbench.tracing.sionna.chains import Chains, IntArray, opaque_meshes, planes_of, shoot
 from xfreqbench.tracing.sionna.field import Field, path_interactions, with_travel_phase
+from xfreqbench.tracing.sionna.reach import PlaneBoxes, Reach
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f, rt
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray
@@ -67,8 +69,17 @@ class ReceiverRays:
         self.carrier_hz = carrier_hz
         self.planes = planes_of(radio_scene.meshes)
         opaque = opaque_meshes(radio_scene.meshes, carrier_hz.tolist(), radio_scene.policy)
-        self._aperture_m = _aperture_points(receiver, SPEED_OF_LIGHT_M_S / float(carrier_hz.min()))
-        self.chains = shoot(radio_scene, self.planes, self._aperture_m, opaque, settings)
+        wavelength_m = SPEED_OF_LIGHT_M_S / float(carrier_hz.min())
+        aperture_m = _aperture_points(receiver, wavelength_m)
+        self.chains = shoot(radio_scene, self.planes, aperture_m, opaque, settings)
+        self._reach = Reach(
+            self.chains,
+            self.planes,
+            PlaneBoxes.of(self.planes, triangle_corners_m(radio_scene.meshes)),
+            np.asarray(receiver.position_m),
+            radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max())
+            * wavelength_m,
+        )
         self._field = Field(radio_scene, receiver)
         self._buffer = _forward_buffer(self.chains, radio_scene)
         self._hits = _LastPoints(self.chains)
@@ -108,13 +119,11 @@ class ReceiverRays:
         )
 
     def _candidates(self, tx_position_m: Float[FloatArray, "T 3"]) -> _Candidates:
-        """Pairs of a transmitter and a chain whose path reaches some point across the widest aperture."""
+        """Pairs of a transmitter and a chain whose path may reach some element at some carrier."""
         seen = [self._hits.chains_seen_from(self.radio_scene, position) for position in tx_position_m]
         tx = np.repeat(np.arange(len(seen)), [len(chain) for chain in seen])
         chain = np.concatenate(seen)
-        keep = np.unique(
-            np.concatenate([pair for pair, *_ in self._reached(tx_position_m, self._aperture_m, tx, chain)])
-        )
+        keep = self._reach.may_reach(tx_position_m[tx], chain)
         rotation, shift_m = self.chains.receiver_images(chain[keep], self.planes)
         return _Candidates(tx[keep], chain[keep], rotation, shift_m)
 
