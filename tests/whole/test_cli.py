@@ -4,13 +4,14 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from cyclopts import App
 from forked import command_line
 
-from xfreqbench.cli.main import app
+from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.exchange.png_images import MAX_PIXELS
@@ -27,7 +28,7 @@ def xfreqbench(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_help_loads_no_heavy_library(arguments: list[str]) -> None:
     program = f"""
 import sys
-from xfreqbench.cli.main import app
+from xfreqbench.cli.main import app, interruptions_kept
 try:
     app({arguments!r})
 except SystemExit:
@@ -143,3 +144,14 @@ for command in {command_names(app)!r}:
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert max(map(len, done.stdout.splitlines())) <= 1000
+
+
+def test_an_interruption_in_a_callback_of_the_garbage_collector_counts() -> None:
+    class Interrupted:
+        def __del__(self) -> None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        Interrupted()
+        for _ in range(1000):  # until the interpreter looks for signals
+            time.sleep(0.001)

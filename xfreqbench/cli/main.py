@@ -31,7 +31,8 @@ def main() -> None:
     _bound_console_width()
     try:
         require_thread_count()
-        app()
+        with interruptions_kept():
+            app()
         sys.stdout.flush()
     except StorageError as error:
         print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
@@ -58,6 +59,24 @@ def main() -> None:
         if not was_interrupted(error):
             raise
         _leave_interrupted()
+
+
+@contextmanager
+def interruptions_kept() -> Iterator[None]:
+    """Let Ctrl-C count where Python drops it: in a callback of the garbage collector, it would be printed and lost."""
+    others = sys.unraisablehook
+
+    def press_again(lost: sys.UnraisableHookArgs) -> None:
+        if isinstance(lost.exc_value, KeyboardInterrupt):
+            _thread.interrupt_main()
+        else:
+            others(lost)
+
+    sys.unraisablehook = press_again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = others
 
 
 def _is_output_lost() -> bool:
