@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from damage import data_offset, flip
 
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.runs.predictions import read_predictions, write_predictions
 
 
@@ -34,3 +34,14 @@ def test_damaged_predictions_are_refused(tmp_path: Path) -> None:
     flip(path, data_offset(path, "pas"))
     with pytest.raises(DataError, match="dataset 'pas'"):
         read_predictions(path)
+
+
+def test_a_file_of_somebody_else_is_left_and_named(tmp_path: Path) -> None:
+    path = tmp_path / "predictions.h5"
+    path.write_text("years of work", encoding="utf-8")
+    with pytest.raises(OutputExistsError, match=r"predictions\.h5 exists and holds no predictions"):
+        _write_predictions(path)
+    assert path.read_text(encoding="utf-8") == "years of work"
+    path.unlink()
+    _write_predictions(path)
+    _write_predictions(path)  # of a run whose record was lost

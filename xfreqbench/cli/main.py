@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import io
 import os
 import shutil
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from xfreqbench.cli import data, exchange, findings, measure, runs
 from xfreqbench.cli.options import app
@@ -22,6 +26,7 @@ __all__ = [
     "runs",
 ]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
+_MOMENT_S = 0.01
 
 
 def main() -> None:
@@ -68,7 +73,7 @@ def interruptions_kept() -> Iterator[None]:
 
     def press_again(lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):
-            _thread.interrupt_main()
+            threading.Timer(_MOMENT_S, _thread.interrupt_main).start()  # here it would be lost again
         else:
             others(lost)
 

@@ -12,6 +12,8 @@ from jaxtyping import Float, Int, Num
 from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.errors import DataError
+from xfreqbench.system.files import require_own
 from xfreqbench.types import IntArray
 
 SCHEMA = "xfreqbench/predictions/1"
@@ -66,6 +68,19 @@ def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
     return None
 
 
+def require_no_others(path: Path) -> None:
+    """Raise `OutputExistsError` where a file lies that holds no predictions, which are not to replace it."""
+
+    def fault_of(file: Path) -> str | None:
+        try:
+            with open_sealed(file, SCHEMA):
+                return None
+        except DataError as error:
+            return f"holds no predictions that can be read: {error}"
+
+    require_own(path, fault_of, "Move it elsewhere, and run again.")
+
+
 def write_predictions(
     path: Path,
     batches: Iterable[MapBatch],
@@ -76,8 +91,10 @@ def write_predictions(
 ) -> None:
     """Store batches of rows (n,) and maps (n, E, A), as float16; the file is written whole or not at all.
 
-    Raises `StorageError`, and `DataError` if the batches do not hold `num_rows` rows together.
+    Raises `StorageError`, what `require_no_others` raises, and `DataError` if the batches do not hold `num_rows` rows
+    together.
     """
+    require_no_others(path)
     attributes = {"schema": SCHEMA, "dataset_sha256": dataset_sha256, "split_sha256": split_sha256}
     with create_sealed(path, _variables(num_rows, grid_shape), attributes) as writer:
         writer.append("elevation", np.arange(grid_shape[0]))

@@ -17,7 +17,7 @@ from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_para
 from xfreqbench.methods.guard import plain_json
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, look_up_all
-from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
+from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.records import Job, RunRecord, machine_and_time
 from xfreqbench.runs.scoring import BATCH_SIZE, scored_fields
 from xfreqbench.runs.watch import FittingCallback, WatchedFit
@@ -69,6 +69,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FittingCallback | None =
     The caller holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
     then: a job without a record is unfinished.
     """
+    require_no_others(folder.predictions_path(task.id))
     watched = WatchedFit(task, folder.checkpoints(task.id), fitting)
     machine.reset_peak_memory()
     fit = watched.run()

@@ -210,7 +210,7 @@ def _records_in(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _is_intact(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink() and path.read_text(encoding="utf-8") == "years of work"
+    return path.is_file() and not path.is_symlink() and path.read_bytes() == b"years of work"
 
 
 def stress_by_chaos(
