@@ -69,6 +69,19 @@ def test_methods_are_listed_without_the_code_of_a_plugin(
         method_description("theirs")
 
 
+def test_a_plugin_cannot_take_the_name_of_another_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    information = tmp_path / "their_package-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text("[xfreqbench.methods]\nnearest = theirs:Method\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert method_names().count("nearest") == 1
+    with pytest.raises(MethodError, match="Several packages offer a method 'nearest'"):
+        resolve_method("nearest")
+
+
 def test_a_method_is_described_with_its_options_and_no_other_is_imported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -24,7 +24,7 @@ _CONTRACT = ("fit", "predict", "save", "load")
 
 def method_names() -> list[str]:
     """Names of the installed methods, in alphabetical order."""
-    return sorted(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))
+    return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
 def method_summaries() -> dict[str, str]:
@@ -67,10 +67,7 @@ def resolve_method(name: str) -> Callable[..., Method]:
     """
     module, colon, attribute = name.partition(":")
     if not colon:
-        entries = {entry.name: entry.value for entry in entry_points(group=ENTRY_POINT_GROUP)}
-        if name not in entries:
-            raise UnknownNameError("method", name, [*entries, "package.module:Class"])
-        module, _, attribute = entries[name].partition(":")
+        module, _, attribute = _entry_value(name).partition(":")
     elif str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # last, so that a module of the working folder hides no other
 
@@ -82,6 +79,18 @@ def resolve_method(name: str) -> Callable[..., Method]:
         method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)
     return cast("Callable[..., Method]", method_class)
+
+
+def _entry_value(name: str) -> str:
+    """The `package.module:Class` of an installed method; raises `MethodError` where two packages offer the name."""
+    values = sorted({entry.value for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.name == name})
+    if not values:
+        raise UnknownNameError("method", name, [*method_names(), "package.module:Class"])
+    if len(values) > 1:
+        raise MethodError(
+            f"Several packages offer a method {name!r}. Uninstall one, or name {' or '.join(values)}."
+        )
+    return values[0]
 
 
 def _check_contract(name: str, method_class: Any) -> None:
