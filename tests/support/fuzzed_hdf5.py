@@ -1,47 +1,47 @@
-"""Sound data sets, predictions and records, and strategies that spoil what is in them."""
+"""Strategies that spoil what is in data sets, split files and predictions."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import io
 import json
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from fuzzing import cut_or_flipped, odd_array, spoilt_json, xfreqbench
+from fuzzing import cut_or_flipped, odd_array, spoilt_json
 from hypothesis import strategies as st
-from stored_records import make_record
-from synthetic import write_dataset
 
 from xfreqbench.data import hdf5
 
 Spoil = Callable[[Any], None]  # changes an open HDF5 file
 
 
-@functools.cache
-def sound_dataset() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        return write_dataset(Path(folder) / "data.h5", 3, (1.0, 10.0), maps=True).path.read_bytes()
+def hdf5_files(content: bytes) -> st.SearchStrategy[bytes | Callable[[], bytes]]:
+    """A sealed file in other bytes, or with an attribute or a dataset that some program changed and sealed again.
+
+    The second is a function that makes it, for Hypothesis lets no library draw random numbers while it draws.
+    """
+    header = cut_or_flipped(content[:6000]).map(lambda head: head + content[6000:])
+    changed = st.tuples(spoilt_attributes(content) | spoilt_tables(content), st.booleans())
+    spoilt = changed.map(lambda change: lambda: spoilt_file(content, *change))
+    return spoilt | spoilt | header | cut_or_flipped(content) | st.binary(max_size=100)
 
 
-def spoilt_dataset(spoil: Spoil, is_sealed_again: bool) -> bytes:
-    """A data set that some program has changed, with or without the hashes that tell of it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "data.h5"
-        path.write_bytes(sound_dataset())
-        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
-            spoil(file)
-            if is_sealed_again:
-                with contextlib.suppress(Exception):  # what has no hash has none
-                    seal(file)
+def spoilt_file(content: bytes, spoil: Spoil, is_sealed_again: bool) -> bytes:
+    """A sealed file that some program has changed, with or without the hashes that tell of it."""
+    buffer = io.BytesIO(content)
+    with h5py.File(buffer, "r+", libver=("v110", "v110")) as file:
+        spoil(file)
         if is_sealed_again:
-            hdf5._append_trailer(path)
-        return path.read_bytes()
+            with contextlib.suppress(Exception):  # what has no hash has none
+                seal(file)
+    spoilt = buffer.getvalue()
+    trailer = hdf5._TRAILER + hashlib.sha256(spoilt).hexdigest().encode()
+    return spoilt + trailer if is_sealed_again else spoilt
 
 
 def seal(file: Any) -> None:
@@ -52,29 +52,36 @@ def seal(file: Any) -> None:
 
 
 @functools.cache
-def attributes() -> dict[str, str]:
-    with h5py.File(io.BytesIO(sound_dataset()), "r") as file:
-        return hdf5.text_attributes(file)
+def attributes(content: bytes) -> dict[tuple[str, str], str]:
+    """The texts of the file and of its groups, by the owner's name and their own."""
+    with h5py.File(io.BytesIO(content), "r") as file:
+        owners = ["/", *(name for name in file if hdf5.is_group(file[name]))]
+        return {(owner, name): text for owner in owners for name, text in _texts(file[owner])}
+
+
+def _texts(owner: Any) -> list[tuple[str, str]]:
+    return list(hdf5.text_attributes(owner).items())
 
 
 @functools.cache
-def tables() -> dict[str, np.ndarray]:
-    with h5py.File(io.BytesIO(sound_dataset()), "r") as file:
-        return {name: file[name][...] for name in file}
+def tables(content: bytes) -> dict[str, np.ndarray]:
+    with h5py.File(io.BytesIO(content), "r") as file:
+        return {name: file[name][...] for name in hdf5._dataset_names(file)}
 
 
-def with_attribute(name: str, value: Any) -> Spoil:
+def with_attribute(name: str, value: Any, owner: str = "/") -> Spoil:
     def spoil(file: Any) -> None:
-        file.attrs.pop(name, None)
+        file[owner].attrs.pop(name, None)
         if value is not None:
-            file.attrs[name] = value
+            file[owner].attrs[name] = value
 
     return spoil
 
 
-def spoilt_attributes() -> st.SearchStrategy[Spoil]:
+def spoilt_attributes(content: bytes) -> st.SearchStrategy[Spoil]:
     is_json = ("_json", "maps")
-    objects = {name: json.loads(text) for name, text in attributes().items() if name.endswith(is_json)}
+    known = attributes(content)
+    objects = {place: json.loads(text) for place, text in known.items() if place[1].endswith(is_json)}
     values = st.none() | st.sampled_from(
         [
             "",
@@ -96,11 +103,12 @@ def spoilt_attributes() -> st.SearchStrategy[Spoil]:
             "1000000000000",
         ]
     )
-    plain = st.tuples(st.sampled_from([*attributes(), "channels", "data_sha256"]), values)
+    plain = st.tuples(st.sampled_from([*known, ("/", "channels"), ("/", "data_sha256")]), values)
     inside = st.sampled_from(sorted(objects)).flatmap(
-        lambda name: spoilt_json(objects[name]).map(lambda value: (name, json.dumps(value)))
+        lambda place: spoilt_json(objects[place]).map(lambda value: (place, json.dumps(value)))
     )
-    return (plain | inside | inside).map(lambda change: with_attribute(*change))
+    changes = plain | inside | inside if objects else plain
+    return changes.map(lambda change: with_attribute(change[0][1], change[1], change[0][0]))
 
 
 def with_table(name: str, array: np.ndarray | None) -> Spoil:
@@ -135,39 +143,18 @@ def as_other_thing(name: str, kind: str) -> Spoil:
     return spoil
 
 
-def spoilt_tables() -> st.SearchStrategy[Spoil]:
-    names = st.sampled_from(sorted(tables()))
+def spoilt_tables(content: bytes) -> st.SearchStrategy[Spoil]:
+    known = tables(content)
+    names = st.sampled_from(sorted(known))
     kinds = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless", "long"])
-    arrays = names.flatmap(lambda name: odd_array(tables()[name]).map(lambda array: with_table(name, array)))
+    arrays = names.flatmap(lambda name: odd_array(known[name]).map(lambda array: with_table(name, array)))
     gone = names.map(lambda name: with_table(name, None))
     return arrays | arrays | gone | st.tuples(names, kinds).map(lambda change: as_other_thing(*change))
 
 
-def sound_records() -> bytes:
-    records = [make_record(), make_record("line-of-sight"), make_record(split="lofo-77GHz")]
-    return b"".join(record.model_dump_json().encode() + b"\n" for record in records)
-
-
-@functools.cache
-def sound_predictions() -> bytes:
-    """Predictions as somebody else would write them: the attributes copied from the split file, maps of ones."""
-    with tempfile.TemporaryDirectory() as folder:
-        data, split = Path(folder) / "data.h5", Path(folder) / "split.h5"
-        data.write_bytes(sound_dataset())
-        assert xfreqbench("split", "--data", data, "--targets", "10", "-o", split, "-q").code == 0
-        with (
-            h5py.File(split, "r") as known,
-            h5py.File(Path(folder) / "maps.h5", "w", libver="latest") as file,
-        ):
-            group = file.create_group("lofo-10GHz")
-            group.attrs.update(known["lofo-10GHz"].attrs)
-            group.attrs["method"] = "mine"
-            group["pas"] = np.ones((len(known["lofo-10GHz/test_row"]), 90, 360), "f4")
-        return (Path(folder) / "maps.h5").read_bytes()
-
-
-def spoilt_predictions() -> st.SearchStrategy[bytes]:
-    with h5py.File(io.BytesIO(sound_predictions()), "r") as file:
+def spoilt_predictions(content: bytes) -> st.SearchStrategy[bytes]:
+    """Predictions made elsewhere, which no hash protects, with an attribute or the maps replaced, or in other bytes."""
+    with h5py.File(io.BytesIO(content), "r") as file:
         names, shape = list(file["lofo-10GHz"].attrs), file["lofo-10GHz/pas"].shape
     values = st.none() | st.sampled_from(
         ["", "x", -1, np.nan, np.inf, 10**12, b"\xff", np.zeros(3), h5py.Empty("f"), "|" * 200]
@@ -177,7 +164,7 @@ def spoilt_predictions() -> st.SearchStrategy[bytes]:
     )
 
     def changed(spoil: Spoil) -> bytes:
-        buffer = io.BytesIO(sound_predictions())
+        buffer = io.BytesIO(content)
         with h5py.File(buffer, "r+", libver="latest") as file:
             spoil(file["lofo-10GHz"])
         return buffer.getvalue()
@@ -187,4 +174,4 @@ def spoilt_predictions() -> st.SearchStrategy[bytes]:
     other = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless"]).map(
         lambda kind: as_other_thing("pas", kind)
     )
-    return (attribute | attribute | table | other).map(changed) | cut_or_flipped(sound_predictions()[:3000])
+    return (attribute | attribute | table | other).map(changed) | cut_or_flipped(content[:3000])

@@ -121,3 +121,26 @@ def binary_ply() -> bytes:
     )
     assert isinstance(content, bytes)
     return content
+
+
+def ply_files() -> st.SearchStrategy[bytes | None]:
+    """A PLY file in other bytes or with other counts and types in its header; None for none."""
+    texts = st.sampled_from(["vertex 4", "face 2", "float x", "uchar int vertex_indices", "ascii 1.0"])
+    others = [
+        "vertex 999999999999",
+        "face 999999999",
+        "face 0",
+        "vertex 0",
+        "vertex -1",
+        "float",
+        "list",
+        "binary_little_endian 1.0",
+        "double q",
+        "vertex 1e9",
+    ]
+    headers = st.tuples(texts, st.sampled_from(others)).map(
+        lambda change: ASCII_PLY.replace(*change).encode()
+    )
+    edits = edited(ASCII_PLY).map(lambda text: text.encode("utf-8", "surrogateescape"))
+    torn = cut_or_flipped(binary_ply())
+    return st.none() | headers | edits | edits | torn | st.binary(max_size=50)

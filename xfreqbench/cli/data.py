@@ -146,10 +146,11 @@ def _read_positions(path: Path | None) -> Any:
     try:
         text = io.StringIO(read_text(path))
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # about an empty file, which is refused later, where positions are checked
-            return np.loadtxt(text, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
+            warnings.simplefilter("ignore")  # about an empty file, which is refused below
+            found = np.loadtxt(text, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
+        if not len(found):
+            raise ValueError("it holds no position")
+        return found
     except (OSError, ValueError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise XFreqBenchError(

@@ -106,7 +106,7 @@ class CheckpointFolder:
         Raises `MethodError` if the method fails to load it, and `DataError` if it has another configuration.
         """
         failed = f"The checkpoint in {self.path} cannot be loaded: {type(method).__name__}.load raised"
-        with method_code(failed, _ADVICE):
+        with method_code(failed, _ADVICE, passed=()):
             loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
             config = getattr(loaded, "config", None)
         if as_json(config) != as_json(method.config):

@@ -11,7 +11,16 @@ import numpy as np
 from jaxtyping import Float, Int, Num
 from numpy.typing import NDArray
 
-from xfreqbench.data.hdf5 import Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.hdf5 import (
+    Variable,
+    create_sealed,
+    open_sealed,
+    read_array,
+    require_layout,
+    text_attributes,
+    verify_sealed,
+)
 from xfreqbench.errors import DataError
 from xfreqbench.system.files import require_own
 from xfreqbench.types import IntArray
@@ -22,6 +31,7 @@ PEAK_TOLERANCE = (
     1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
 )
 SILENT_PEAK = 1e-5  # of a map without any power, which no number can scale to peak 1; it is scored as it is
+_ADVICE = "Delete it and run again."
 MapBatch = tuple[IntArray, NDArray[np.float32]]
 
 
@@ -39,7 +49,21 @@ class Predictions:
         with open_sealed(self.path, SCHEMA) as file:
             for start in range(0, len(self.rows), size):
                 part = slice(start, start + size)
-                yield self.rows[part], file["pas"][part].astype(np.float32)
+                maps = file["pas"][part].astype(np.float32)
+                if fault := fault_of_maps(maps):
+                    raise DataError(
+                        f"{self.path}, map of row {self.rows[start + fault[0]]}: it {fault[1]} {_ADVICE}"
+                    )
+                yield self.rows[part], maps
+
+    def require_of(self, dataset: PasDataset) -> None:
+        """Raise `DataError` unless the rows are those of samples of a data set, and the maps are on its grid."""
+        with open_sealed(self.path, SCHEMA) as file:
+            shape = file["pas"].shape[1:]
+        rows = self.rows
+        is_ascending = len(rows) and rows[0] >= 0 and (np.diff(rows) > 0).all() and rows[-1] < len(dataset)
+        if shape != dataset.grid.shape or not is_ascending:
+            raise DataError(f"{self.path} does not hold maps of rows of {dataset.path}. {_ADVICE}")
 
     def maps_of(self, rows: Int[IntArray, "n"], batch_size: int) -> Float[NDArray[np.float32], "n E A"]:
         """Maps (n, E, A) of given rows, in the order given; raises `DataError`, and `KeyError` for a row not stored."""
@@ -105,11 +129,14 @@ def write_predictions(
 
 
 def read_predictions(path: Path) -> Predictions:
-    """Open stored predictions after checking every byte of the file; raises `DataError`."""
+    """Open stored predictions after checking every byte and the layout of the file; raises `DataError`."""
     verify_sealed(path, SCHEMA)
     with open_sealed(path, SCHEMA) as file:
         attributes = text_attributes(file)
-        return Predictions(path, file["row"][...], attributes["dataset_sha256"], attributes["split_sha256"])
+        rows = read_array(file, "row")
+        num_elevations, num_azimuths = (read_array(file, name).size for name in ("elevation", "azimuth"))
+        require_layout(file, _variables(rows.size, (num_elevations, num_azimuths)))
+        return Predictions(path, rows, attributes["dataset_sha256"], attributes["split_sha256"])
 
 
 def _variables(num_rows: int, grid_shape: tuple[int, int]) -> list[Variable]:

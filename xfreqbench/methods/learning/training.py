@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -108,6 +108,17 @@ class Training:
     share: float = 0.0  # of the budget spent, as last told
 
 
+class SavedState(BaseModel):
+    """What a checkpoint holds beside tensors: the configuration, and how far the training is."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    config: dict[str, Any]
+    step: Annotated[int, Limits(ge=0, lt=2**63)]
+    share: Annotated[float, Limits(ge=0, allow_inf_nan=False)]
+    kind: PasKind
+
+
 class LearnedMethod:
     """A method that trains a radiance field on maps; subclasses say which `field` and which `Config`."""
 
@@ -173,26 +184,26 @@ class LearnedMethod:
             "beam.azimuth_rad": torch.as_tensor(training.beams.grid.azimuth_rad),
         }
         save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, directory / TENSORS_FILE)
-        state = {
-            "config": as_json(self.config),
-            "step": training.step,
-            "share": training.share,
-            "kind": training.kind,
-        }
-        (directory / STATE_FILE).write_text(json.dumps(state), encoding="utf-8")
+        state = SavedState(
+            config=as_json(self.config), step=training.step, share=training.share, kind=training.kind
+        )
+        (directory / STATE_FILE).write_text(state.model_dump_json(), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> LearnedMethod:
         """The method as it was saved; its `fit` continues from there."""
-        state = json.loads((directory / STATE_FILE).read_text(encoding="utf-8"))
-        method = cls(cls.Config(**state["config"]))
+        state = _stored_state(directory / STATE_FILE)
+        method = cls(cls.Config(**state.config))
         tensors = load_file(directory / TENSORS_FILE, device=str(method._device))
+        faults = [name for name, tensor in tensors.items() if not bool(torch.isfinite(tensor).all())]
+        if faults:
+            raise MethodError(f"{directory / TENSORS_FILE} holds numbers in {faults[0]} that are not finite.")
         grid = AngularGrid(
             tensors["beam.elevation_rad"].cpu().numpy(), tensors["beam.azimuth_rad"].cpu().numpy()
         )
         beam = BartlettBeam(tensors["beam.element_position_wavelengths"].cpu().numpy(), grid)
-        training = method._new_training(beam, state["kind"], tensors)
-        training.step, training.share = state["step"], state["share"]
+        training = method._new_training(beam, state.kind, tensors)
+        training.step, training.share = state.step, state.share
         training.generator.set_state(tensors["generator"].cpu())
         method._training = training
         return method
@@ -236,6 +247,7 @@ class LearnedMethod:
         for name, parameter in field.named_parameters():
             stored = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM if f"adam.{key}.{name}" in tensors}
             if stored:
+                _require_moments(name, parameter, stored)
                 training.optimizer.state[parameter] = stored
         return training
 
@@ -273,6 +285,26 @@ class LearnedMethod:
 
 
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+def _stored_state(path: Path) -> SavedState:
+    """The state in a file; raises `MethodError` where a field of it is missing, or is no such value."""
+    try:
+        return SavedState.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"])) or "all"
+        raise MethodError(f"{path} is no state of a training: {place}: {fault['msg']}.") from error
+
+
+def _require_moments(name: str, parameter: nn.Parameter, stored: Mapping[str, Tensor]) -> None:
+    """Raise `MethodError` unless all of Adam's state is there, its moments of the type and shape of a parameter."""
+    moments = [stored[key] for key in ("exp_avg", "exp_avg_sq") if key in stored]
+    fit = [moment.shape == parameter.shape and moment.dtype == parameter.dtype for moment in moments]
+    if stored.keys() != set(_ADAM) or not all(fit) or stored["step"].shape != ():
+        raise MethodError(
+            f"The moments of {name} are not those of a parameter of shape {tuple(parameter.shape)}."
+        )
 
 
 def _moments(training: Training) -> dict[str, Tensor]:

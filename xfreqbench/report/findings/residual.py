@@ -77,6 +77,10 @@ def plan_residual(results: Path, compared: ComparedFindings, num_tx: int) -> Res
     if trivial := _best_trivial(record, folder):
         predictions[f"{trivial.job.method}, the best trivial predictor"] = folder.predictions(trivial)
     tested = next(iter(predictions.values())).rows
+    for each in predictions.values():
+        each.require_of(compared.dataset)
+        if not np.array_equal(each.rows, tested):
+            raise DataError(f"{each.path} holds other rows of {record.job.split}. Delete it and run again.")
     tx = tested // compared.dataset.num_carriers
     chosen = np.random.default_rng(DRAW_SEED).permutation(np.unique(tx))[:num_tx]
     return ResidualPlan(compared, settings, predictions, np.sort(tested[np.isin(tx, chosen)]))

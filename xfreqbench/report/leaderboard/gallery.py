@@ -77,8 +77,8 @@ def gallery(board: Board, folder: ResultsFolder) -> Gallery:
         if split not in row.by_split or row.family == "ablation":
             continue
         record = row.by_split[split][0]
-        predictions = _predictions(folder, record)
-        if predictions is None or not record.ssim_by_tx:
+        predictions = _predictions(folder, record, dataset)
+        if predictions is None or sum(map(len, record.ssim_by_tx)) != len(predictions.rows):
             absent.append(row.label)
         else:
             found[row.label] = [*_cases(dataset, record, predictions, pictures)]
@@ -111,12 +111,14 @@ def _open(board: Board) -> PasDataset | None:
     return None
 
 
-def _predictions(folder: ResultsFolder, record: RunRecord) -> Predictions | None:
+def _predictions(folder: ResultsFolder, record: RunRecord, dataset: PasDataset) -> Predictions | None:
     """The predictions of a record; None where they are absent, damaged or of another split."""
     try:
-        return folder.predictions(record)
+        predictions = folder.predictions(record)
+        predictions.require_of(dataset)
     except DataError:
         return None
+    return predictions
 
 
 def _cases(

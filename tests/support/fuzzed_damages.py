@@ -1,0 +1,158 @@
+"""Damages to each kind of file: bytes, and parts of the structure replaced, with hashes that hold or do not."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+from fuzzed_base import DATA, RECORDS, ROOM, sound_files
+from fuzzed_hdf5 import hdf5_files, spoilt_predictions
+from fuzzed_png import png_folders
+from fuzzed_scenes import edited, ply_files, toml_file
+from fuzzing import JSON_VALUES, ODD_NUMBERS, cut_or_flipped, odd_array, spoilt_json
+from hypothesis import strategies as st
+from safetensors.numpy import load, save
+
+from xfreqbench.runs.sealed import SEAL, content_sha256
+
+Content = bytes | Callable[[], bytes] | None  # or what makes it; None where the file is gone
+Damage = dict[str, Content]  # of the files that differ from the sound ones
+
+
+def in_place_of(path: str, contents: st.SearchStrategy[Any]) -> st.SearchStrategy[Damage]:
+    return contents.map(lambda content: {path: content})
+
+
+def sealed_json(content: Any, is_sealed_again: bool = True) -> bytes:
+    """A record or checkpoint as JSON, with the hash that it has or the one that it should have."""
+    if isinstance(content, dict) and is_sealed_again and SEAL in content:
+        bare = {name: value for name, value in content.items() if name != SEAL}
+        content = {**bare, SEAL: content_sha256(bare)}
+    return json.dumps(content).encode()
+
+
+def _data_sets() -> st.SearchStrategy[Damage]:
+    return in_place_of(DATA, hdf5_files(sound_files()[DATA]))
+
+
+def _stored_predictions() -> st.SearchStrategy[Damage]:
+    paths = [path for path in sound_files() if path.startswith("results/predictions/")]
+    of_one = st.one_of([in_place_of(path, hdf5_files(sound_files()[path])) for path in paths])
+    return of_one | st.sampled_from([{path: None} for path in paths])
+
+
+def _split_files() -> st.SearchStrategy[Damage]:
+    return in_place_of("split.h5", hdf5_files(sound_files()["split.h5"]))
+
+
+def _records() -> st.SearchStrategy[Damage]:
+    content = sound_files()[RECORDS]
+    lines = [json.loads(line) for line in content.splitlines()]
+    number = st.integers(0, len(lines) - 1)
+    findings = spoilt_json(lines[-1]["findings"]).map(lambda part: (1, {**lines[-1], "findings": part}))
+    spoilt = number.flatmap(lambda at: spoilt_json(lines[at]).map(lambda line: (at, line))) | findings
+
+    def joined(change: tuple[int, Any], is_sealed_again: bool) -> bytes:
+        changed = [*lines[: change[0]], change[1], *lines[change[0] + 1 :]]
+        return b"".join(sealed_json(line, is_sealed_again) + b"\n" for line in changed)
+
+    sealed = st.builds(joined, spoilt, st.sampled_from([True, True, True, False]))
+    endings = [b"{", b"x", b"\xff", b"[" * 5000, b"\n\n", b"{}\n", b"[" * 5000 + b"\n"]
+    ended = st.sampled_from(endings).map(lambda end: content + end)
+    torn = cut_or_flipped(content) | st.binary(max_size=80)
+    return in_place_of(RECORDS, sealed | sealed | sealed | torn | ended)
+
+
+def _checkpoints() -> st.SearchStrategy[Damage]:
+    state_path = next(path for path in sound_files() if path.endswith("checkpoint.json"))
+    state = json.loads(sound_files()[state_path])
+    method = state_path.replace("checkpoint.json", "method/")
+
+    def with_hashes(name: str, content: bytes) -> Damage:
+        sha256 = {**state["sha256"], name: hashlib.sha256(content).hexdigest()}
+        return {state_path: sealed_json({**state, "sha256": sha256}), method + name: content}
+
+    def of_method(name: str, contents: st.SearchStrategy[bytes]) -> st.SearchStrategy[Damage]:
+        kept = contents.map(lambda content: {method + name: content})
+        told = contents.map(lambda content: with_hashes(name, content))
+        return told | told | told | kept
+
+    saved = sound_files()[method + "state.json"]
+    tensors = sound_files()[method + "state.safetensors"]
+    spoilt_state = st.builds(sealed_json, spoilt_json(state), st.sampled_from([True, True, False]))
+    torn_state = cut_or_flipped(sound_files()[state_path])
+    spoilt_saved = spoilt_json(json.loads(saved)).map(json.dumps).map(str.encode)
+    head = cut_or_flipped(tensors[:4000]).map(lambda head: head + tensors[4000:])
+    gone = st.sampled_from([state_path, method + "state.json", method + "state.safetensors"])
+    return (
+        in_place_of(state_path, spoilt_state | torn_state)
+        | of_method("state.json", spoilt_saved | spoilt_saved | cut_or_flipped(saved))
+        | of_method("state.safetensors", _spoilt_tensors(tensors) | head | cut_or_flipped(tensors))
+        | gone.map(lambda path: {path: None})
+        | st.just(with_hashes("more", b"1"))
+    )
+
+
+def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
+    """Tensors of which one is gone, is of another type or shape, or holds numbers that mean nothing."""
+    known = load(content)
+    names = st.sampled_from(sorted(known))
+    plain = "fiub"  # kinds of numbers that the format knows, of which it takes no other byte order
+    arrays = names.flatmap(
+        lambda name: (
+            odd_array(known[name])
+            .filter(lambda array: array.dtype.kind in plain and array.dtype.isnative)
+            .map(lambda array: {**known, name: array})
+        )
+    )
+    gone = names.map(lambda name: {key: array for key, array in known.items() if key != name})
+    return (arrays | arrays | gone).map(save)
+
+
+def _positions() -> st.SearchStrategy[Damage]:
+    numbers = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=4).map(",".join)
+    texts = st.lists(numbers, max_size=4).map("\n".join).map(str.encode)
+    return in_place_of(
+        "tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n")
+    )
+
+
+def _scenes() -> st.SearchStrategy[Damage]:
+    text = sound_files()["room.toml"].decode()
+    spoilt = spoilt_json(ROOM).map(toml_file) | edited(text) | JSON_VALUES.map(toml_file)
+    return in_place_of("room.toml", spoilt.map(lambda toml: toml.encode("utf-8", "surrogateescape")))
+
+
+def _meshes() -> st.SearchStrategy[Damage]:
+    return ply_files().map(lambda ply: {"wall.ply": ply})
+
+
+def _png_folders() -> st.SearchStrategy[Damage]:
+    return png_folders().map(lambda case: {f"maps/{name}": content for name, content in case[0].items()})
+
+
+def _made_elsewhere() -> st.SearchStrategy[Damage]:
+    return in_place_of("theirs.h5", spoilt_predictions(sound_files()["theirs.h5"]))
+
+
+_DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
+    "data set": _data_sets,
+    "stored predictions": _stored_predictions,
+    "checkpoint": _checkpoints,
+    "records": _records,
+    "split file": _split_files,
+    "predictions made elsewhere": _made_elsewhere,
+    "PNG folder": _png_folders,
+    "positions": _positions,
+    "scene": _scenes,
+    "mesh": _meshes,
+}
+
+
+@functools.cache
+def damages(kind: str) -> st.SearchStrategy[Damage]:
+    """Damages to the files of a kind."""
+    return _DAMAGES[kind]()

@@ -1,0 +1,63 @@
+"""Damaged files of every kind, before every command that reads them: none ends in a traceback or costs a file."""
+
+from __future__ import annotations
+
+import typing
+from pathlib import Path
+
+import pytest
+from cyclopts import App
+from fuzzed_commands import LINES, MEASURING, READ_NOTHING, READS, check_read, lines
+from fuzzed_damages import damages
+from fuzzing import NUM_INPUTS, fuzz
+from hypothesis import strategies as st
+
+from xfreqbench.cli.main import app
+from xfreqbench.maps import metrics
+
+SCENE_PARAMETERS = ("scene", "data_or_scene")  # names of shipped scenes, or paths
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals take most of a run's scoring, and nothing here asks for them."""
+    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
+
+
+def paths_taken(commands: App, prefix: str = "") -> dict[str, set[str]]:
+    """The parameters of every command that may be paths, by the command's name."""
+    found: dict[str, set[str]] = {}
+    for name in commands:
+        if name.startswith("-"):
+            continue
+        command = commands[name]
+        if command.default_command is None:
+            found |= paths_taken(command, f"{name} ")
+        else:
+            hints = typing.get_type_hints(command.default_command).items()
+            found[prefix + name] = {key for key, hint in hints if _may_be_a_path(key, hint)}
+    return found
+
+
+def _may_be_a_path(name: str, hint: object) -> bool:
+    return name in SCENE_PARAMETERS or Path in (hint, *typing.get_args(hint))
+
+
+def test_every_path_that_a_command_takes_is_in_the_table() -> None:
+    tabled = {command: set(parameters) for command, parameters in READS.items()}
+    assert paths_taken(app) == tabled | {command: set() for command in READ_NOTHING}
+
+
+def test_every_kind_of_file_has_a_line_for_each_command_that_reads_it() -> None:
+    read = {(command, kind) for command, each in READS.items() for kinds in each.values() for kind in kinds}
+    lined = {(command, kind) for kind, commands in LINES.items() for command in commands}
+    assert read - MEASURING == lined
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_no_damage_ends_in_a_traceback(kind: str) -> None:
+    for line in {line for each in LINES[kind].values() for line in each}:
+        check_read(line, {}, is_bounded=False)  # the first one compiles and imports
+    cases = st.tuples(lines(kind), damages(kind))
+    fuzz(NUM_INPUTS[kind], cases, lambda case: check_read(*case))
