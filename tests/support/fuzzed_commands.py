@@ -131,6 +131,7 @@ def names() -> tuple[str, ...]:
         "taken.h5",
         "tx.csv",
         "transmitter position",
+        "Transmitter ",
         "small_reference.npz",
     )
     return (*words, *(Path(path).name for path in sound_files()))
