@@ -7,17 +7,32 @@ import functools
 import hashlib
 import io
 import json
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 from fuzzing import cut_or_flipped, odd_array, spoilt_json
 from hypothesis import strategies as st
+from stored_records import make_record
+from synthetic import write_dataset
 
 from xfreqbench.data import hdf5
 
 Spoil = Callable[[Any], None]  # changes an open HDF5 file
+
+
+@functools.cache
+def sound_dataset() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return write_dataset(Path(folder) / "data.h5", 3, (1.0, 10.0), maps=True).path.read_bytes()
+
+
+def sound_records() -> bytes:
+    records = [make_record(), make_record("line-of-sight"), make_record(split="lofo-77GHz")]
+    return b"".join(record.model_dump_json().encode() + b"\n" for record in records)
 
 
 def hdf5_files(content: bytes) -> st.SearchStrategy[bytes | Callable[[], bytes]]:

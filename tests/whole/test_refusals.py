@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from forked import command_line
-from fuzzed_hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_dataset
+from fuzzed_hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
 from fuzzed_png import PNG_FOLDER, png
 from fuzzed_scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from fuzzing import (
@@ -138,7 +138,7 @@ def test_what_is_wrong_within_a_data_set_is_named_before_it_is_used(
     tmp_path: Path, spoil: Spoil, message: str, is_sealed_again: bool
 ) -> None:
     path = tmp_path / "data.h5"
-    path.write_bytes(spoilt_dataset(spoil, is_sealed_again))
+    path.write_bytes(spoilt_file(sound_dataset(), spoil, is_sealed_again))
     assert message in str(refusal(lambda: open_dataset(path)))
 
 
