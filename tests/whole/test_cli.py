@@ -11,6 +11,7 @@ import pytest
 from cyclopts import App
 from forked import command_line
 
+from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
@@ -28,6 +29,7 @@ def xfreqbench(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_help_loads_no_heavy_library(arguments: list[str]) -> None:
     program = f"""
 import sys
+from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 try:
     app({arguments!r})
@@ -155,3 +157,19 @@ def test_an_interruption_in_a_callback_of_the_garbage_collector_counts() -> None
         Interrupted()
         for _ in range(1000):  # until the interpreter looks for signals
             time.sleep(0.001)
+
+
+@pytest.mark.parametrize("kind", [SystemError, RuntimeError])
+def test_an_interrupted_kernel_is_an_interruption(
+    kind: type[Exception], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Numba and Dr.Jit raise errors of their own where Ctrl-C meets them."""
+
+    def interrupted() -> None:
+        raise kind("encountered an exception (see above)") from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli, "app", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 130
+    assert "the same command goes on" in capsys.readouterr().err

@@ -60,7 +60,7 @@ def main() -> None:
         sys.exit(2)
     except KeyboardInterrupt:
         _leave_interrupted()
-    except SystemError as error:  # which Numba raises where Ctrl-C interrupts a kernel
+    except (SystemError, RuntimeError) as error:  # of Numba and Dr.Jit, where Ctrl-C interrupts a kernel
         if not was_interrupted(error):
             raise
         _leave_interrupted()
