@@ -46,7 +46,7 @@ def require_contract(printed: str) -> None:
 
 def require_known_by_name(printed: str) -> None:
     (name,) = PROJECT["entry-points"]["xfreqbench.methods"]
-    assert re.search(rf"^{name} +Plane waves", printed, re.MULTILINE)
+    assert re.search(rf"^{name} +plug-in, from {PROJECT['name']}$", printed, re.MULTILINE)
 
 
 def require_rows(folder: Path) -> None:

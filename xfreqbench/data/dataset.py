@@ -275,6 +275,9 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
             raise ValueError(f"dataset {name!r} holds numbers that are not finite")
     if not (np.diff(tables[CARRIER], prepend=0) > 0).all():
         raise ValueError(f"dataset {CARRIER!r} holds {tables[CARRIER]}; carriers ascend from above 0")
+    for name in ("elevation_deg", "azimuth_deg"):
+        if not (np.diff(tables[name]) > 0).all():
+            raise ValueError(f"dataset {name!r} holds angles that do not ascend")
     if (np.abs(tables["tx_position_m"]) > FAR_M).any():
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
 

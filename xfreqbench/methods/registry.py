@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from inspect import getdoc
 from pathlib import Path
 from typing import Any, cast
@@ -36,7 +36,8 @@ def method_summaries() -> dict[str, str]:
     return {entry.name: _summary(entry) for entry in entries}
 
 
-def _summary(entry: EntryPoint) -> str:
+def _summary(entry: Any) -> str:
+    """A line on an entry point, of `importlib.metadata` or of the library that it came from, where that is loaded."""
     if entry.value.startswith("xfreqbench."):
         return _docstring(entry.load()).partition("\n")[0]
     return f"plug-in, from {entry.dist.name}" if entry.dist else "plug-in"

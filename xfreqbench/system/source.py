@@ -200,17 +200,26 @@ def _is_idle(path: Path, source: bytes) -> bool:
     return all(map(_is_idle_statement, _parsed(source).body))
 
 
+_IDLE_BEGINNINGS = (
+    "from __future__ ",
+    "from typing ",
+    "import lazy_loader",
+    "import os",
+    "import typing",
+    "os.environ.setdefault(",  # how threads wait changes no result
+)
+
+
 def _is_idle_statement(node: ast.stmt) -> bool:
-    if isinstance(node, ast.Expr):
-        return isinstance(node.value, ast.Constant)
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        return True
     if isinstance(node, ast.Assign):
         value = node.value
         is_lazy = isinstance(value, ast.Call) and _dotted(value.func)[-1] in ("attach", "attach_stub")
         return is_lazy or ast.unparse(node.targets[0]).startswith("__")
     if isinstance(node, ast.If):
         return _is_type_checking(node.test) and not node.orelse
-    text = ast.unparse(node)
-    return text.startswith(("from __future__ ", "from typing ", "import typing", "import lazy_loader"))
+    return ast.unparse(node).startswith(_IDLE_BEGINNINGS)
 
 
 @cache
