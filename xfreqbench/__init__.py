@@ -8,7 +8,8 @@ import os
 
 import lazy_loader as lazy
 
-os.environ.setdefault(
-    "OMP_WAIT_POLICY", "passive"
-)  # before OpenMP starts: waiting threads leave cores to others
+os.environ.setdefault(  # before OpenMP starts: waiting threads stay awake for some 50 µs, not for milliseconds
+    "GOMP_SPINCOUNT",
+    {"PASSIVE": "0", "ACTIVE": "infinite"}.get(os.getenv("OMP_WAIT_POLICY", "").upper(), "1000"),
+)
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
