@@ -9,5 +9,5 @@ cd "$(dirname "$0")"
 .venv/bin/mypy &
 types=$!
 .venv/bin/lint-imports --no-cache
-wait "$types"
 .venv/bin/python -m pytest --numprocesses 2 --dist worksteal "$@"
+wait "$types"

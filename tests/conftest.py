@@ -12,7 +12,16 @@ from jaxtyping import install_import_hook
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
+    "xfreqbench.tracing.image.bundle_kernels",
+    "xfreqbench.tracing.image.diffraction_kernels",
+    "xfreqbench.tracing.image.edge_field_kernels",
+    "xfreqbench.tracing.image.edge_path_kernels",
+    "xfreqbench.tracing.image.edge_side_kernels",
+    "xfreqbench.tracing.image.forest_kernels",
+    "xfreqbench.tracing.image.furnished_kernels",
     "xfreqbench.tracing.image.kernels",
+    "xfreqbench.tracing.image.trie_kernels",
+    "xfreqbench.tracing.image.wedge_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
 }

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -72,25 +71,3 @@ def test_the_import_is_quick_and_brings_nothing_heavy() -> None:
         (total_us,) = re.findall(r"\| +(\d+) \| xfreqbench$", done.stderr, re.MULTILINE)
         times_ms.append(int(total_us) / 1000)
     assert min(times_ms) < MAX_IMPORT_MS
-
-
-@pytest.mark.parametrize(
-    ("given", "then"),
-    [
-        ({}, "1000"),
-        ({"OMP_WAIT_POLICY": "passive"}, "0"),
-        ({"OMP_WAIT_POLICY": "ACTIVE"}, "infinite"),
-        ({"GOMP_SPINCOUNT": "7"}, "7"),
-    ],
-)
-def test_waiting_threads_soon_leave_the_cores_to_others_unless_told_otherwise(
-    given: dict[str, str], then: str
-) -> None:
-    """Beside other busy programs, threads that spin while they wait cost a fit nine tenths of its speed."""
-    told = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
-    environment = {name: text for name, text in os.environ.items() if name not in told} | given
-    program = "import xfreqbench, os; print(os.environ['GOMP_SPINCOUNT'])"
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == then

@@ -8,8 +8,8 @@ import os
 
 import lazy_loader as lazy
 
-os.environ.setdefault(  # before OpenMP starts: waiting threads stay awake for some 50 µs, not for milliseconds
+os.environ.setdefault(  # before OpenMP starts; `system.waiting` says what for
     "GOMP_SPINCOUNT",
-    {"PASSIVE": "0", "ACTIVE": "infinite"}.get(os.getenv("OMP_WAIT_POLICY", "").upper(), "1000"),
+    {"PASSIVE": "0", "ACTIVE": "infinite"}.get(os.getenv("OMP_WAIT_POLICY", "").upper(), "1001"),
 )
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -96,7 +96,8 @@ def test_a_rungs_times_are_the_least_of_warm_runs_but_where_they_are_dear(
     monkeypatch.setattr(convergence, "resolve_solver", lambda meshes, settings: settings)
     monkeypatch.setattr(convergence, "map_errors", lambda scene, cfr, truth: [])
     monkeypatch.setattr(convergence, "_traced", lambda *asked: (*next(times), reference.cfr))
-    found = convergence.measure(office, TraceSettings(interactions=interactions), reference, "a rung")
+    settings = TraceSettings("sionna", interactions)
+    found = convergence.measure(office, settings, reference, "a rung")
     num_samples = reference.cfr.shape[0] * reference.cfr.shape[1]
     assert (found.shoot_s, found.sample_ms) == (2.0, channel_s / num_samples * 1e3)
     assert len(list(times)) == num_left

@@ -17,6 +17,7 @@ from xfreqbench.errors import (
     ClusterError,
     MaterialBandError,
     PlacementError,
+    SceneError,
     UnknownNameError,
     XFreqBenchError,
 )
@@ -90,6 +91,14 @@ def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(trace, "surface_meshes", meshes_without_the_last)
     with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
         told.geometry()
+
+
+def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "available_memory_mib", lambda: 0.01)
+    with pytest.raises(
+        SceneError, match=r"triangles, which take 0\.\d+ MiB to trace, but 0\.01 MiB are left"
+    ):
+        plan_generation(load_scene("office"), CARRIERS_HZ)
 
 
 def test_a_plan_replaces_auto_and_orders_the_carriers() -> None:

@@ -187,6 +187,6 @@ def test_the_commands_hand_out_score_and_say_what_is_missing(
     exchange.score(path, data=Path(dataset.path), results=tmp_path / "results")
     shown = capsys.readouterr().out
     assert "lofo-24.25GHz" in shown and f"{split_file} already holds these splits" in shown
-    assert f"not in {path}: lofo-2.4GHz, lofo-77GHz" in shown
+    assert f"{path} does without lofo-2.4GHz, lofo-77GHz, which its protocol has too" in shown
     assert "mine (external): a cluster" in shown
     assert "without dataset_sha256" not in shown

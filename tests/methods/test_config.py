@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import pytest
 from pydantic import Field
 
+from xfreqbench.cli.runs import run
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import as_json, override
+from xfreqbench.methods.lookup import NoOptions
+from xfreqbench.methods.registry import build_method
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,16 @@ def test_an_unknown_key_names_the_nearest() -> None:
 def test_a_value_of_another_type_says_what_the_option_takes(assignment: str) -> None:
     with pytest.raises(MethodError, match=f"Option '{assignment.partition('=')[0]}' of Config takes"):
         override(Config(), [assignment])
+
+
+def test_a_method_without_options_takes_none() -> None:
+    with pytest.raises(MethodError, match="Option 'hidden' is given, but the method has none"):
+        override(NoOptions(), ["hidden=1"])
+
+
+def test_the_option_that_help_names_is_one_of_a_built_in_method() -> None:
+    (option,) = re.findall(r"as in (\w+=\w+)", str(get_type_hints(run, include_extras=True)["set_"]))
+    assert override(build_method("xfreq-gs").config, [option])
 
 
 def test_an_assignment_needs_a_value() -> None:

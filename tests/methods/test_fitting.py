@@ -11,7 +11,7 @@ from synthetic import paper_dataset
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError, StorageError
-from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.contract import TRIVIAL, Budget
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.runs.run import Job, run_job, run_jobs
 
@@ -85,14 +85,16 @@ def test_a_results_folder_that_cannot_be_is_refused_before_the_fit(
 
 
 def test_skill_and_labels_of_trivial_predictors_ignore_budget_and_seed() -> None:
-    record = make_record("nearest", 0.8, "lofo-2.4GHz")
-    hurried = record.model_copy(
-        update={
-            "job": Job("data.h5", "nearest", "lofo", "lofo-2.4GHz", seed=3, budget=Budget(max_seconds=300))
-        }
-    )
-    (board,) = boards([hurried])
-    assert [row.label for row in board.rows] == ["nearest"]
+    hurried = [
+        make_record(name, 0.8, "lofo-2.4GHz").model_copy(
+            update={
+                "job": Job("data.h5", name, "lofo", "lofo-2.4GHz", seed=3, budget=Budget(max_seconds=300))
+            }
+        )
+        for name in TRIVIAL
+    ]
+    (board,) = boards(hurried)
+    assert [row.label for row in board.rows] == sorted(TRIVIAL)
     assert board.skill(make_record("ours", 0.9, "lofo-2.4GHz")) == pytest.approx(0.5)
 
 

@@ -200,3 +200,10 @@ def test_the_hash_of_a_record_does_not_depend_on_how_its_json_is_spaced(tmp_path
 def test_a_summary_has_a_hundred_and_one_quantiles() -> None:
     with pytest.raises(ValueError, match="quantiles"):
         make_summary(0.5).model_validate(make_summary(0.5).model_dump() | {"quantiles": [0.0] * 100})
+
+
+def test_a_file_of_something_else_is_told_what_records_are(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(DataError, match=r"data\.h5 is no file of records, which are lines of JSON\. Give a"):
+        read(path)

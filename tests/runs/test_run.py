@@ -7,21 +7,19 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from synthetic import paper_dataset
+from stub_methods import lofo_job
 from xfreqbench.baselines.nearest import Nearest
 
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
-from xfreqbench.errors import DataError, MethodError, StorageError, UnknownNameError, XFreqBenchError
-from xfreqbench.exchange.score_file import score_file
+from xfreqbench.errors import DataError, StorageError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.runs import checkpoints, records
+from xfreqbench.runs import records
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.run import Job, run_job, run_jobs
 from xfreqbench.system import machine
@@ -57,76 +55,8 @@ class Stepwise(Nearest):
         return super().predict(tx_position_m, carrier_hz) ** np.float32(1 / self.level)
 
 
-class FailsInFit(Nearest):
-    def fit(self, train, budget, seed):
-        raise RuntimeError("no memory left")
-        yield
-
-
-class FailsInPredict(Nearest):
-    def predict(self, tx_position_m, carrier_hz):
-        return {}["map"]
-
-
-class Leaving(Nearest):
-    """Raises `error` in the part of its contract that `part` names."""
-
-    part, error = "", SystemExit(0)
-
-    def _reach(self, part):
-        if self.part == part:
-            raise self.error
-
-    def fit(self, train, budget, seed):
-        self._reach("fit")
-        yield from super().fit(train, budget, seed)
-        yield Progress(2, 0.0)
-
-    def predict(self, tx_position_m, carrier_hz):
-        self._reach("predict")
-        return super().predict(tx_position_m, carrier_hz)
-
-    def save(self, directory):
-        self._reach("save")
-
-    def findings(self):
-        self._reach("findings")
-        return {"text": "\udcff"} if self.part == "text" else {}
-
-
-class Uncounted(Nearest):
-    def fit(self, train, budget, seed):
-        self.num_parameters = float("nan")
-        yield from super().fit(train, budget, seed)
-
-
-class UnheardError(Exception):
-    def __str__(self):
-        raise ValueError
-
-
-class Faint(Nearest):
-    """Its maps have power in one direction alone, `peak`."""
-
-    peak = 1.0
-
-    def predict(self, tx_position_m, carrier_hz):
-        maps = np.zeros((len(carrier_hz), 90, 360), np.float32)
-        maps[:, 3, 4] = self.peak
-        return maps
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=5)
-
-
-def make_job(dataset, method="nearest", split="lofo-24.25GHz", **options):
-    return Job(str(dataset.path), method, "lofo", split, **options)
-
-
 def test_a_record_holds_the_scores_of_the_stored_predictions(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset), tmp_path)
+    record = run_job(lofo_job(dataset), tmp_path)
     predictions = read_predictions(tmp_path / "predictions" / f"{record.id}.h5")
     (rows, maps), *_ = predictions.batches(100)
     for name, metric in METRICS.items():
@@ -140,7 +70,7 @@ def test_a_record_holds_the_scores_of_the_stored_predictions(dataset: PasDataset
 
 
 def test_predictions_are_for_the_test_rows_of_the_split(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset), tmp_path)
+    record = run_job(lofo_job(dataset), tmp_path)
     predictions = read_predictions(tmp_path / "predictions" / f"{record.id}.h5")
     split = find_split(dataset, "lofo", "lofo-24.25GHz")
     np.testing.assert_array_equal(predictions.rows, split.test)
@@ -149,12 +79,12 @@ def test_predictions_are_for_the_test_rows_of_the_split(dataset: PasDataset, tmp
 
 
 def test_the_record_is_what_the_file_holds(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset), tmp_path)
+    record = run_job(lofo_job(dataset), tmp_path)
     assert records.read(tmp_path / "records.jsonl").records == (record,)
 
 
 def test_a_finished_job_is_not_run_again(dataset: PasDataset, tmp_path: Path) -> None:
-    jobs = [make_job(dataset), make_job(dataset, "line-of-sight")]
+    jobs = [lofo_job(dataset), lofo_job(dataset, "line-of-sight")]
     first = run_jobs(jobs[:1], tmp_path)
     again = run_jobs(jobs, tmp_path)
     assert again[0] == first[0]
@@ -165,34 +95,34 @@ def test_a_finished_job_is_not_run_again(dataset: PasDataset, tmp_path: Path) ->
 
 
 def test_a_job_whose_predictions_are_gone_is_run_again(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset), tmp_path)
+    record = run_job(lofo_job(dataset), tmp_path)
     path = tmp_path / "predictions" / f"{record.id}.h5"
     path.unlink()
-    run_job(make_job(dataset), tmp_path)
+    run_job(lofo_job(dataset), tmp_path)
     assert path.exists()
     assert len(records.read(tmp_path / "records.jsonl").records) == 2
 
 
 def test_whatever_determines_the_result_changes_the_id(dataset: PasDataset, tmp_path: Path) -> None:
     jobs = [
-        make_job(dataset, "mean-over-frequency"),
-        make_job(dataset, "mean-over-frequency", seed=1),
-        make_job(dataset, "mean-over-frequency", overrides=("num_nearest=2",)),
-        make_job(dataset, "mean-over-frequency", split="lofo-77GHz"),
-        make_job(dataset, "nearest"),
+        lofo_job(dataset, "mean-over-frequency"),
+        lofo_job(dataset, "mean-over-frequency", seed=1),
+        lofo_job(dataset, "mean-over-frequency", overrides=("num_nearest=2",)),
+        lofo_job(dataset, "mean-over-frequency", split="lofo-77GHz"),
+        lofo_job(dataset, "nearest"),
     ]
     assert len({record.id for record in run_jobs(jobs, tmp_path)}) == len(jobs)
 
 
 def test_an_override_that_says_the_default_is_the_same_job(dataset: PasDataset, tmp_path: Path) -> None:
-    plain = run_job(make_job(dataset, "mean-over-frequency"), tmp_path)
-    spelled = run_job(make_job(dataset, "mean-over-frequency", overrides=("num_nearest=6",)), tmp_path)
+    plain = run_job(lofo_job(dataset, "mean-over-frequency"), tmp_path)
+    spelled = run_job(lofo_job(dataset, "mean-over-frequency", overrides=("num_nearest=6",)), tmp_path)
     assert spelled == plain
 
 
 def test_progress_counts_the_jobs(dataset: PasDataset, tmp_path: Path) -> None:
     seen = []
-    jobs = [make_job(dataset), make_job(dataset, "line-of-sight")]
+    jobs = [lofo_job(dataset), lofo_job(dataset, "line-of-sight")]
     run_jobs(jobs, tmp_path, lambda done, total, record: seen.append((done, total, record.job)))
     assert seen == [(1, 2, jobs[0]), (2, 2, jobs[1])]
 
@@ -201,7 +131,7 @@ def test_a_wrong_name_in_the_last_job_is_told_before_the_first_fit(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     with pytest.raises(UnknownNameError, match="nearst"):
-        run_jobs([make_job(dataset), make_job(dataset, "nearst")], tmp_path)
+        run_jobs([lofo_job(dataset), lofo_job(dataset, "nearst")], tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -215,7 +145,7 @@ def test_damaged_data_are_refused_before_the_first_fit(dataset: PasDataset, tmp_
 
 
 def test_a_job_pickles(dataset: PasDataset) -> None:
-    job = make_job(dataset, overrides=("a=1",))
+    job = lofo_job(dataset, overrides=("a=1",))
     assert pickle.loads(pickle.dumps(job)) == job
 
 
@@ -229,13 +159,13 @@ def test_running_needs_neither_sionna_nor_matplotlib() -> None:
 
 
 def test_a_configuration_with_a_path_is_hashed_and_recorded(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset, f"{__name__}:WithAPath"), tmp_path)
+    record = run_job(lofo_job(dataset, f"{__name__}:WithAPath"), tmp_path)
     assert record.config == {"weights": "weights.pt"}
     assert records.read(tmp_path / "records.jsonl").records == (record,)
 
 
 def test_a_record_says_what_data_it_is_of(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_job(make_job(dataset), tmp_path)
+    record = run_job(lofo_job(dataset), tmp_path)
     assert record.pas_kind == dataset.header.pas_kind == "power"
     assert record.settings == dataset.header.settings
 
@@ -249,143 +179,18 @@ def test_results_that_cannot_be_written_are_told_before_the_first_fit(
         results.mkdir()
     (results / name).write_text("")
     with pytest.raises(StorageError, match="results"):
-        run_jobs([make_job(dataset, f"{__name__}:FailsInFit")], results)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        (
-            "FailsInFit",
-            r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*test_run\.py",
-        ),
-        ("FailsInPredict", r"failed in predict on split 'lofo-24\.25GHz': KeyError: 'map' \(.*test_run\.py"),
-    ],
-)
-def test_a_method_that_fails_is_named_and_the_jobs_before_it_are_kept(
-    dataset: PasDataset, tmp_path: Path, name: str, words: str
-) -> None:
-    with pytest.raises(MethodError, match=words):
-        run_jobs([make_job(dataset), make_job(dataset, f"{__name__}:{name}")], tmp_path)
-    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == ["nearest"]
-
-
-PARTS = ("fit", "predict", "save", "findings")
-ERRORS = (SystemExit(0), GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
-
-
-@pytest.mark.parametrize("part", PARTS)
-@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_whatever_a_method_raises_names_the_method_and_the_part(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, error: BaseException
-) -> None:
-    monkeypatch.setattr(Leaving, "part", part)
-    monkeypatch.setattr(Leaving, "error", error)
-    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
-    words = rf"Leaving' failed in {part} on split .*{type(error).__name__}: "
-    with pytest.raises(MethodError, match=words) as raised:
-        run_job(make_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9)), tmp_path)
-    str(raised.value).encode()
-    assert not (tmp_path / "records.jsonl").exists()
-
-
-@pytest.mark.parametrize("part", PARTS)
-def test_an_interrupted_method_is_no_broken_one(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
-) -> None:
-    wrapped = SystemError("a kernel was interrupted")
-    wrapped.__cause__ = KeyboardInterrupt()
-    monkeypatch.setattr(Leaving, "part", part)
-    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
-    for seed, error in enumerate((KeyboardInterrupt(), wrapped)):
-        monkeypatch.setattr(Leaving, "error", error)
-        with pytest.raises(KeyboardInterrupt):
-            run_job(make_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9), seed=seed), tmp_path)
-
-
-def test_a_number_of_parameters_that_is_no_count_is_told(dataset: PasDataset, tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match=r"Uncounted\.num_parameters is nan, a float"):
-        run_job(make_job(dataset, f"{__name__}:Uncounted"), tmp_path)
-    assert not (tmp_path / "records.jsonl").exists()
-
-
-def test_findings_that_no_file_can_hold_are_told(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Leaving, "part", "text")
-    with pytest.raises(MethodError, match=r"Leaving' failed in findings on split .*surrogate"):
-        run_job(make_job(dataset, f"{__name__}:Leaving"), tmp_path)
-
-
-FORKING = """
-import os
-from xfreqbench.baselines.nearest import Nearest
-
-class Forking(Nearest):
-    def fit(self, train, budget, seed):
-        self.child = os.fork()
-        yield from super().fit(train, budget, seed)
-        if self.child:
-            os.waitpid(self.child, 0)
-        elif FAILS:
-            raise RuntimeError("in the child")
-"""
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path, fails: bool) -> None:
-    (tmp_path / "forking.py").write_text(FORKING.replace("FAILS", str(fails)))
-    options = f"run --data {dataset.path} --results results --targets 77 --quiet --method forking:Forking"
-    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("it forked the process; the child ends here") == 1
-    assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 1
-
-
-def test_a_method_that_exits_does_not_look_like_success(dataset: PasDataset, tmp_path: Path) -> None:
-    (tmp_path / "leaving.py").write_text("import sys\n\nsys.exit(0)\n")
-    options = f"run --data {dataset.path} --results results --targets 77 --method leaving:Method"
-    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "Method 'leaving:Method' cannot be imported: SystemExit: 0" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("peak", [0.0, 1e-6, 0.5])
-def test_a_run_and_a_file_of_predictions_accept_the_same_maps(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peak: float
-) -> None:
-    monkeypatch.setattr(Faint, "peak", peak)
-    split = find_split(dataset, "lofo", "lofo-24.25GHz")
-    maps = Faint().predict(np.zeros((len(split.test), 3)), np.zeros(len(split.test)))
-    path = tmp_path / "file.h5"
-    with h5py.File(path, "w") as file:
-        group = file.create_group(split.name)
-        group["pas"] = maps
-        group.attrs.update(split_sha256=split.sha256, method="theirs")
-    job = make_job(dataset, f"{__name__}:Faint")
-    if peak == 0.5:
-        with pytest.raises(MethodError, match=r"the map of row \d+ has its peak at 0\.5\. Divide each map"):
-            run_job(job, tmp_path / "run")
-        with pytest.raises(DataError, match=r"has its peak at 0\.5\. Divide each map"):
-            score_file(path, Path(dataset.path), tmp_path / "scored")
-    else:
-        ran = run_job(job, tmp_path / "run")
-        (scored,) = score_file(path, Path(dataset.path), tmp_path / "scored").records
-        assert ran.scores["ssim"] == scored.scores["ssim"]
+        run_jobs([lofo_job(dataset, "stub_methods:FailsInFit")], results)
 
 
 def test_the_time_of_a_prediction_leaves_our_checks_out(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fitting, "_fault_of", lambda *_: time.sleep(1))
-    assert run_job(make_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps
+    assert run_job(lofo_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps
 
 
 def run_stepwise(dataset: PasDataset, folder: Path, budget: Budget) -> records.RunRecord:
-    return run_job(make_job(dataset, f"{__name__}:Stepwise", budget=budget), folder)
+    return run_job(lofo_job(dataset, f"{__name__}:Stepwise", budget=budget), folder)
 
 
 def test_a_learning_curve_has_a_point_at_each_share_of_the_budget_and_at_the_end(
@@ -417,12 +222,12 @@ def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     assert run_stepwise(dataset, tmp_path, Budget()).curve == ()
-    assert run_job(make_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
+    assert run_job(lofo_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
 
 
 def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path) -> None:
     seen = []
-    job = make_job(dataset, f"{__name__}:Stepwise", budget=Budget(max_steps=4))
+    job = lofo_job(dataset, f"{__name__}:Stepwise", budget=Budget(max_steps=4))
     run_jobs([job], tmp_path, fitting=lambda *told: seen.append(told))
     assert [(told.step, told.share) for _, told in seen] == [(1, 0.25), (2, 0.5), (3, 0.75), (4, 1.0)]
     assert {told_job for told_job, _ in seen} == {job}

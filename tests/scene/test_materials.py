@@ -28,6 +28,11 @@ def test_a_carrier_outside_the_band_names_band_carriers_and_alternatives() -> No
     assert "--materials extrapolate" in message
 
 
+def test_carriers_in_megahertz_are_told_the_unit_and_no_empty_list_of_alternatives() -> None:
+    with pytest.raises(MaterialBandError, match=r"2400 GHz\. Drop .* in GHz, use others \(none is defined"):
+        check_dispersion(["concrete"], [2400e9])
+
+
 def test_extrapolation_continues_the_nearest_power_law_and_is_reported() -> None:
     assert check_dispersion(["concrete", "brick"], [1e9, 60e9], "extrapolate") == ["brick"]
     assert complex_permittivity("brick", 60e9, "extrapolate").real == pytest.approx(3.91)

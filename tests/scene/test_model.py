@@ -200,7 +200,7 @@ def test_a_mitsuba_scene_that_cannot_be_used_says_why(tmp_path: Path) -> None:
             '<shape type="ply" id="wall"><string name="filename" value="w.ply"/><ref id="red"/></shape></scene>'
         )
     with pytest.raises(SceneError, match="world coordinates"):
-        load('<scene><shape type="sphere" id="ball"/></scene>')
+        load('<scene><shape type="cylinder" id="ball"/></scene>')
 
 
 def test_geometry_queries_agree_with_closed_forms() -> None:

@@ -54,10 +54,14 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench savings": {"output": ("records",)},
     "bench scale-out": {"output": ("records",)},
     "bench load": {"output": ("records",)},
+    "bench peers": {"output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
-    *((f"bench {name}", "records") for name in ("generate", "render", "savings", "scale-out", "load")),
+    *(
+        (f"bench {name}", "records")
+        for name in ("generate", "render", "savings", "scale-out", "load", "peers")
+    ),
     ("stress", "records"),
 }
 

@@ -97,6 +97,46 @@ XML = """<?xml version="1.0" encoding="utf-8"?>
 """
 
 
+RICH_XML = """<scene version="3.0.0">
+  <default name="far" value="2"/>
+  <bsdf type="radio-material" id="foam">
+    <float name="relative_permittivity" value="1.5"/> <float name="conductivity" value="0.1"/>
+    <float name="scattering_coefficient" value="0.3"/> <string name="scattering_pattern" value="directive"/>
+    <integer name="alpha_r" value="4"/>
+  </bsdf>
+  <bsdf type="twosided" id="two"><ref id="foam"/></bsdf>
+  <alias id="two" as="alias"/>
+  <include filename="room.xml"/>
+  <shape type="cube" id="mesh-cube">
+    <transform name="to_world">
+      <scale value="0.2"/> <rotate z="1" angle="30"/> <translate x="$far"/>
+      <matrix value="1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/>
+      <lookat origin="0 0 0" target="0 0 1" up="0 1 0"/>
+    </transform>
+    <ref id="alias" name="bsdf"/>
+  </shape>
+  <shape type="sphere" id="mesh-ball">
+    <point name="center" x="1" y="1" z="1"/> <float name="radius" value="0.1"/>
+    <bsdf type="diffuse" id="mat-itu_metal.001"/>
+  </shape>
+</scene>
+"""
+
+
+OBJ = """mtllib none.mtl
+o wall
+v 0 0 0
+v 4 0 0
+v 4 4 0
+v 0 4 0
+usemtl itu_concrete
+f 1//1 2//1 3//1 4//1
+g other
+usemtl mat-itu_wood.001
+f -4 -3 -2
+"""
+
+
 ASCII_PLY = """ply
 format ascii 1.0
 element vertex 4

@@ -6,7 +6,11 @@ import math
 import time
 from dataclasses import dataclass
 
+from xfreqbench.baselines.nearest import Nearest
+
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Progress
+from xfreqbench.runs.run import Job
 
 
 @dataclass(frozen=True)
@@ -132,3 +136,14 @@ class WithoutDefault(Short):
 class ConfiguredByADict(Short):
     def __init__(self, config=None):
         self.config = config or {"hidden": 1}
+
+
+class FailsInFit(Nearest):
+    def fit(self, train, budget, seed):
+        raise RuntimeError("no memory left")
+        yield
+
+
+def lofo_job(dataset: PasDataset, method: str = "nearest", split: str = "lofo-24.25GHz", **options) -> Job:
+    """A fit of a method to all carriers of a data set but one."""
+    return Job(str(dataset.path), method, "lofo", split, **options)

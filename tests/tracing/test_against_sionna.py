@@ -33,7 +33,7 @@ POLARIZATIONS = ("V", "H")
 def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> Any:
     from xfreqbench.tracing.sionna.plain import loaded, solve
 
-    return solve(loaded(scene, carrier_hz), tx, SETTINGS.interactions, 3, SETTINGS.rays, seed=1)
+    return solve(loaded(scene, carrier_hz), tx[None], SETTINGS.interactions, 3, SETTINGS.rays, seed=1)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -7,12 +7,15 @@ import contextlib
 import gzip
 import lzma
 import re
+from typing import Any
 
 from fuzzed_options import GENERATE_OPTIONS
 from fuzzed_scenes import (
     ASCII_PLY,
     EMPTY_SCENE,
+    OBJ,
     REFERRING_SCENE,
+    RICH_XML,
     SMALL_SCENE,
     XML,
     edited,
@@ -31,6 +34,7 @@ from fuzzing import (
     spoilt_json,
 )
 from hypothesis import strategies as st
+from mesh_scenes import glb_content, packed_glb
 from places import ROOT
 
 SCENES = ROOT / "scenes"
@@ -118,6 +122,39 @@ def test_no_place_of_a_mitsuba_scene_ends_in_a_traceback() -> None:
 
 def test_no_ply_file_ends_in_a_traceback() -> None:
     fuzz(NUM_INPUTS["a PLY file with one edit"], ply_files(), lambda ply: refused_room(XML.encode(), ply))
+
+
+def refused_scene(name: str, content: bytes) -> None:
+    with sentinel_folder() as folder:
+        scene = folder / "odd.toml"
+        scene.write_text(toml_file({**EMPTY_SCENE, "scene": name, "up": None if name == "rich.xml" else "z"}))
+        (folder / name).write_bytes(content)
+        (folder / "room.xml").write_text(XML)
+        (folder / "wall.ply").write_text(ASCII_PLY)
+        refused(folder, "generate", scene, "-o", folder / "taken.h5", "--freqs", "1,10", "-q")
+
+
+def test_no_mitsuba_scene_of_many_parts_ends_in_a_traceback() -> None:
+    texts = edited(RICH_XML).map(lambda text: text.encode("utf-8", "surrogateescape"))
+    fuzz(NUM_INPUTS["a Mitsuba XML of many parts"], texts, lambda xml: refused_scene("rich.xml", xml))
+
+
+def test_no_glb_ends_in_a_traceback() -> None:
+    square_m = [[0, 0, 0], [4, 0, 0], [0, 4, 0], [4, 4, 0]]
+    nodes: list[dict[str, Any]] = [{"children": [1], "rotation": [0, 0, 0, 1]}, {"mesh": 0, "name": "wall"}]
+    content, binary = glb_content(nodes, [(square_m, [0, 1, 2, 2, 1, 3], 4, "itu_concrete")])
+    files = spoilt_json(content).map(lambda spoilt: packed_glb(spoilt, binary))
+    torn = cut_or_flipped(packed_glb(content, binary))
+    fuzz(
+        NUM_INPUTS["a GLB with one part spoilt"],
+        files | files | torn,
+        lambda glb: refused_scene("odd.glb", glb),
+    )
+
+
+def test_no_obj_ends_in_a_traceback() -> None:
+    texts = edited(OBJ).map(lambda text: text.encode("utf-8", "surrogateescape"))
+    fuzz(NUM_INPUTS["an OBJ with one edit"], texts, lambda obj: refused_scene("odd.obj", obj))
 
 
 def positions_refused(content: bytes, name: str = "tx.csv") -> None:

@@ -171,9 +171,25 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
             lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
         )
+    yield edges_that_cannot_matter(work.few(2, 3))
     yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
     yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
+
+
+def edges_that_cannot_matter(work: Workload) -> Saving:
+    """Diffracted paths that a bound shows to be weak left out, against all of them traced."""
+    settings = replace(work.settings, interactions=("specular", "refraction", "diffraction"))
+    off, on = (
+        ImageTracer(work.scene, work.carrier_hz, settings, replace(ImageSavings(), diffraction_floor=floor))
+        for floor in (0.0, ImageSavings().diffraction_floor)
+    )
+    return work.saving(
+        "image: paths over edges that a bound shows to be weak",
+        "channels with diffraction, rays shot beforehand",
+        lambda: off.channel(work.tx_position_m).cfr,
+        lambda: on.channel(work.tx_position_m).cfr,
+    )
 
 
 def sionna_savings(work: Workload) -> Iterator[Saving]:

@@ -23,8 +23,8 @@ from xfreqbench.errors import XFreqBenchError
 Solver = Annotated[
     Literal["auto", "image", "sionna"],
     Parameter(
-        help="image: the exact image method, for planar facets; sionna: Sionna RT, for every scene; auto: image where "
-        "it can trace the scene, else sionna."
+        help="image: the exact image method, for up to 1,000 mirrors; sionna: Sionna RT, for every scene; auto: image "
+        "where it can trace the scene, else sionna."
     ),
 ]
 Interactions = Annotated[
@@ -168,6 +168,12 @@ def info(
             help="Samples to trace again from the scene and settings in the file, and to compare with it."
         ),
     ] = 0,
+    glints: Annotated[
+        int,
+        Parameter(
+            help="Transmitters to trace with every facet of the meshes as a mirror, to say what patches leave out."
+        ),
+    ] = 0,
     seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
 ) -> None:
     """Print what a data set holds, and verify every byte of it against its hashes."""
@@ -177,6 +183,8 @@ def info(
 
     if min(retrace, seed) < 0:
         raise XFreqBenchError(f"--retrace and --seed take 0 or more, but got {retrace} and {seed}.")
+    if glints < 0:
+        raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     print(describe(file))
     verify(file)
     print("every hash holds")
@@ -184,6 +192,10 @@ def info(
         dataset = open_dataset(file)
         worst = require_origin(dataset, retrace, seed)
         print(f"{min(retrace, len(dataset))} samples traced again: {worst}, the others by less")
+    if glints:
+        from xfreqbench.data.glints import glints as left_out
+
+        print(left_out(open_dataset(file), glints, seed))
 
 
 @app.command

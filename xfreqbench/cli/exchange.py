@@ -148,11 +148,15 @@ def score(
     """
     from xfreqbench.exchange.score_file import score_file
     from xfreqbench.report.leaderboard.report import leaderboard_summary
+    from xfreqbench.report.leaderboard.results import ranked_beside
 
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)
     if scored.missing:
-        say(f"not in {predictions}: {', '.join(scored.missing)}", quiet)
+        say(f"{predictions} does without {', '.join(scored.missing)}, which its protocol has too", quiet)
     if not scored.is_data_known:
         say(f"without dataset_sha256, {predictions} is taken to be of {data}", quiet)
-    say(f"{leaderboard_summary(scored.records)}\n\nEvery metric: xfreqbench report {results}", quiet)
+    say(
+        f"{leaderboard_summary(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}",
+        quiet,
+    )

@@ -149,6 +149,24 @@ def bench_load(
     load.bench_load(_bench("load", output, methods=",".join(names)), names)
 
 
+@bench.command(name="peers")
+def bench_peers(
+    *,
+    solvers: Annotated[
+        str, Parameter(help="Comma-separated; those of DiffeRT need the extra `peers`.")
+    ] = "sionna,PathSolver,PathSolver-batched,DiffeRT-exhaustive,DiffeRT-hybrid",
+    orders: Annotated[str, Parameter(help="Numbers of reflections, 1 to 6.")] = "1,2,3",
+    seconds: Annotated[float, Parameter(help="How long a solver may run after its set-up.")] = 20.0,
+    output: BenchOutput = None,
+) -> None:
+    """Print paths, time and error of our solvers beside those of Sionna RT and DiffeRT, on the same room."""
+    from xfreqbench.bench.peers import run
+
+    names = [name.strip() for name in solvers.split(",")]
+    bench = _bench("peers", output, solvers=",".join(names), orders=orders, seconds=seconds)
+    run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds)
+
+
 def _counts(option: str, text: str, most: int) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):

@@ -37,7 +37,10 @@ def check_method(
     *,
     set_: Annotated[
         tuple[str, ...],
-        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+        Parameter(
+            name="--set",
+            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
+        ),
     ] = (),
 ) -> None:
     """Try every part of a method's contract on a small data set, in seconds.
@@ -87,7 +90,10 @@ def run(
     ] = "cpu",
     set_: Annotated[
         tuple[str, ...],
-        Parameter(name="--set", help="Change a field of the method's config, as in hidden=128."),
+        Parameter(
+            name="--set",
+            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
+        ),
     ] = (),
     executor: Executor = "serial",
     quiet: Quiet = False,
@@ -99,6 +105,7 @@ def run(
     from xfreqbench.methods.contract import parse_budget
     from xfreqbench.methods.registry import device_option, method_names
     from xfreqbench.report.leaderboard.report import leaderboard_summary
+    from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.runs.protocol import protocol_jobs
     from xfreqbench.runs.run import run_jobs
 
@@ -111,7 +118,10 @@ def run(
             records = run_jobs(jobs, results, progress, fitting)
     else:
         records = _run_on_workers(executor, jobs, results, quiet)
-    say(f"{leaderboard_summary(records)}\n\nEvery metric: xfreqbench report {results}", quiet)
+    say(
+        f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
+        quiet,
+    )
 
 
 def _run_on_workers(executor: str, jobs: list[Any], results: Path, quiet: bool) -> list[Any]:

@@ -100,12 +100,12 @@ def batch_folder(output: Path) -> Path:
 
 def holds_batches_of(output: Path, plan: Plan) -> bool:
     """Whether a process that was killed at its very end left the batches of a job beside the output."""
-    marker = batch_folder(output) / _MARKER
-    return (
-        not batch_folder(output).is_symlink()
-        and marker.is_file()
-        and marker.read_bytes() == plan.sha256.encode()
-    )
+    folder = batch_folder(output)
+    return not folder.is_symlink() and _is_marked(folder / _MARKER, plan)
+
+
+def _is_marked(marker: Path, plan: Plan) -> bool:
+    return marker.is_file() and marker.read_bytes() == plan.sha256.encode()
 
 
 def _require_ours(folder: Path) -> None:
@@ -132,9 +132,7 @@ def _mark(folder: Path, plan: Plan) -> None:
     marker = folder / _MARKER
     fault = "marks batches of an unfinished run with other settings, software or transmitters"
     advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
-    if not require_own(
-        marker, lambda file: None if file.read_bytes() == plan.sha256.encode() else fault, advice
-    ):
+    if not require_own(marker, lambda file: None if _is_marked(file, plan) else fault, advice):
         write_text(marker, plan.sha256)
 
 

@@ -125,10 +125,17 @@ class PasDataset:
     def scene(self) -> Scene:
         """The scene that was traced; raises `DataError` where none is stored, as in maps that others published.
 
-        The folder of its Mitsuba meshes is not stored: `replace(scene, folder=...)` says where they are.
+        The folder of its Mitsuba meshes is not stored: `replace(scene, folder=...)` says where they are. Before
+        data said so, every triangle of these mirrored.
         """
         try:
-            return TypeAdapter(Scene).validate_json(self.header.scene_json)
+            scene = TypeAdapter(Scene).validate_json(self.header.scene_json)
+            told = {
+                name: self.header.settings[name]
+                for name in scene.mirror_settings
+                if name in self.header.settings
+            }
+            return replace(scene, **(told or {"mirrors": "facets"})) if scene.scene else scene
         except ValidationError as error:
             raise DataError(
                 f"{self.path} does not say which scene it was traced in, as data that others published. Use a "

@@ -132,7 +132,9 @@ def create_sealed(
 def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema."""
     with read_errors(path):  # a path that is too long raises an error too
-        is_there = path.is_file()
+        is_there, is_folder = path.is_file(), path.is_dir()
+    if is_folder:
+        raise DataError(f"{path} is a folder. Give one of its files, with a name in .h5.")
     if not is_there:
         raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
     with read_errors(path), h5py.File(path, "r") as file:

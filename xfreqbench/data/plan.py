@@ -13,11 +13,11 @@ from pydantic import TypeAdapter
 
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
-from xfreqbench.errors import XFreqBenchError
+from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import Geometry, check_overlaps
-from xfreqbench.scene.materials import check_dispersion
-from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
+from xfreqbench.scene.meshes import meshes_sha256, slabs_of, surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import (
     Placement,
@@ -26,13 +26,16 @@ from xfreqbench.scene.placement import (
     choose_transmitters,
     place_transmitters,
 )
+from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import sees
+from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz_list
 
+BYTES_PER_TRIANGLE = 800  # at the peak, where solver `image` sorts them; measured in scene `lounge`
 BATCH = 16  # transmitters a batch: the most that a killed process has to trace again
 
 
@@ -83,7 +86,27 @@ class Plan:
             f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB\n"
             f"solver {self.settings.solver}, {' and '.join(self.settings.interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
-            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
+            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}" + self._material_notes
+        )
+
+    @property
+    def _material_notes(self) -> str:
+        """Lines on materials that the scene defines itself, and on those that scatter; empty where there are none."""
+        slabs = slabs_of(self.geometry.meshes)
+        own = {slab.material for slab in slabs if isinstance(slab.material, ConstantMaterial)}
+        told = [
+            f"{each.name} (ε′ {each.relative_permittivity:g}, σ {each.conductivity_s_m:g} S/m)"
+            for each in sorted(own, key=str)
+        ]
+        rough = [
+            f"{name} (S {each.coefficient:g}, {each.pattern})" for name, each in self.geometry.scattering
+        ]
+        is_traced = "diffuse" in self.settings.interactions
+        return (f"\nthe same at every carrier: {', '.join(told)}" if told else "") + (
+            f"\nscattering: {', '.join(rough)}"
+            f"{'' if is_traced else ', of which the interaction diffuse is not traced'}"
+            if rough
+            else ""
         )
 
     @cached_property
@@ -116,11 +139,13 @@ def plan_generation(
     """
     carriers = _checked_carriers(carrier_hz)
     geometry = Geometry(surface_meshes(scene))
+    _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
     materials = (mesh.material for mesh in geometry.meshes)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)
     check_receiver(scene, geometry.meshes, min(carriers))
+    check_closed(scene, geometry.meshes)
     if tx_position_m is None:
         usable = place_transmitters(scene, geometry.meshes, min(carriers))
         placed = replace(usable, tx_position_m=choose_transmitters(usable, num_transmitters, settings.seed))
@@ -133,6 +158,17 @@ def plan_generation(
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
     in_sight = sees(geometry.meshes, placed.tx_position_m, np.asarray(scene.receiver.position_m))
     return Plan(tracing, placed.tx_position_m, in_sight, header)
+
+
+def _require_memory(scene: Scene, geometry: Geometry) -> None:
+    """Raise `SceneError` where the scene's triangles do not fit into the memory that is left."""
+    needed_mib, left_mib = geometry.num_triangles * BYTES_PER_TRIANGLE / 2**20, available_memory_mib()
+    if needed_mib > left_mib:
+        raise SceneError(
+            f"Scene {scene.name!r} has {geometry.num_triangles:,} triangles, which take {needed_mib:,.2f} MiB to "
+            f"trace, but {left_mib:,.2f} MiB are left. Simplify its meshes, for instance by decimating round "
+            "furniture in Blender, or close other programs."
+        )
 
 
 def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:
@@ -154,6 +190,8 @@ def _header(
 ) -> DatasetHeader:
     """What the file will say about itself."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
+    told = [{"material": name, **each.stated} for name, each in tracing.geometry().scattering]
+    rough = {"scattering": told} if told else {}
     return DatasetHeader(
         scene_name=tracing.scene.name,
         scene_json=tracing.scene.canonical_json,
@@ -163,7 +201,12 @@ def _header(
         num_tx=len(placed.tx_position_m),
         pas_kind=pas_kind_named(pas_kind),
         maps=maps,
-        settings={**settings, "extrapolated_materials": extrapolated_materials},
+        settings={
+            **settings,
+            "extrapolated_materials": extrapolated_materials,
+            **rough,
+            **tracing.scene.mirror_settings,
+        },
         software=software_versions(tracing.settings.solver),
         rejected=placed.rejected,
     )

@@ -20,7 +20,7 @@ from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.types import IntArray
 from xfreqbench.units import format_ghz
 
-TOLERANCE = 1e-3  # a transmitter moved by a millimetre differs by 0.02 at 1 GHz; other machines by 1e-5
+TOLERANCE = 1e-3  # a path that is a millimetre longer differs by 0.02 at 1 GHz
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,8 @@ def _declaration(place: str, owners: Sequence[Any], method: str | None) -> Decla
     except ValidationError as error:
         fault = error.errors()[0]
         name = str(fault["loc"][0])
-        raise DataError(f"{place}, attribute {name!r}: {fault['msg']}. {_ADVICE.get(name, '')}") from error
+        words = "it is missing" if fault["type"] == "missing" else fault["msg"]
+        raise DataError(f"{place}, attribute {name!r}: {words}. {_ADVICE.get(name, '')}") from error
 
 
 def _plain(value: Any) -> Any:

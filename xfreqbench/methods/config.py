@@ -42,8 +42,10 @@ def as_json(config: Any) -> dict[str, Any]:
 
 def _typed(config: Any, key: str, text: str) -> Any:
     names = [field.name for field in fields(config)]
+    if not names:
+        raise MethodError(f"Option {key!r} is given, but the method has none ({type(config).__name__}).")
     if key not in names:
-        raise UnknownNameError(f"option of {type(config).__name__}", key, names or ["(it has none)"])
+        raise UnknownNameError(f"option of {type(config).__name__}", key, names)
     kind = _types(config)[key]
     adapter = _adapter(config, kind)
     try:

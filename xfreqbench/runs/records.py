@@ -246,7 +246,9 @@ def read(path: Path) -> StoredRecords:
 def _require_half_a_record(path: Path, rest: bytes) -> None:
     """Raise `DataError` if the text after the last line end is not the start of a record: `append` would remove it."""
     if not rest.startswith(_RECORD_START[: len(rest)]):
-        raise DataError(f"{path} is no file of records: it ends in {rest[:40]!r}. Give the path of another.")
+        raise DataError(
+            f"{path} is no file of records, which are lines of JSON. Give a results folder, or its records.jsonl."
+        )
 
 
 def _append_line(path: Path, descriptor: int, line: bytes) -> None:

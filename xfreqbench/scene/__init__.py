@@ -1,7 +1,8 @@
 """Scenes: the rooms, materials, arrays and transmitters of which channels are computed.
 
-In come the TOML file of a scene and, where it names one, a Mitsuba XML with its PLY meshes. Out go a checked `Scene`
-(`model`), its surfaces as triangle meshes (`meshes`) and planar facets (`facets`), the permittivity of their
+In come the TOML file of a scene and, where it names one, a file of meshes: a Mitsuba XML (`mitsuba_xml`, `transforms`),
+a GLB (`glb`) or an OBJ (`mesh_files`), whose shapes and materials are understood alike (`imported`). Out go a checked
+`Scene` (`model`), its surfaces as triangle meshes (`meshes`) and planar facets (`facets`), the permittivity of their
 materials at any carrier (`materials`), the elements of the receiver array (`array`), what sees what (`visibility`),
-and the positions where transmitters can stand (`placement`).
+which meshes are rooms (`rooms`), and the positions where transmitters can stand (`placement`).
 """

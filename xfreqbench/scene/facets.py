@@ -16,7 +16,9 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
+from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.types import FloatArray, IntArray
 
 PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
@@ -42,6 +44,28 @@ class Geometry:
     def num_triangles(self) -> int:
         """Triangles of all meshes."""
         return sum(len(mesh.triangles) for mesh in self.meshes)
+
+    @property
+    def scattering(self) -> list[tuple[str, Scattering]]:
+        """Every rough material by name, and how it scatters."""
+        rough = {(str(mesh.material), mesh.scattering) for mesh in self.meshes if mesh.scattering}
+        return sorted(rough, key=repr)
+
+    @cached_property
+    def mirrors(self) -> Bool[NDArray[np.bool_], "K"]:
+        """Whether each triangle mirrors, meshes in order."""
+        return np.asarray(self.mirror_patch >= 0)
+
+    @cached_property
+    def mirror_patch(self) -> Int[IntArray, "K"]:
+        """Number of the patch in which each triangle mirrors, or −1, as `mirror_patches` returns them."""
+        return mirror_patches(self.meshes)
+
+    @property
+    def num_mirrors(self) -> int:
+        """Patches that mirror, and triangles of the meshes of which every triangle does."""
+        free = sum(len(mesh.triangles) - 1 for mesh in self.meshes if mesh.least_patch is None)
+        return len(np.unique(self.mirror_patch[self.mirrors])) + free
 
     @cached_property
     def facets(self) -> list[PlanarFacet]:

@@ -2,21 +2,31 @@
 
 Relative permittivity is ε' = a·f^b and conductivity σ = c·f^d in S/m, with f in GHz. The table is here and not
 only in Sionna RT, so that a scene can be checked, and traced by the image method, without loading Sionna; a
-test compares it with Sionna's.
+test compares it with Sionna's. Beside them stand materials of a scene's own, which are the same at every carrier.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field, model_serializer, model_validator
+from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from xfreqbench.errors import MaterialBandError, UnknownNameError
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list
 
 MaterialPolicy = Literal["error", "extrapolate"]
+MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (
+    1e3,
+    1e6,
+    1e9,
+)  # Sionna RT's float32 holds their fields
+Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
+DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,68 @@ class Band:
     def contains(self, carrier_hz: float) -> bool:
         """Whether P.2040 defines the material at this carrier."""
         return self.low_ghz <= carrier_hz / 1e9 <= self.high_ghz
+
+
+@dataclass(frozen=True)
+class ConstantMaterial:
+    """A material that a scene defines itself: one permittivity ε' and one conductivity σ at every carrier."""
+
+    name: str
+    relative_permittivity: float
+    conductivity_s_m: float
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def band(self) -> Band:
+        """The material as a row of P.2040's table, without an edge and without dispersion."""
+        return Band(0.0, math.inf, self.relative_permittivity, 0, self.conductivity_s_m, 0)
+
+
+Material = str | ConstantMaterial  # P.2040's by name, or a scene's own
+ScatteringPattern = Literal["lambertian", "directive", "backscattering"]
+_PATTERN_NUMBERS = ("alpha_r", "alpha_i", "lambda_")  # the directive pattern has the first alone
+
+
+@pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Scattering:
+    """How a rough surface reflects diffusely (Degli-Esposti et al., 2007), which P.2040 does not say.
+
+    `coefficient` S is the share of the reflected field that is scattered: S² of the reflected power, and the specular
+    reflection keeps 1 − S². `xpd_coefficient` is the share of the scattered power that changes its polarisation.
+    `pattern` is where it goes: by Lambert's law, in a lobe about the specular direction, the narrower the larger
+    `alpha_r`, or in that and one back to the source, of width `alpha_i`, which share the power as `lambda_` to
+    1 − `lambda_`.
+    """
+
+    coefficient: Annotated[float, Field(ge=0, le=1)]
+    xpd_coefficient: Annotated[float, Field(ge=0, le=1)] = 0.0
+    pattern: ScatteringPattern = "lambertian"
+    alpha_r: Annotated[int, Field(ge=1, le=100)] | None = None
+    alpha_i: Annotated[int, Field(ge=1, le=100)] | None = None
+    lambda_: Annotated[float, Field(ge=0, le=1)] | None = None
+
+    @model_validator(mode="after")
+    def _has_the_numbers_of_its_pattern(self) -> Scattering:
+        number = {"lambertian": 0, "directive": 1, "backscattering": 3}[self.pattern]
+        wanted, stated = list(_PATTERN_NUMBERS[:number]), list(self.pattern_numbers)
+        if stated != wanted:
+            raise ValueError(
+                f"the pattern {self.pattern!r} has {' and '.join(wanted) or 'no numbers'}, but "
+                f"{' and '.join(stated) or 'none'} is stated"
+            )
+        return self
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """Fields by name, without the numbers that the pattern does not have."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    @property
+    def pattern_numbers(self) -> dict[str, float]:
+        """The numbers of the pattern, by name."""
+        return {name: value for name, value in self.stated.items() if name in _PATTERN_NUMBERS}
 
 
 # Rows are in Sionna's order: where bands overlap, the first one that contains the carrier is used.
@@ -89,18 +161,67 @@ ITU_MATERIALS: dict[str, tuple[Band, ...]] = {
 }
 
 
-def material_bands(material: str) -> tuple[Band, ...]:
-    """Rows of P.2040's table for a material; raises `UnknownNameError`."""
+def material_bands(material: Material) -> tuple[Band, ...]:
+    """Rows of P.2040's table for a material, or the one of a constant material; raises `UnknownNameError`."""
+    if isinstance(material, ConstantMaterial):
+        return (material.band,)
     if material not in ITU_MATERIALS:
         raise UnknownNameError("ITU-R P.2040 material", material, ITU_MATERIALS)
     return ITU_MATERIALS[material]
 
 
-def _defining_band(material: str, carrier_hz: float) -> Band | None:
+@pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class SceneMaterial:
+    """A material under a name that the scene's surfaces, or its mesh file, use for it.
+
+    It is `itu`, a material of ITU-R P.2040, by default the one of the same name; or it has a relative permittivity
+    and a conductivity of its own, which are the same at every carrier. `thickness_m` is that of imported meshes: a
+    surface states its own. `scattering` says how rough it is; without it, nothing is reflected diffusely.
+    """
+
+    name: str
+    itu: str | None = None
+    relative_permittivity: Annotated[float, Field(ge=1, le=MAX_PERMITTIVITY, allow_inf_nan=False)] | None = (
+        None
+    )
+    conductivity_s_m: Annotated[float, Field(ge=0, le=MAX_CONDUCTIVITY_S_M, allow_inf_nan=False)] | None = (
+        None
+    )
+    thickness_m: Thickness | None = None
+    scattering: Scattering | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_stated(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in serialize(self).items() if value is not None}
+
+    @model_validator(mode="after")
+    def _is_one_material(self) -> SceneMaterial:
+        is_own = self.relative_permittivity is not None
+        if is_own and self.itu is not None:
+            raise ValueError(
+                f"material {self.name!r} is {self.itu!r} and has a relative_permittivity; state one of them"
+            )
+        if self.conductivity_s_m is not None and not is_own:
+            raise ValueError(
+                f"material {self.name!r} has a conductivity_s_m; state its relative_permittivity too"
+            )
+        if not is_own:
+            material_bands(self.itu or self.name)
+        return self
+
+    @property
+    def material(self) -> Material:
+        """Name of the P.2040 material, or the constant material that is defined here."""
+        if self.relative_permittivity is None:
+            return self.itu or self.name
+        return ConstantMaterial(self.name, self.relative_permittivity, self.conductivity_s_m or 0.0)
+
+
+def _defining_band(material: Material, carrier_hz: float) -> Band | None:
     return next((band for band in material_bands(material) if band.contains(carrier_hz)), None)
 
 
-def _nearest_band(material: str, carrier_hz: float) -> Band:
+def _nearest_band(material: Material, carrier_hz: float) -> Band:
     """The band from which a material is extrapolated: the one whose edge is nearest on a logarithmic axis."""
     log_carrier = np.log(carrier_hz / 1e9)
 
@@ -110,7 +231,7 @@ def _nearest_band(material: str, carrier_hz: float) -> Band:
     return min(material_bands(material), key=distance)
 
 
-def complex_permittivity(material: str, carrier_hz: float, policy: MaterialPolicy = "error") -> complex:
+def complex_permittivity(material: Material, carrier_hz: float, policy: MaterialPolicy = "error") -> complex:
     """Relative complex permittivity ε' − jσ/(2πf·ε₀) at one carrier (ITU-R P.2040, Eq. 9).
 
     Outside every band of the material, `policy="error"` raises `MaterialBandError` and
@@ -136,7 +257,7 @@ def materials_defined_at(carrier_hz: Iterable[float]) -> list[str]:
 
 
 def check_dispersion(
-    materials: Iterable[str], carrier_hz: Sequence[float], policy: MaterialPolicy = "error"
+    materials: Iterable[Material], carrier_hz: Sequence[float], policy: MaterialPolicy = "error"
 ) -> list[str]:
     """Check every used material against every carrier before any ray is shot.
 
@@ -145,14 +266,16 @@ def check_dispersion(
     that would do.
     """
     extrapolated = []
-    for material in sorted(set(materials)):
+    for material in sorted({material for material in materials if isinstance(material, str)}):
         outside = [carrier for carrier in carrier_hz if _defining_band(material, carrier) is None]
         if outside and policy == "error":
             bands = " and ".join(f"{b.low_ghz:g} to {b.high_ghz:g} GHz" for b in material_bands(material))
+            others = ", ".join(materials_defined_at(carrier_hz))
+            choice = f"use one of {others}" if others else "use others (none is defined at all of yours)"
             raise MaterialBandError(
                 f"ITU-R P.2040 defines {material!r} from {bands}, but the scene is asked for "
-                f"{format_ghz_list(outside)}. Drop those carriers, use one of "
-                f"{', '.join(materials_defined_at(carrier_hz))}, or pass --materials extrapolate."
+                f"{format_ghz_list(outside)}. Drop those carriers, which are given in GHz, {choice}, or pass "
+                "--materials extrapolate."
             )
         if outside:
             extrapolated.append(material)

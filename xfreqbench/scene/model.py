@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +23,7 @@ from xfreqbench.scene.array import (
     quaternion_rotation,
     rotation_quaternion,
 )
-from xfreqbench.scene.materials import material_bands
+from xfreqbench.scene.materials import Material, SceneMaterial, Thickness, material_bands
 from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
@@ -37,6 +38,15 @@ Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 _STRICT = ConfigDict(extra="forbid")
+_LATER = {
+    "up",
+    "material",
+    "rooms",
+    "closed",
+    "mirrors",
+    "least_patch_area_m2",
+    "least_patch_width_m",
+}  # fields of a scene that the first data sets did not have
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -49,7 +59,7 @@ class Surface:
 
     name: str
     material: str
-    thickness_m: PositiveMetres
+    thickness_m: Thickness
     min_m: Point
     max_m: Point
 
@@ -178,11 +188,25 @@ class TransmitterGrid:
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+class PatchSize(NamedTuple):
+    """The least size of a coplanar patch of a mesh that mirrors; `width_m` is 4·area / perimeter."""
+
+    area_m2: float = 0.05
+    width_m: float = 0.1
+
+
 @dataclass(frozen=True, config=_STRICT)
 class Scene:
     """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
 
-    `scene` may name a Mitsuba XML, relative to `folder`, whose meshes are added to the surfaces.
+    `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
+    or `sionna:NAME` for a scene that Sionna RT brings. In a GLB or OBJ the axis `up` points upwards, by default y in
+    a GLB, as glTF demands, and z in an OBJ. `material` names materials. `rooms` names closed meshes whose inside is
+    free space; without it, they are found. `closed` promises that nothing leads out of the room of the receiver.
+
+    `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
+    `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
+    triangle, however small beside the wavelength. Surfaces always mirror.
     """
 
     name: str
@@ -191,7 +215,19 @@ class Scene:
     description: str = ""
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
+    up: Literal["y", "z"] | None = None
+    material: tuple[SceneMaterial, ...] = ()
+    rooms: tuple[str, ...] = ()
+    closed: bool = False
+    mirrors: Literal["patches", "facets"] | None = None
+    least_patch_area_m2: Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)] | None = None
+    least_patch_width_m: PositiveMetres | None = None
     folder: Annotated[Path, Field(exclude=True)] = Path()
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        content = serialize(self)  # so that JSON, and every hash of it, is as it was before these existed
+        return {key: value for key, value in content.items() if key not in _LATER or value}
 
     @model_validator(mode="after")
     def _receiver_faces_its_pole(self) -> Scene:
@@ -204,18 +240,42 @@ class Scene:
 
     @model_validator(mode="after")
     def _names_are_unique_and_materials_known(self) -> Scene:
-        names = [surface.name for surface in self.surface]
-        twice = {name for name in names if names.count(name) > 1}
-        if twice:
-            raise ValueError(f"two surfaces are named {sorted(twice)[0]!r}; every surface needs its own name")
+        for kind, named in (("surface", self.surface), ("material", self.material)):
+            names = Counter(each.name for each in named)
+            twice = sorted(name for name, count in names.items() if count > 1)
+            if twice:
+                raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
         for surface in self.surface:
-            material_bands(surface.material)
+            material_bands(self.material_of(surface))
         return self
 
     @property
-    def mitsuba_xml(self) -> Path | None:
-        """Path of the Mitsuba scene that the TOML names, if any."""
-        return self.folder / self.scene if self.scene else None
+    def materials(self) -> dict[str, SceneMaterial]:
+        """The scene's own table of materials, by name."""
+        return {material.name: material for material in self.material}
+
+    def material_of(self, surface: Surface) -> Material:
+        """What a surface is made of: a material of the scene's table, or of P.2040."""
+        own = self.materials.get(surface.material)
+        return own.material if own else surface.material
+
+    @property
+    def least_patch(self) -> PatchSize | None:
+        """The least patch of imported meshes that mirrors; None where every triangle does."""
+        area_m2 = self.least_patch_area_m2 or PatchSize().area_m2
+        width_m = self.least_patch_width_m or PatchSize().width_m
+        return None if self.mirrors == "facets" else PatchSize(area_m2, width_m)
+
+    @property
+    def mirror_settings(self) -> dict[str, Any]:
+        """The fields that say what of imported meshes mirrors, for the header of data; empty without such meshes."""
+        if self.scene is None:
+            return {}
+        size = self.least_patch
+        told = (
+            {} if size is None else {f"least_patch_{name}": value for name, value in size._asdict().items()}
+        )
+        return {"mirrors": self.mirrors or "patches", **told}
 
     @property
     def canonical_json(self) -> str:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from xfreqbench.errors import PlacementError
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
@@ -36,7 +37,7 @@ def place_transmitters(
     """
     lattice_m = scene.transmitters.lattice_m
     clearance_m = scene.transmitters.clearance_m
-    inside = enclosing_mesh(meshes, lattice_m) >= 0
+    inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
     to_receiver_m = np.linalg.norm(lattice_m - np.asarray(scene.receiver.position_m), axis=1)
     near_receiver = (
@@ -101,7 +102,7 @@ def check_transmitters(
         raise PlacementError(
             f"Transmitter {row} stands at {_metres(tx_position_m[row])}; give finite metres, up to {FAR_M:g}."
         )
-    _check_free(meshes, tx_position_m, "Transmitter")
+    _check_free(scene, meshes, tx_position_m, "Transmitter")
     for carrier in carrier_hz:
         _check_off_the_array(scene, tx_position_m, carrier)
 
@@ -125,24 +126,26 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
     It is checked at the lowest carrier, where the array is widest.
     """
     element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / lowest_carrier_hz)
-    _check_free(
-        meshes, np.vstack([scene.receiver.position_m, element_m]), "Receiver array point", lowest_carrier_hz
-    )
+    points_m = np.vstack([scene.receiver.position_m, element_m])
+    _check_free(scene, meshes, points_m, "Receiver array point", lowest_carrier_hz)
 
 
 def _check_free(
+    scene: Scene,
     meshes: Sequence[SurfaceMesh],
     points_m: Float[FloatArray, "N 3"],
     what: str,
     carrier_hz: float | None = None,
 ) -> None:
     at = f" at {format_ghz(carrier_hz)}" if carrier_hz else ""
-    enclosing = enclosing_mesh(meshes, points_m)
+    objects = objects_of(scene, meshes)
+    enclosing = enclosing_mesh(objects, points_m)
     if (enclosing >= 0).any():
         index = int(np.flatnonzero(enclosing >= 0)[0])
+        name = objects[enclosing[index]].name
         raise PlacementError(
-            f"{what} {index} stands inside {meshes[enclosing[index]].name!r}, at "
-            f"{_metres(points_m[index])}{at}. Move it into free space."
+            f"{what} {index} stands inside {name!r}, at {_metres(points_m[index])}{at}. "
+            f"Move it into free space, or, where that is a room, say rooms = [{name!r}] in the scene's TOML."
         )
     distance_m = distance_to_surfaces(meshes, points_m)
     if (distance_m < MIN_SEPARATION_M).any():

@@ -32,9 +32,14 @@ def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N
     for index, mesh in enumerate(meshes):
         low_m, high_m = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
         near = np.flatnonzero(((points_m >= low_m) & (points_m <= high_m)).all(axis=1))
-        if len(near) and trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight:
+        if len(near) and is_closed(mesh):
             enclosing[near[np.abs(_winding_number(mesh.corners_m, points_m[near])) > 0.5]] = index
     return enclosing
+
+
+def is_closed(mesh: SurfaceMesh) -> bool:
+    """Whether every edge of a mesh belongs to two of its triangles, so that it has an inside."""
+    return bool(trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight)
 
 
 def _winding_number(
@@ -61,3 +66,12 @@ def sees(
     """Whether the straight segment from each of N starts to the one end meets no triangle (Möller–Trumbore)."""
     points_m = (np.ascontiguousarray(points, dtype=np.float64) for points in (start_m, end_m))
     return visibility_kernels.free_segments(np.ascontiguousarray(triangle_corners_m(meshes)), *points_m)
+
+
+def fibonacci_sphere(num_points: int) -> Float[FloatArray, "N 3"]:
+    """Directions spread evenly over the sphere, by the golden angle."""
+    index = np.arange(num_points)
+    z = 1 - (2 * index + 1) / num_points
+    azimuth_rad = 2 * np.pi * ((index * (np.sqrt(5) - 1) / 2) % 1.0)
+    horizontal = np.sqrt(1 - z**2)
+    return np.stack([horizontal * np.cos(azimuth_rad), horizontal * np.sin(azimuth_rad), z], axis=-1)

@@ -13,6 +13,7 @@ from pathlib import Path
 from xfreqbench.errors import XFreqBenchError
 
 _STATUS = Path("/proc/self/status")
+_MEMORY = Path("/proc/meminfo")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
@@ -45,6 +46,15 @@ def peak_memory_mib() -> float:
     except (OSError, StopIteration):
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1 << 20 if platform.system() == "Darwin" else 1 << 10)  # macOS counts bytes
+
+
+def available_memory_mib() -> float:
+    """Memory that a program could still take without the system swapping, in MiB; infinite where nothing tells."""
+    try:
+        lines = _MEMORY.read_text(encoding="utf-8").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return float("inf")
 
 
 @cache

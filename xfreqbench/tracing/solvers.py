@@ -6,13 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
-from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.tracer import (
     INTERACTIONS,
     MAX_DEPTH,
+    MAX_DIFFUSE_PATHS,
     MAX_RAYS,
     MAX_SEED,
     Interaction,
@@ -45,6 +46,24 @@ def check_settings(settings: TraceSettings) -> None:
             raise XFreqBenchError(f"The {name} is {value:,}; give a number from {least} to {most:,}.")
 
 
+def _check_diffuse(geometry: Geometry, settings: TraceSettings) -> None:
+    """Raise `XFreqBenchError` for diffuse reflection in a scene without any, or with more paths than memory holds."""
+    if "diffuse" not in settings.interactions:
+        return
+    if not geometry.scattering:
+        raise SceneError(
+            "Diffuse reflection is asked for, but no material of the scene scatters: ITU-R P.2040 gives no scattering "
+            "coefficient. State one in the scene's TOML, as in [[material]] name = 'concrete', "
+            "scattering = {coefficient = 0.3}, or leave out the interaction."
+        )
+    most_rays = MAX_DIFFUSE_PATHS // max(1, settings.max_depth)
+    if settings.rays > most_rays:
+        raise XFreqBenchError(
+            f"With diffuse reflection every ray may leave a path at each of {settings.max_depth} depths, and "
+            f"{MAX_DIFFUSE_PATHS:,} of them fit into memory. Ask for --rays {most_rays:,} at most, or for less depth."
+        )
+
+
 def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings:
     """Settings that name a solver: `auto` is `image` where scene and interactions allow it, else `sionna`.
 
@@ -53,6 +72,7 @@ def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings
     from xfreqbench.tracing.image.tracer import can_solve
 
     check_settings(settings)
+    _check_diffuse(geometry, settings)
     canonical = tuple(name for name in INTERACTIONS if name in settings.interactions)
     settings = replace(settings, interactions=canonical)
     if settings.solver != "auto":
@@ -74,10 +94,11 @@ def make_tracer(
     geometry = geometry or Geometry(surface_meshes(scene))
     if settings.solver == "auto":
         settings = resolve_solver(geometry, settings)
+    _check_diffuse(geometry, settings)
     if settings.solver == "image":
-        from xfreqbench.tracing.image.tracer import ImageTracer
+        from xfreqbench.tracing.image.furnished import image_tracer
 
-        return ImageTracer(scene, carrier_hz, settings, geometry=geometry)
+        return image_tracer(scene, carrier_hz, settings, geometry=geometry)
     from xfreqbench.tracing.sionna.tracer import SionnaTracer
 
     return SionnaTracer(scene, carrier_hz, settings, geometry)

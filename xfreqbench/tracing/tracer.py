@@ -17,6 +17,7 @@ Interaction = Literal["specular", "refraction", "diffraction", "diffuse"]
 INTERACTIONS: tuple[Interaction, ...] = get_args(Interaction)
 SolverName = Literal["auto", "image", "sionna"]
 MAX_DEPTH, MAX_RAYS = 16, 10_000_000  # with both at once, paths fill some gigabytes of memory
+MAX_DIFFUSE_PATHS = 4_000_000  # each ray may leave one at each depth, of some 300 bytes
 MAX_SEED = 2**32 - 1  # Sionna's are of 32 bits
 
 

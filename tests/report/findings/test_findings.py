@@ -18,7 +18,7 @@ from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError
 from xfreqbench.report.findings.compared import ComparedFindings, choose_record
 from xfreqbench.report.findings.model import FoundSlab, StoredFindings, reflection, virtual_sources
-from xfreqbench.report.findings.write import FILES, write_findings
+from xfreqbench.report.findings.write import FILES, NUMBERS, write_findings
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.materials import ITU_MATERIALS, complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
@@ -277,6 +277,18 @@ def test_the_same_record_is_written_again_and_another_is_not(dataset: PasDataset
     with pytest.raises(OutputExistsError, match="was not written for record other"):
         write_findings(other, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != NUMBERS])
+def test_a_foreign_file_among_ours_stays(dataset: PasDataset, tmp_path: Path, name: str) -> None:
+    result = ComparedFindings.of(full_record(dataset), dataset)
+    (tmp_path / NUMBERS).write_text(
+        f'{{"record": "{result.record.id}"}}'
+    )  # all that a killed command has written
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(OutputExistsError, match=f"{name} exists"):
+        write_findings(result, tmp_path)
+    assert (tmp_path / name).read_text() == "mine"
 
 
 def test_a_foreign_file_of_the_name_stays(dataset: PasDataset, tmp_path: Path) -> None:

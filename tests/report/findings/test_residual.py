@@ -181,7 +181,7 @@ def test_scores_of_no_map_are_dashes(complete: Residual) -> None:
 def test_mistakes_are_told_before_any_ray(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("xfreqbench.report.findings.residual.ImageTracer", None)
+    monkeypatch.setattr("xfreqbench.report.findings.residual.image_tracer", None)
     output = tmp_path / "residual.md"
     append(tmp_path / "without" / "records.jsonl", make_record("nearest"))
     with pytest.raises(DataError, match="has findings; its methods are nearest"):

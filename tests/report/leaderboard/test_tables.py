@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from leaderboard_records import (
@@ -15,9 +16,11 @@ from stored_records import SPLITS, make_record, make_summary
 
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.contract import TRIVIAL, Budget
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.report import leaderboard_summary
+from xfreqbench.report.leaderboard.results import ranked_beside
+from xfreqbench.runs.records import append
 
 
 def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
@@ -48,9 +51,12 @@ def test_a_row_that_loses_to_a_trivial_predictor_stands_with_its_negative_skill(
     assert rows_of(markdown, "worse")[0]["skill"] == "-2.000"
 
 
-def test_without_a_trivial_predictor_there_is_no_skill() -> None:
-    markdown = leaderboard_markdown([make_record("ours", 0.95)])
-    assert rows_of(markdown, "ours")[0]["skill"] == "–"
+@pytest.mark.parametrize("left_out", range(4))
+def test_unless_all_trivial_predictors_were_run_there_is_no_skill(left_out: int) -> None:
+    *trivial, ours = make_records()[:5]
+    del trivial[left_out]
+    markdown = leaderboard_markdown([*trivial, ours])
+    assert {rows_of(markdown, row.job.method)[0]["skill"] for row in (*trivial, ours)} == {"–"}
 
 
 def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
@@ -118,8 +124,8 @@ def test_skill_stands_whatever_budget_and_seed_were_given() -> None:
 
 
 def test_a_trivial_predictor_with_other_options_sets_no_skill() -> None:
-    tuned = with_job(make_record("mean-over-frequency", 0.99), overrides=("num_nearest=3",))
-    markdown = leaderboard_markdown([make_record("nearest", 0.9), tuned, make_record("ours", 0.95)])
+    tuned = with_job(make_record("mean-over-frequency", 0.99, SPLITS[0]), overrides=("num_nearest=3",))
+    markdown = leaderboard_markdown([*make_records()[:4], tuned, make_record("ours", 0.95, SPLITS[0])])
     assert rows_of(markdown, "ours")[0]["skill"] == "0.500"
     assert rows_of(markdown, "mean-over-frequency (num_nearest=3)")[0]["skill"] == "0.900"
 
@@ -129,11 +135,23 @@ def test_sets_of_different_kinds_of_map_have_different_headings() -> None:
     markdown = leaderboard_markdown(records)
     assert "## office · lofo · power maps\n" in markdown
     assert "## office · lofo · amplitude maps\n" in markdown
-    assert "office · lofo · amplitude maps. Tested" in leaderboard_summary(records)
 
 
-def test_the_summary_for_a_terminal_is_one_table_a_board() -> None:
-    assert leaderboard_summary(make_records()).count("| method") == 1
+def test_the_summary_for_a_terminal_is_a_table_for_each_board() -> None:
+    records = [make_record(), make_record(pas_kind="amplitude", dataset_sha256="c" * 64)]
+    summary = leaderboard_summary(records)
+    assert summary.count("| method") == 2
+    assert "office · lofo · amplitude maps. Tested" in summary
+
+
+def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
+    others = [make_record(dataset_sha256="c" * 64), make_record("old", protocol_version="0")]
+    for record in [*make_records(), *others]:
+        append(tmp_path / "records.jsonl", record)
+    summary = leaderboard_summary(ranked_beside(tmp_path, [make_records()[-1]]))
+    assert rows_of(summary, "ours")[0]["skill"] == "0.500"
+    assert rows_of(summary, "nearest") and not rows_of(summary, "old")
+    assert summary.count("| method") == 1
 
 
 def test_gaussians_are_counted_where_a_method_has_any() -> None:
@@ -202,7 +220,10 @@ def test_one_ranked_row_has_nothing_to_be_paired_with() -> None:
 
 def test_samples_give_the_score_and_the_skill_an_interval() -> None:
     row = rows_of(
-        leaderboard_markdown([*of_three_seeds("ours", 0.02, 10), *of_three_seeds("nearest", 0.0, 20)]), "ours"
+        leaderboard_markdown(
+            [*of_three_seeds("ours", 0.02, 10), *(of_three_seeds(name, 0.0, 20)[0] for name in TRIVIAL)]
+        ),
+        "ours",
     )[0]
     pattern = r"0\.\d+ \[0\.\d+, 0\.\d+\]"
     assert re.fullmatch(pattern, row["24.25GHz"])

@@ -25,6 +25,7 @@ from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.summary import similarity, summarize
 from xfreqbench.report.view.write import FILES, write_view
+from xfreqbench.scene.materials import ConstantMaterial
 
 
 @pytest.fixture
@@ -166,3 +167,13 @@ def test_names_from_the_data_are_shown_as_they_are(
     html = view_page(shown, summarize(dataset), pictures, hostile)
     assert "<script" not in html and html.count("&lt;script&gt;alert(1)") >= 12
     assert is_of_subject(html, hostile) and not is_of_subject(html, "another")
+
+
+def test_a_material_of_the_scene_s_own_says_that_it_is_the_same_everywhere(view: ViewPlan) -> None:
+    own = ConstantMaterial("<b>foam</b>", 1.5, 0.002)
+    first, *others = view.room.meshes
+    room = replace(view.room, meshes=[replace(first, material=own), *others])
+    pictures = {name: Picture(name, "", b"") for name in ("scene.png", "pas.png", "carriers.svg")}
+    shown = view_page(replace(view, room=room, dataset=None), None, pictures, "scene.glb")
+    assert "&lt;b&gt;foam&lt;/b&gt;" in shown and "<b>foam" not in shown
+    assert "none: the scene&#39;s own, the same at every carrier" in shown

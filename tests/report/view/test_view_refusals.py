@@ -35,6 +35,9 @@ def test_a_carrier_is_a_positive_frequency(carrier_ghz: float) -> None:
 def test_what_is_neither_data_nor_a_scene_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="There is no file"):
         plan_view(str(tmp_path / "absent.h5"))
+    (tmp_path / "folder.h5").mkdir()
+    with pytest.raises(DataError, match=r"folder\.h5 is a folder\. Give one of its files"):
+        plan_view(str(tmp_path / "folder.h5"))
     with pytest.raises(UnknownNameError, match="Did you mean 'office'"):
         plan_view("ofice")
 
@@ -55,6 +58,17 @@ def test_another_data_set_s_folder_is_refused_and_left(folder: Path, tmp_path: P
     with pytest.raises(OutputExistsError, match=r"index\.html exists and was not written for this data set"):
         view_command(str(other.path), output=folder)
     assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", ["scene.glb", "scene.png", "pas.png", "carriers.svg"])
+def test_a_foreign_file_among_ours_is_not_overwritten(
+    folder: Path, dataset: PasDataset, tmp_path: Path, name: str
+) -> None:
+    shutil.copytree(folder, tmp_path / "again")
+    (tmp_path / "again" / name).write_text("mine")
+    with pytest.raises(OutputExistsError, match=f"{name} exists"):
+        write_view(plan_view(str(dataset.path), 5), tmp_path / "again")
+    assert (tmp_path / "again" / name).read_text() == "mine"
 
 
 def test_a_foreign_file_of_the_same_name_is_not_overwritten(dataset: PasDataset, tmp_path: Path) -> None:

@@ -238,7 +238,8 @@ def test_boxes_become_six_parallelograms_and_walls_in_one_plane_share_it() -> No
 def test_the_solver_declines_what_it_cannot_do() -> None:
     office = Geometry(surface_meshes(load_scene("office")))
     assert can_solve(office, TraceSettings())
-    assert not can_solve(office, TraceSettings(interactions=("specular", "diffraction")))
+    assert can_solve(office, TraceSettings(interactions=("specular", "diffraction")))
+    assert not can_solve(office, TraceSettings(interactions=("specular", "diffuse")))
     with pytest.raises(SceneError, match="Use --solver sionna"):
         ImageTracer(load_scene("office"), [1e9], TraceSettings(interactions=("specular", "diffuse")))
 

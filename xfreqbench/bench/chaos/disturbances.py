@@ -59,26 +59,33 @@ class Round:
         places = [*self.written, *self.command.outputs, *(f"{path}.parts" for path in self.command.outputs)]
         return self.work / self.chance.choice(places)
 
+    def is_output_folder(self, path: Path) -> bool:
+        """Whether a path is the folder that the user names for a command's outputs, as that of the results."""
+        name = path.relative_to(self.work).as_posix()
+        return name in self.command.outputs and any(each.startswith(f"{name}/") for each in self.written)
+
 
 def killed(round_: Round) -> None:
     """Kill the command, up to three times, each time at another moment."""
     for _ in range(round_.chance.randint(1, 3)):
         running = round_.start()
-        running.signal_after(round_.moment(), signal.SIGKILL)
+        running.go_on_for(round_.moment())
+        running.send(signal.SIGKILL)
         round_.end(running)
 
 
 def interrupted(round_: Round) -> None:
     """Press Ctrl-C."""
     running = round_.start()
-    running.signal_after(round_.moment(), signal.SIGINT)
+    running.go_on_for(round_.moment())
+    running.send(signal.SIGINT)
     round_.end(running)
 
 
 def doubled(round_: Round) -> None:
     """Give the command twice, the second time before the first has ended."""
     first = round_.start()
-    first.signal_after(round_.moment() / 2, signal.SIGCONT)
+    first.go_on_for(round_.moment() / 2)
     round_.end(first, round_.start())
 
 
@@ -87,10 +94,11 @@ def rivalled(round_: Round) -> None:
     round_.may_refuse = round_.has_rival = True
     rival = round_.start(round_.command.rival)
     if round_.chance.random() < 0.5:
-        rival.signal_after(round_.moment(), signal.SIGKILL)
+        rival.go_on_for(round_.moment())
+        rival.send(signal.SIGKILL)
         round_.end(rival)
     else:
-        rival.signal_after(round_.moment() / 2, signal.SIGCONT)
+        rival.go_on_for(round_.moment() / 2)
         round_.end(rival, round_.start())
 
 
@@ -122,7 +130,9 @@ def damaged(round_: Round) -> None:
 def linked(round_: Round) -> None:
     """Put a symbolic link to somebody else's file or folder where the command writes, before it or after a kill."""
     site = _cleared_site(round_)
-    if site is not None:
+    if site is not None and not round_.is_output_folder(
+        site
+    ):  # whoever links that one wants its target filled
         site.symlink_to(round_.folder / "outside" / round_.chance.choice(("thesis.tex", "folder", "nothing")))
 
 

@@ -60,9 +60,12 @@ class Running:
         while not self._begun.exists() and self._process.is_alive():
             time.sleep(0.002)
 
-    def signal_after(self, seconds: float, sent: signal.Signals) -> None:
-        """Send a signal once that time has passed, unless the command has ended before."""
+    def go_on_for(self, seconds: float) -> None:
+        """Wait for that time, or until the command has ended."""
         self._process.join(seconds)
+
+    def send(self, sent: signal.Signals) -> None:
+        """Send a signal, unless the command has ended."""
         if self._process.exitcode is None and self._process.pid:
             os.kill(self._process.pid, sent)
 

@@ -19,16 +19,11 @@ from xfreqbench.bench.chaos.disturbances import DISTURBANCES, Round
 from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
 from xfreqbench.runs.records import BenchRecord, append, machine_and_time
 
-_LITTER = (
-    ".lock",
-    ".partial",
-    ".removed",
-)  # hidden, of a killed process, and removed by the next that needs the place
-_LINK, _RECORD = (
-    "link to ",
-    ": ",
-)  # how a link is described, and what stands between a file and a record in it
-_TIMED = (
+# What a killed process leaves, hidden, which the next that needs the place removes.
+_LITTER = ".lock", ".partial", ".removed"
+_LINK = "link to "  # what it points to
+_RECORD = ": "  # between the path of a file and the identifier of a record in it
+_TIMED = {
     "fit_seconds",
     "predict_ms_per_map",
     "peak_memory_mib",
@@ -37,7 +32,7 @@ _TIMED = (
     "hardware",
     "git_commit",
     "content_sha256",
-)
+}
 COLUMNS = ("command", "rounds", "same bytes", "refusal", "fault")
 Contents = Mapping[str, str]
 

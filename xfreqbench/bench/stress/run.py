@@ -17,6 +17,7 @@ def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
     from xfreqbench.bench.stress.channels import MATERIALS, PHASE
     from xfreqbench.bench.stress.composite import COMPOSITE
+    from xfreqbench.bench.stress.diffraction import DIFFRACTION
     from xfreqbench.bench.stress.encoding import ENCODING
     from xfreqbench.bench.stress.footprints import FOOTPRINTS
     from xfreqbench.bench.stress.geometry import GEOMETRY
@@ -26,7 +27,7 @@ def cases() -> tuple[StressCase, ...]:
     from xfreqbench.bench.stress.seeds import SEEDS
     from xfreqbench.bench.stress.training import TRAINING
 
-    physics = (PHASE, MATERIALS, GEOMETRY, MAPS, SCORES)
+    physics = (PHASE, MATERIALS, GEOMETRY, DIFFRACTION, MAPS, SCORES)
     learning = (COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING, SEEDS)
     return tuple(case for area in (*physics, *learning) for case in area.cases)
 

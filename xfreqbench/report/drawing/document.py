@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+SOFTWARE = (
+    "xfreqbench"  # the mark in our figures and models, by which they are known when they are written over
+)
 _MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.report.drawing.document import SOFTWARE
 from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
 
-_SOFTWARE = "xfreqbench"  # the mark in our figures, by which they are known when they are written over
 _MAX_DISCS = 5  # maps side by side
 _DISPLAY_RANGE_DB = 30.0
 _MAX_LETTERS = 80  # of a text in a figure
@@ -108,20 +108,23 @@ def draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: Angul
 
 def require_own_figure(path: Path) -> None:
     """Raise `OutputExistsError` where `path` holds anything but a figure that `save_figure` wrote."""
-    require_own(path, lambda file: None if _is_own_figure(file) else "is no figure of xfreqbench")
+    require_own(path, lambda file: None if is_own_drawing(file) else "is no figure of xfreqbench")
 
 
-def _is_own_figure(path: Path) -> bool:
+def is_own_drawing(path: Path) -> bool:
+    """Whether a figure that `save_figure` wrote is at `path`, or a model that `GlbModel` wrote, by the mark in it."""
     with path.open("rb") as file:
         head = file.read(1024)  # which holds the metadata, after the image's size
+    if path.suffix == ".glb":
+        return head.startswith(b"glTF") and f'"generator":"{SOFTWARE}"'.encode() in head
     if path.suffix == ".svg":
-        return f"<dc:title>{_SOFTWARE}</dc:title>".encode() in head
-    return head.startswith(b"\x89PNG") and b"Software\0" + _SOFTWARE.encode() in head
+        return f"<dc:title>{SOFTWARE}</dc:title>".encode() in head
+    return head.startswith(b"\x89PNG") and b"Software\0" + SOFTWARE.encode() in head
 
 
 def save_figure(figure: Figure, path: Path, kind: str) -> None:
     """Write a figure to a file of `kind` `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
-    metadata = {"Date": None, "Creator": _SOFTWARE} if kind == "svg" else {"Software": _SOFTWARE}
+    metadata = {"Date": None, "Creator": SOFTWARE} if kind == "svg" else {"Software": SOFTWARE}
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
     with mpl.rc_context(fixed), any_letters(), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -12,6 +13,7 @@ from jaxtyping import Float
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
+from xfreqbench.report.drawing.document import SOFTWARE
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import atomic_path, storage_errors
 from xfreqbench.types import FloatArray
@@ -75,7 +77,7 @@ class GlbModel:
 
     def write(self, path: Path) -> None:
         """Write the model to a file; equal models give equal bytes. Raises `StorageError`."""
-        content: bytes = export_glb(self._scene)  # type: ignore[no-untyped-call]
+        content: bytes = export_glb(self._scene, tree_postprocessor=_sign)  # type: ignore[no-untyped-call]
         with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
 
@@ -84,6 +86,13 @@ class GlbModel:
         material = PBRMaterial(baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
         shape.visual = trimesh.visual.TextureVisuals(material=material)  # type: ignore[no-untyped-call]
         self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+
+
+def _sign(tree: dict[str, Any]) -> None:
+    """Say first who made the model."""
+    content = {"asset": {**tree.pop("asset"), "generator": SOFTWARE}, **tree}
+    tree.clear()
+    tree.update(content)
 
 
 def write_glb(

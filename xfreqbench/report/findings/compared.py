@@ -179,7 +179,7 @@ def _findings_of(record: RunRecord) -> StoredFindings:
 def _meshes_of(dataset: PasDataset) -> list[SurfaceMesh]:
     """Surfaces of the scene that was traced; raises `DataError` where the data do not hold all of them."""
     scene = dataset.scene
-    if scene.mitsuba_xml is not None:
+    if scene.scene is not None:
         raise DataError(
             f"{dataset.path} was traced among the meshes of {scene.scene}, which data sets do not hold. "
             "Use a data set whose scene is made of surfaces alone."

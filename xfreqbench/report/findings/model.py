@@ -11,14 +11,14 @@ from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from xfreqbench.scene.materials import complex_permittivity
+from xfreqbench.scene.materials import Material, complex_permittivity
 from xfreqbench.tracing.image.kernels import slab_coefficients
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 MAX_IMAGE_ORDER = 2
 
-TrueSlab = tuple[str, float]  # a material of ITU-R P.2040, and the thickness in metres
+TrueSlab = tuple[Material, float]  # a material, and the thickness in metres
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
 

@@ -24,7 +24,8 @@ from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
+from xfreqbench.tracing.image.furnished import image_tracer
+from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback
 
@@ -122,7 +123,7 @@ def _channels(
 ) -> tuple[Complex[NDArray[np.complex128], "n S M"], Float[FloatArray, "n"]]:
     """Channel of each row and selection, and each row's share of power over paths that are not found."""
     scene = samples.scene
-    tracer = ImageTracer(scene, samples.header.carrier_hz.tolist(), plan.settings)
+    tracer = image_tracer(scene, samples.header.carrier_hz.tolist(), plan.settings)
     channels = np.zeros((len(samples), len(SELECTIONS), scene.receiver.num_elements), np.complex128)
     share = np.zeros(len(samples))
     for done, rows in enumerate(transmitters := rows_by_transmitter(samples), start=1):
@@ -142,7 +143,7 @@ def _settings_of(compared: ComparedFindings) -> TraceSettings:
     """How the data set was traced; raises `DataError` where the image method cannot trace it so."""
     dataset = compared.dataset
     settings = dataset.trace_settings
-    if not can_solve(Geometry(compared.meshes), settings):
+    if "diffraction" in settings.interactions or not can_solve(Geometry(compared.meshes), settings):
         raise DataError(
             f"{dataset.path} was traced with {', '.join(settings.interactions)} to depth {settings.max_depth}, but "
             "exact paths are known for specular and refraction among planar facets alone. Use a data set of "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.findings.compared import ComparedFindings
@@ -19,6 +20,7 @@ from xfreqbench.types import FloatArray
 
 TABLE, NUMBERS, MODEL, PICTURE = "findings.md", "findings.json", "scene.glb", "scene.png"
 REFLECTION = ("reflection.svg", "reflection.png")
+_TITLE = "# Findings of "
 FILES = (TABLE, NUMBERS, *REFLECTION, PICTURE, MODEL)
 LISTED_AREA_M2 = 4.0  # planes of the scene that were not found and are smaller are only counted
 _COLUMNS = (
@@ -95,10 +97,16 @@ def write_findings(comparison: ComparedFindings, folder: Path) -> list[Path]:
 
 def _claim(folder: Path, record_id: str) -> None:
     """Make the folder, or see that what is there was written for the same record."""
-    fault = None if _owner(folder / NUMBERS) == record_id else f"was not written for record {record_id}"
+    is_same, fault = _owner(folder / NUMBERS) == record_id, f"was not written for record {record_id}"
     for name in FILES:
-        require_own(folder / name, lambda _: fault)
+        require_own(folder / name, lambda path: None if is_same and _is_ours(path) else fault)
     require_space(folder / TABLE, 1)
+
+
+def _is_ours(path: Path) -> bool:
+    if path.name == TABLE:
+        return path.read_bytes().startswith(_TITLE.encode())
+    return path.name == NUMBERS or is_own_drawing(path)
 
 
 def _owner(path: Path) -> str | None:
@@ -119,7 +127,7 @@ def _markdown(comparison: ComparedFindings) -> str:
     )
     header, rows = missing_rows(comparison)
     parts = [
-        f"# Findings of {heading(comparison.title)}",
+        f"{_TITLE}{heading(comparison.title)}",
         legend,
         table(*plane_rows(comparison)),
         *([table(header, rows)] if rows else []),

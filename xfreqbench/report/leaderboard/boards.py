@@ -131,9 +131,13 @@ class Board:
         return f"{named}-{self.dataset_sha256[:8]}"
 
     def best_trivial(self, split: str) -> float:
-        """The largest median SSIM of a trivial predictor on a split; nan where none was run."""
-        trivial = (row.value(split, median_ssim) for row in self.rows if row.is_trivial)
-        return max((value for value in trivial if not isnan(value)), default=nan)
+        """The largest median SSIM of the trivial predictors on a split; nan unless all of them were run."""
+        return max((row.value(split, median_ssim) for row in self.trivial_rows(split)), default=nan)
+
+    def trivial_rows(self, split: str) -> list[BoardRow]:
+        """The rows of all trivial predictors on a split; none where one is missing: it might be the best."""
+        rows = [row for row in self.rows if row.is_trivial and split in row.by_split]
+        return rows if {row.job.method for row in rows} == set(TRIVIAL) else []
 
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""
@@ -208,6 +212,11 @@ def short_commit(commit: str | None) -> str:
     """The first seven digits of a commit with the mark of an edited source; `?` where the commit is unknown."""
     digits, plus, changes = (commit or "?").partition("+")
     return digits[:7] + plus + changes
+
+
+def comparable(record: RunRecord) -> tuple[object, ...]:
+    """What two records have to have in common to be ranked together."""
+    return *_group_key(record), record.protocol_version, record.metrics_version
 
 
 def _group_key(record: RunRecord) -> GroupKey:

@@ -84,7 +84,7 @@ class Comparison:
         return 1 + num_better, 1 + len(others) - num_worse
 
     def skill_interval(self, row: BoardRow) -> Interval:
-        """Interval of the average skill; nan where samples are missing.
+        """Interval of the average skill; nan where samples or trivial predictors are missing.
 
         Every resample finds the best trivial predictor of each split anew.
         """
@@ -103,8 +103,8 @@ class Comparison:
         return all(record.ssim_by_tx for split in self.splits for record in row.by_split.get(split, ()))
 
     def _trivial(self, split: str) -> list[BoardRow]:
-        """The trivial predictors of a split; empty where one of them lacks its samples."""
-        rows = [row for row in self.board.rows if row.is_trivial and split in row.by_split]
+        """The trivial predictors of a split; empty where one of them lacks its samples, or was not run."""
+        rows = self.board.trivial_rows(split)
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 
     def _left_open(self, split: str) -> Float[FloatArray, "R"]:

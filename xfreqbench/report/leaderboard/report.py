@@ -35,6 +35,7 @@ BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -
 _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
     "generate": "Generator",
+    "peers": "Generator",
     "plain": "Generator",
     "render": "Rendering and training",
     "savings": "Savings",
@@ -148,8 +149,8 @@ def _legend() -> str:
     lines = [
         *(f"**{metric_title(name)}**: {metric.description}" for name, metric in METRICS.items()),
         "**mean**, **10th pct.**: mean SSIM of the test maps, and the SSIM that a tenth of them lies below",
-        f"**skill**: {skill}; negative where a method is worse than that predictor. Every resample finds the best "
-        "predictor anew",
+        f"**skill**: {skill}; negative where a method is worse than that predictor, a dash unless all of them were "
+        "run. Every resample finds the best predictor anew",
         f"**[low, high]**: 95 % percentile interval of {NUM_RESAMPLES:,} bootstrap resamples, which draw "
         "transmitters with all their samples, the same ones for every method (paired), and seeds, whose deviations "
         "are widened as Student's t asks for their number. Of a hundred pairs of equally good methods, five may "

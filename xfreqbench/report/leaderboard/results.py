@@ -8,7 +8,7 @@ from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.report.leaderboard.boards import Board, boards
+from xfreqbench.report.leaderboard.boards import Board, boards, comparable
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
@@ -40,6 +40,15 @@ def read_results(results: Path) -> RankedResults:
     _require_scores(path, records)
     benches = latest_benches(stored.benches)
     return RankedResults(folder, records, boards(records), benches, stored.num_truncated)
+
+
+def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
+    """The records of a results folder that stand on the same boards as these, which are among them.
+
+    Those of other versions of protocol or metrics, which cannot be ranked beside them, are left out.
+    """
+    keys = set(map(comparable, records))
+    return [each for each in ResultsFolder(results).stored.records if comparable(each) in keys]
 
 
 def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

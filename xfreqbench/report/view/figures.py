@@ -170,7 +170,7 @@ def _bounds_m(room: ShownRoom) -> tuple[FloatArray, FloatArray]:
 def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     for facet in planar_facets(room.meshes):
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
-        colour = _MATERIAL_COLOURS.get(room.meshes[facet.surface].material, _OTHER_MATERIAL)
+        colour = _MATERIAL_COLOURS.get(str(room.meshes[facet.surface].material), _OTHER_MATERIAL)
         axis.plot(*outline.T, color=colour, linewidth=1.2)
     for name, position_m in room.groups().items():
         size = float(np.clip(4000 / max(1, len(room.tx_position_m)), 0.5, 16))
@@ -217,7 +217,7 @@ def _place_handles(room: ShownRoom) -> list[Line2D]:
 def _material_handles(room: ShownRoom) -> list[Line2D]:
     return [
         Line2D([], [], color=_MATERIAL_COLOURS.get(name, _OTHER_MATERIAL), label=name.replace("_", " "))
-        for name in sorted({mesh.material for mesh in room.meshes})
+        for name in sorted({str(mesh.material) for mesh in room.meshes})
     ]
 
 

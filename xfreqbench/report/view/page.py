@@ -16,7 +16,9 @@ from xfreqbench.report.drawing.templates import render
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
 from xfreqbench.report.view.summary import CarrierSummary
+from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import complex_permittivity, material_bands
+from xfreqbench.scene.meshes import slabs_of
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz, format_ghz_list
 
 _SPLIT_COLUMNS = (
@@ -133,22 +135,23 @@ def _material_table(view: ViewPlan) -> PageTable:
         f"ε′, {format_ghz(view.carrier_hz)}",
         "σ (S/m)",
     )
-    kinds = sorted({(mesh.material, mesh.thickness_m) for mesh in view.room.meshes})
-    return PageTable(header, [_material_row(view, *kind) for kind in kinds])
+    return PageTable(header, [_material_row(view, slab) for slab in slabs_of(view.room.meshes)])
 
 
-def _material_row(view: ViewPlan, material: str, thickness_m: float) -> tuple[str, ...]:
-    kind = (material, thickness_m)
+def _material_row(view: ViewPlan, slab: Slab) -> tuple[str, ...]:
+    material, thickness_m, _ = slab
     carriers = view.header.carrier_hz.tolist() if view.dataset else [view.carrier_hz]
     bands = material_bands(material)
     outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
     permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
     conductivity_s_m = -permittivity.imag * 2 * np.pi * view.carrier_hz * VACUUM_PERMITTIVITY_F_M
     return (
-        material.replace("_", " "),
+        str(material).replace("_", " "),
         f"{thickness_m * 1e3:g}",
-        str(sum((mesh.material, mesh.thickness_m) == kind for mesh in view.room.meshes)),
-        ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands),
+        str(sum(mesh.slab == slab for mesh in view.room.meshes)),
+        ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands)
+        if isinstance(material, str)
+        else "none: the scene's own, the same at every carrier",
         f"{format_ghz_list(outside)}, extrapolated" if outside else ABSENT,
         f"{permittivity.real:.3g}",
         f"{conductivity_s_m:,.0f}" if conductivity_s_m > 1000 else f"{conductivity_s_m:.3g}",

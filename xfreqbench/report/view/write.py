@@ -11,7 +11,7 @@ import numpy as np
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.report.drawing.document import Picture, is_of_subject
-from xfreqbench.report.drawing.figures import plot_pas_maps
+from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.view.figures import (
     group_colour,
@@ -53,10 +53,11 @@ def claim(view: ViewPlan, folder: Path) -> None:
 
     Only such files may be replaced: raises `OutputExistsError` for others, and `StorageError`.
     """
-    is_ours = _is_ours(folder / PAGE, view.subject)
+    is_same, fault = _is_ours(folder / PAGE, view.subject), "was not written for this data set or scene"
     for name in FILES:
         require_own(
-            folder / name, lambda _: None if is_ours else "was not written for this data set or scene"
+            folder / name,
+            lambda path: None if is_same and (path.name == PAGE or is_own_drawing(path)) else fault,
         )
     require_space(folder / PAGE, 1)
 
@@ -84,7 +85,7 @@ def room_model(room: ShownRoom) -> GlbModel:
     """The scene as a 3D model with a node for every surface, every ray and each group of transmitters."""
     model = GlbModel()
     for mesh in room.meshes:
-        model.add_surface(mesh, material_colour(mesh.material, _SURFACE_OPACITY))
+        model.add_surface(mesh, material_colour(str(mesh.material), _SURFACE_OPACITY))
     for name, position_m in room.groups().items():
         model.add_markers(name, position_m, _MARKER_M, group_colour(name))
     for number, ray in enumerate(room.rays, start=1):

@@ -1,5 +1,6 @@
-"""Solver `image`: the exact image method in float64, for scenes of up to some 400 planar facets.
+"""Solver `image`: the exact image method in float64, for scenes of planar facets of which not too many mirror.
 
-In come a scene, its geometry and carriers; out go channels and paths. `tracer` prepares arrays for the compiled
-`kernels` and calls them.
+In come a scene, its geometry and carriers; out go channels and paths. For few facets `tracer` prepares arrays for the
+compiled `kernels`, which run in loops over planes. For furnished meshes `furnished` does, and its kernels look up in
+trees what a segment meets (`forest`).
 """

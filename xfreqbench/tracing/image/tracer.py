@@ -5,8 +5,9 @@ that can matter. Of these, each transmitter uses the ones whose path reaches the
 decided at the four corners of the array for all elements between them; where the corners disagree, or a
 stretch of a path is shorter than 2 cm, each element is traced by itself.
 
-Only specular reflection and refraction are modelled. As in Sionna RT, depth counts both, and a path with a
-stretch shorter than 1 cm is dropped; slabs (ITU-R P.2040) and antenna conventions are Sionna's too.
+Specular reflection and refraction are modelled, and on request first-order diffraction. As in Sionna RT, depth
+counts them together, and a path with a stretch shorter than 1 cm is dropped; slabs (ITU-R P.2040) and antenna
+conventions are Sionna's too.
 """
 
 from __future__ import annotations
@@ -21,16 +22,20 @@ from numpy.typing import NDArray
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry, PlanarFacet
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
+from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.image import kernels
+from xfreqbench.tracing.image.diffraction import Diffraction, PathsToCentre, Shortcuts
 from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction"})
-MAX_FACETS = 400  # every ray is tested against every plane; for more facets Sionna's tree is faster
+SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction"})
+MAX_FACETS = (
+    400  # every ray is tested against every plane; for more facets the trees of `furnished` are faster
+)
+MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence, at every carrier
 UNPRUNED_M = 1e30  # radius of an aperture of which every candidate passes the rough test
 MAX_INTERPOLATED_WAVELENGTHS = (
@@ -45,22 +50,34 @@ class ImageSavings:
     `prune` tests candidate paths roughly before it traces them. `share_visibility` decides at the four corners
     of the array which paths reach its elements. Both change the answer by rounding only. The field along a
     path (not its phase) is computed at `field_nodes_per_axis`² points of the array and interpolated between
-    them, which changes the answer; 4 on a 4×4 array computes it at every element.
+    them, which changes the answer; 4 on a 4×4 array computes it at every element. With diffraction, paths with
+    more than `diffraction_planes` reflections (up to 3) on either side of the edge are left out, and those that a
+    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges.
     """
 
     prune: bool = True
     share_visibility: bool = True
     field_nodes_per_axis: int = 2
+    diffraction_planes: int = 1
+    diffraction_floor: float = 0.01
 
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
-    """Whether this solver takes the interactions and depth that are asked for, and a scene of this size."""
-    if not SUPPORTED_INTERACTIONS.issuperset(settings.interactions):
+    """Whether this solver takes the interactions that are asked for, and a smooth scene of as many mirrors."""
+    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.interactions)
+    if not is_supported or geometry.scattering or geometry.num_mirrors > MAX_MIRRORS:
         return False
-    if geometry.num_triangles > 2 * MAX_FACETS:
-        return False
+    return "diffraction" not in settings.interactions or not is_furnished(geometry, settings)
+
+
+def is_furnished(geometry: Geometry, settings: TraceSettings) -> bool:
+    """Whether a scene is one for `furnished`: some of its triangles do not mirror, or it has many, or many planes."""
+    if geometry.num_triangles > 2 * MAX_FACETS or not geometry.mirrors.all():
+        return True
     planes, _ = geometry.planes
-    return _bits_per_plane(len(planes)) * settings.max_depth <= 64  # a sequence of planes is one 64-bit key
+    return (
+        _bits_per_plane(len(planes)) * settings.max_depth > 64
+    )  # `kernels` keep a sequence in a key of 64 bits
 
 
 def _bits_per_plane(num_planes: int) -> int:
@@ -68,8 +85,21 @@ def _bits_per_plane(num_planes: int) -> int:
     return max(1, num_planes.bit_length())
 
 
+def require_solvable(scene: Scene, geometry: Geometry, settings: TraceSettings) -> None:
+    """Raise `SceneError` for interactions or scenes that `can_solve` declines."""
+    if not can_solve(geometry, settings):
+        raise SceneError(
+            f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
+            f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
+            f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
+            f"{', '.join(settings.interactions)}; diffraction it takes among at most {MAX_FACETS} facets that all "
+            f"mirror. Use --solver sionna, or let fewer mirror: mirrors = 'patches', or "
+            "a larger least_patch_area_m2, in the scene's TOML."
+        )
+
+
 class ImageTracer:
-    """The image method on one scene, ready for any transmitter: a `Tracer`.
+    """The image method on one scene of few facets that all mirror, ready for any transmitter: a `Tracer`.
 
     `geometry` is that of the scene where it is known already. Raises `SceneError` for interactions or scenes
     that `can_solve` declines.
@@ -84,25 +114,32 @@ class ImageTracer:
         geometry: Geometry | None = None,
     ) -> None:
         geometry = geometry or Geometry(surface_meshes(scene))
-        if not can_solve(geometry, settings):
-            raise SceneError(
-                f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most "
-                f"{MAX_FACETS} planar facets, but scene {scene.name!r} is asked for "
-                f"{', '.join(settings.interactions)} to depth {settings.max_depth}. Use --solver sionna."
-            )
+        require_solvable(scene, geometry, settings)
         self.settings = settings
         self.savings = savings
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
-        media, kind = _media(geometry.meshes, ascending, settings.materials, scene.receiver)
+        media, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         can_refract = "refraction" in settings.interactions
-        facets = _facets(geometry, kind, _are_opaque(media) | (not can_refract))
-        aperture = _aperture(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
+        facets = _facets(geometry, kind, are_opaque(media) | (not can_refract))
+        aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.vstack([receiver_m, receiver_m + aperture.corner_m[0]])  # of the widest aperture
         candidates = _images(_plane_sequences(facets, origins_m, settings), facets, receiver_m)
         self.compiled = facets, media, candidates, aperture
+        self.diffraction = None
+        if "diffraction" in settings.interactions:
+            self.diffraction = Diffraction(
+                geometry,
+                kind,
+                facets,
+                media,
+                aperture,
+                receiver_m,
+                settings,
+                Shortcuts(savings.share_visibility, savings.diffraction_planes, savings.diffraction_floor),
+            )
 
     def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
@@ -113,8 +150,12 @@ class ImageTracer:
         )
         cfr = np.empty(real.shape, dtype=np.complex128)
         cfr.real, cfr.imag = real, imag
+        channel = Channel(cfr, num_paths)
+        if self.diffraction is not None:
+            over_edges = self.diffraction.channel(np.ascontiguousarray(tx_position_m, np.float64), channel)
+            channel = Channel(cfr + over_edges.cfr, num_paths + over_edges.num_paths)
         original = np.argsort(self._order)
-        return Channel(cfr[:, original], num_paths[:, original])
+        return Channel(channel.cfr[:, original], channel.num_paths[:, original])
 
     def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
@@ -126,15 +167,23 @@ class ImageTracer:
         found, distance_m = (values[np.argsort(distance_m, kind="stable")] for values in (found, distance_m))
         scratch = kernels.new_scratch(facets, depth, 1, tx)
         details = [self._path(int(c), scratch) for c in found]
-        spreading = SPEED_OF_LIGHT_M_S / self.carrier_hz[:, None] / (4 * np.pi * distance_m)
-        gain = np.array([gain for gain, *_ in details], dtype=np.complex128).reshape(-1, len(spreading))
-        return Paths(
-            carrier_hz=self.carrier_hz,
-            gain=gain.T * spreading,
-            delay_s=distance_m / SPEED_OF_LIGHT_M_S,
+        paths = PathsToCentre(
+            gain=np.array([gain for gain, *_ in details], np.complex128).reshape(-1, len(self.carrier_hz)),
+            distance_m=np.asarray(distance_m, dtype=np.float64),
             arrival=np.array([arrival for _, arrival, *_ in details]).reshape(-1, 3),
             interactions=np.array([codes for *_, codes, _ in details], np.int64).reshape(len(found), depth),
             vertices_m=np.array([points for *_, points in details]).reshape(len(found), depth, 3),
+        )
+        if self.diffraction is not None:
+            paths = paths.merged(self.diffraction.paths(tx))
+        spreading = SPEED_OF_LIGHT_M_S / self.carrier_hz[:, None] / (4 * np.pi * paths.distance_m)
+        return Paths(
+            carrier_hz=self.carrier_hz,
+            gain=paths.gain.T[np.argsort(self._order)] * spreading,
+            delay_s=paths.distance_m / SPEED_OF_LIGHT_M_S,
+            arrival=paths.arrival,
+            interactions=paths.interactions,
+            vertices_m=paths.vertices_m,
         )
 
     def _path(
@@ -145,14 +194,14 @@ class ImageTracer:
         Int[NDArray[np.int64], "D"],
         Float[FloatArray, "D 3"],
     ]:
-        """Gain at each carrier, arrival, interactions and vertices of candidate c, which reaches the centre."""
+        """Gain at each carrier, ascending, arrival, interactions and vertices of candidate c; it reaches the centre."""
         facets, media, candidates, _ = self.compiled
         path, centre = kernels.Path(*(column[c] for column in candidates)), np.zeros((1, 3))
         kernels.trace(facets, path, centre, kernels.LONE, scratch)
         gain = np.zeros(len(self.carrier_hz), dtype=np.complex128)
-        for f, row in enumerate(self._order):
-            gain[row] = kernels.gains(facets, media, path, centre, f, scratch)[0]
-        codes, points = _interactions(scratch, int(path.length), self.settings.max_depth)
+        for f in range(len(gain)):
+            gain[f] = kernels.gains(facets, media, path, centre, f, scratch)[0]
+        codes, points = interactions_along(scratch, int(path.length), self.settings.max_depth)
         return gain, -scratch.direction.copy(), codes, points
 
 
@@ -179,7 +228,7 @@ def _plane_sequences(
     return group.astype(np.int16) - np.int16(1)
 
 
-def _interactions(
+def interactions_along(
     scratch: kernels.Scratch, num_reflections: int, depth: int
 ) -> tuple[Int[NDArray[np.int64], "D"], Float[FloatArray, "D 3"]]:
     """Codes of a traced path's interactions, from the transmitter on, and where they happen, padded with NaN."""
@@ -196,27 +245,27 @@ def _interactions(
     return codes, points
 
 
-def _media(
+def media_of(
     meshes: Sequence[SurfaceMesh],
     carrier_hz: Float[FloatArray, "F"],
     policy: MaterialPolicy,
     receiver: ReceiverArray,
 ) -> tuple[kernels.Media, Int[IntArray, "S"]]:
     """Slabs of every material and thickness, with the antenna, and which slab each mesh is made of."""
-    kinds = sorted({(mesh.material, mesh.thickness_m) for mesh in meshes})
-    permittivity = [[complex_permittivity(name, float(f), policy) for name, _ in kinds] for f in carrier_hz]
-    thickness_m = np.array([thickness for _, thickness in kinds])
+    kinds = slabs_of(meshes)
+    permittivity = [[complex_permittivity(name, float(f), policy) for name, *_ in kinds] for f in carrier_hz]
+    thickness_m = np.array([slab.thickness_m for slab in kinds])
     media = kernels.Media(
         np.array(permittivity, dtype=np.complex128).reshape(len(carrier_hz), len(kinds)),
         2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m,
         is_horizontal=receiver.polarization == "H",
         is_dipole=receiver.pattern == "dipole",
     )
-    kind = [kinds.index((mesh.material, mesh.thickness_m)) for mesh in meshes]
+    kind = [kinds.index(mesh.slab) for mesh in meshes]
     return media, np.array(kind, dtype=np.int64)
 
 
-def _are_opaque(media: kernels.Media) -> Bool[NDArray[np.bool_], "K"]:
+def are_opaque(media: kernels.Media) -> Bool[NDArray[np.bool_], "K"]:
     """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at every carrier."""
     transmission = [
         [abs(kernels.slab_coefficients(1.0, eta, phase)[2]) for eta, phase in zip(*slabs, strict=True)]
@@ -254,7 +303,7 @@ def _dual(facet: PlanarFacet) -> Float[FloatArray, "2 3"]:
     return np.linalg.solve(edges @ edges.T, edges)
 
 
-def _aperture(
+def aperture_of(
     receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings
 ) -> kernels.Aperture:
     """The array at each wavelength as the kernels take it, offsets from its centre in world axes."""

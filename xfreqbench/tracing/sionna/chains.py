@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from xfreqbench.scene.facets import PLANE_TOLERANCE
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
+from xfreqbench.scene.visibility import fibonacci_sphere
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f
 from xfreqbench.tracing.tracer import TraceSettings
@@ -52,6 +53,14 @@ class Planes:
     normal: Float[FloatArray, "K 3"]
     offset_m: Float[FloatArray, "K"]
     index: Int[IntArray, "K"]
+
+    def mirrored(
+        self, triangle: Int[IntArray, "C"], point_m: Float[FloatArray, "C 3"]
+    ) -> Float[FloatArray, "C 3"]:
+        """Mirror image of each point in the plane of its triangle."""
+        normal = self.normal[triangle]
+        height_m = np.einsum("ca,ca->c", normal, point_m) - self.offset_m[triangle]
+        return point_m - 2 * height_m[:, None] * normal
 
 
 def planes_of(meshes: Sequence[SurfaceMesh]) -> Planes:
@@ -104,8 +113,7 @@ class Chains:
             normal = planes.normal[triangle]
             along = np.einsum("ca,cab->cb", normal, rotation[rows])
             rotation[rows] -= 2 * normal[:, :, None] * along[:, None, :]
-            height_m = np.einsum("ca,ca->c", normal, shift_m[rows]) - planes.offset_m[triangle]
-            shift_m[rows] -= 2 * normal * height_m[:, None]
+            shift_m[rows] = planes.mirrored(triangle, shift_m[rows])
         return rotation, shift_m
 
 
@@ -131,13 +139,17 @@ def shoot(
     planes: Planes,
     origins_m: Float[FloatArray, "O 3"],
     opaque: Bool[NDArray[np.bool_], "S"],
+    mirrors: Bool[NDArray[np.bool_], "K"],
     settings: TraceSettings,
 ) -> Chains:
-    """Chains of `settings.rays` rays, divided among the origins; the same seed gives the same chains."""
+    """Chains of `settings.rays` rays, divided among the origins; the same seed gives the same chains.
+
+    Rays are reflected by triangles that mirror alone; what does not mirror and is opaque ends them.
+    """
     first_triangle = np.cumsum([0, *(len(mesh.triangles) for mesh in radio_scene.meshes)])[:-1]
     tree = _ChainTree(planes, settings.rays, settings.max_depth, first_triangle)
     if {"specular", "refraction"} & set(settings.interactions) and radio_scene.meshes:
-        _run_rays(radio_scene, origins_m, opaque, settings, tree)
+        _run_rays(radio_scene, origins_m, opaque, mirrors, settings, tree)
     return tree.chains()
 
 
@@ -145,6 +157,7 @@ def _run_rays(
     radio_scene: RadioScene,
     origins_m: FloatArray,
     opaque: NDArray[np.bool_],
+    mirrors: NDArray[np.bool_],
     settings: TraceSettings,
     tree: _ChainTree,
 ) -> None:
@@ -154,7 +167,7 @@ def _run_rays(
     mesh_of_pointer = np.zeros(int(pointer.max()) + 1, dtype=np.int64)  # mesh 0 stands for what dead rays hit
     mesh_of_pointer[pointer] = np.arange(len(pointer))
     start_m = origins_m[np.arange(settings.rays) % len(origins_m)]
-    ray = mi.Ray3f(point3f(start_m), mi.Vector3f(point3f(_fibonacci_sphere(settings.rays))))
+    ray = mi.Ray3f(point3f(start_m), mi.Vector3f(point3f(fibonacci_sphere(settings.rays))))
     active = dr.full(mi.Bool, True, settings.rays)
     for _ in range(settings.max_depth):
         hit = radio_scene.mitsuba.ray_intersect(
@@ -162,10 +175,13 @@ def _run_rays(
         )
         active &= hit.is_valid()
         mesh = mesh_of_pointer[dr.reinterpret_array(mi.UInt, hit.shape).numpy() * active.numpy()]
-        reflected = _choose_reflection(rng, opaque[mesh], settings)
+        triangle = tree.first_triangle[mesh] + hit.prim_index.numpy() * active.numpy()
+        is_mirror = mirrors[triangle]
+        reflected = _choose_reflection(rng, opaque[mesh], settings) & is_mirror
+        active &= mi.Bool(is_mirror | ~_must_reflect(opaque[mesh], settings))
         direction = dr.select(mi.Bool(reflected), ray.d - 2 * dr.dot(ray.d, hit.n) * hit.n, ray.d)
         side = dr.select(dr.dot(direction, hit.n) > 0, hit.n, -hit.n)
-        tree.grow(active.numpy(), reflected, mesh, hit.prim_index.numpy(), hit.p.numpy().T, side.numpy().T)
+        tree.grow(active.numpy(), reflected, triangle, hit.p.numpy().T, side.numpy().T)
         ray = hit.spawn_ray(direction)
         dr.eval(ray, active)
 
@@ -181,13 +197,9 @@ def _choose_reflection(
     return (rng.random(len(opaque)) < REFLECTION_PROBABILITY) | opaque
 
 
-def _fibonacci_sphere(num_points: int) -> Float[FloatArray, "N 3"]:
-    """Directions spread evenly over the sphere, by the golden angle."""
-    index = np.arange(num_points)
-    z = 1 - (2 * index + 1) / num_points
-    azimuth_rad = 2 * np.pi * ((index * (np.sqrt(5) - 1) / 2) % 1.0)
-    horizontal = np.sqrt(1 - z**2)
-    return np.stack([horizontal * np.cos(azimuth_rad), horizontal * np.sin(azimuth_rad), z], axis=-1)
+def _must_reflect(opaque: NDArray[np.bool_], settings: TraceSettings) -> NDArray[np.bool_]:
+    """Whether nothing passes what each ray met."""
+    return opaque if "refraction" in settings.interactions else np.ones(len(opaque), dtype=bool)
 
 
 class _ChainTree:
@@ -207,15 +219,13 @@ class _ChainTree:
         self,
         active: NDArray[np.bool_],
         reflected: NDArray[np.bool_],
-        mesh: IntArray,
-        primitive: NDArray[np.uint32],
+        hit_triangle: IntArray,
         hit_m: NDArray[np.float32],
         side: NDArray[np.float32],
     ) -> None:
-        """Add the next interaction of every active ray: which mesh and triangle it hit, where, on which side."""
+        """Add the next interaction of every active ray: which triangle it hit, where, on which side."""
         ray = np.flatnonzero(active)
-        parent = self.chain_of_ray[ray]
-        triangle = self.first_triangle[mesh[ray]] + primitive[ray]
+        parent, triangle = self.chain_of_ray[ray], hit_triangle[ray]
         event = np.where(reflected[ray], 1 + self.planes.index[triangle], 0)
         key = parent * (2 + self.planes.index.max()) + event
         _, first, branch = np.unique(key, return_index=True, return_inverse=True)

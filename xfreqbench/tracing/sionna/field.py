@@ -9,14 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 
+from xfreqbench.errors import SceneError
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.tracing.paths import NO_INTERACTION
+from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, point3f, rt
 from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 FieldCalculator = rt.path_solvers.field_calculator.FieldCalculator
 ImageMethod = rt.path_solvers.image_method.ImageMethod
@@ -36,7 +37,10 @@ class Field:
         target_m: Float[FloatArray, "R 3"],
         diffraction: bool = False,
     ) -> Int[NDArray[np.int64], "P"]:
-        """Indices of the rows of a buffer that are paths, by the image method; the buffer keeps these only."""
+        """Indices of the rows of a buffer that are paths, by the image method; the buffer keeps these only.
+
+        A path that is reflected by a triangle that does not mirror is none.
+        """
         ImageMethod()(
             scene=self.radio_scene.mitsuba,
             paths=buffer,
@@ -45,9 +49,23 @@ class Field:
             src_positions=point3f(tx_position_m),
             tgt_positions=point3f(target_m),
         )
+        if not self.radio_scene.mirrors.all():
+            buffer.valid &= mi.Bool(self._are_by_mirrors(buffer))
         row = np.flatnonzero(buffer.valid.numpy())
         buffer.discard_invalid()
         return row
+
+    def _are_by_mirrors(self, buffer: Any) -> Bool[NDArray[np.bool_], "P"]:
+        """Whether every specular reflection of each of a buffer's paths is by a triangle that mirrors."""
+        pointer, meshes = self.radio_scene.shape_pointer, self.radio_scene.meshes
+        first_triangle = np.zeros(int(pointer.max()) + 1, dtype=np.int64)
+        first_triangle[pointer] = np.cumsum([0, *(len(mesh.triangles) for mesh in meshes)])[:-1]
+        is_specular = buffer.interaction_types.numpy() == SPECULAR
+        shape, primitive = (
+            np.where(is_specular, column.numpy(), 0) for column in (buffer.shapes, buffer.primitives)
+        )
+        mirrors = self.radio_scene.mirrors[first_triangle[shape] + primitive]
+        return (mirrors | ~is_specular).reshape(buffer.buffer_size, -1).all(axis=1)
 
     def gains(
         self,
@@ -60,7 +78,8 @@ class Field:
     ) -> Complex[NDArray[np.complex128], "P"]:
         """Gain of each of a buffer's P paths at one carrier, spreading included, without its travel phase.
 
-        `rays` is the number that the paths were sampled with; only diffuse reflections depend on it.
+        `rays` is the number that the paths were sampled with; only diffuse reflections depend on it. Raises
+        `SceneError` where a gain is no number.
         """
         if buffer.buffer_size == 0:
             return np.zeros(0, dtype=np.complex128)
@@ -82,7 +101,15 @@ class Field:
         buffer.valid = dr.full(
             mi.Bool, True, buffer.buffer_size
         )  # a path that vanishes at one carrier may not at another
-        return gain.real.numpy().astype(np.complex128) + 1j * gain.imag.numpy()
+        gains = gain.real.numpy().astype(np.complex128) + 1j * gain.imag.numpy()
+        num_lost = np.count_nonzero(~np.isfinite(gains))
+        if num_lost:
+            raise SceneError(
+                f"At {format_ghz(carrier_hz)} Sionna RT gives {num_lost:,} of {len(gains):,} paths a "
+                "field that is no number: a slab of the scene is too thick, or conducts too well, for its single "
+                "precision. Make thick ones thinner; through a metre of metal nothing passes either."
+            )
+        return gains
 
 
 def with_travel_phase(

@@ -17,7 +17,7 @@ from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.field import Field, path_interactions, with_travel_phase
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
-from xfreqbench.tracing.tracer import Channel, TraceSettings
+from xfreqbench.tracing.tracer import MAX_DIFFUSE_PATHS, Channel, TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -28,7 +28,12 @@ MAX_LANES = 30_000_000  # rays × depth × targets in one call of the determinis
 
 
 class ForwardRays:
-    """Rays of one scene, shot anew for every transmitter and carrier, with each array element a target."""
+    """Rays of one scene, shot anew for every transmitter and carrier, with each array element a target.
+
+    A diffuse path stands for all directions into which its ray might have been scattered: its gain holds the solid
+    angle 4π/rays, over the probability that the ray took this way, so that the sum of powers does not depend on
+    the number of rays. All elements see the same points of the surfaces, so that the field is coherent between them.
+    """
 
     def __init__(
         self,
@@ -43,6 +48,7 @@ class ForwardRays:
         self.settings = settings
         self._field = Field(radio_scene, receiver)
         self._diffraction = "diffraction" in settings.interactions
+        self._diffuse = "diffuse" in settings.interactions
 
     def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
         """Channel (T, F, M) at every element's own position, and the number of paths (T, F)."""
@@ -55,7 +61,11 @@ class ForwardRays:
         return Channel(cfr, num_paths)
 
     def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
-        """Paths to the array centre, the earliest first, sampled at the lowest carrier."""
+        """Paths to the array centre, the earliest first.
+
+        They are sampled with the materials of the lowest carrier. Gains of diffuse paths are weighted by the
+        probabilities of that sampling, so that the mean of their powers is right at the other carriers too.
+        """
         tx, centre = tx_position_m[None, :], np.array([self.receiver.position_m])
         buffer = self._trace(float(self.carrier_hz.min()), tx, centre)
         gain = [self._gains(carrier, buffer, tx, centre) for carrier in self.carrier_hz.tolist()]
@@ -79,7 +89,7 @@ class ForwardRays:
         cfr = np.zeros(len(element_m), dtype=np.complex128)
         num_paths = np.zeros(len(element_m), dtype=np.int64)
         lanes = self.settings.rays * max(1, self.settings.max_depth)
-        step = max(1, MAX_LANES // lanes)
+        step = max(1, (MAX_DIFFUSE_PATHS if self._diffuse else MAX_LANES) // lanes)
         for start in range(0, len(element_m), step):
             target_m = element_m[start : start + step]
             buffer = self._trace(carrier_hz, tx, target_m)
@@ -106,7 +116,7 @@ class ForwardRays:
             src_positions=point3f(tx),
             tgt_positions=point3f(target_m),
             samples_per_src=self.settings.rays,
-            max_num_paths_per_src=MAX_PATHS,
+            max_num_paths_per_src=self._most_paths(len(target_m)),
             max_depth=self.settings.max_depth,
             los=True,
             specular_reflection="specular" in interactions,
@@ -121,6 +131,12 @@ class ForwardRays:
         buffer.shrink()
         buffer.detach_geometry()
         return buffer
+
+    def _most_paths(self, num_targets: int) -> int:
+        """Room for all paths of one call: a diffuse one for each ray, depth and target, and the others beside them."""
+        if not self._diffuse:
+            return MAX_PATHS
+        return MAX_PATHS + num_targets * self.settings.rays * self.settings.max_depth
 
     def _gains(
         self, carrier_hz: float, buffer: Any, tx: FloatArray, target_m: FloatArray

@@ -35,7 +35,7 @@ def plain_channel(
     sionna_scene = loaded(scene, carrier_hz)
     channels = []
     for tx in tx_position_m:
-        paths = solve(sionna_scene, tx, interactions, max_depth, rays, seed)
+        paths = solve(sionna_scene, tx[None], interactions, max_depth, rays, seed)
         gain, _ = paths.cir(normalize_delays=False, out_type="numpy")  # which holds the carrier phase already
         channels.append(gain.astype(np.complex128).sum(axis=(0, 2, 3, 4, 5)))
     return np.array(channels).reshape(len(tx_position_m), scene.receiver.num_elements)
@@ -55,15 +55,17 @@ def loaded(scene: Scene, carrier_hz: float) -> Any:
 
 def solve(
     sionna_scene: Any,
-    position_m: Float[FloatArray, "3"],
+    tx_position_m: Float[FloatArray, "T 3"],
     interactions: Collection[Interaction],
     max_depth: int,
     rays: int,
     seed: int,
 ) -> Any:
-    """Sionna's own paths of one transmitter to every element of the array."""
-    sionna_scene.remove("transmitter")
-    sionna_scene.add(rt.Transmitter(name="transmitter", position=mi.Point3f(*map(float, position_m))))
+    """Sionna's own paths of T transmitters to every element of the array."""
+    for name in list(sionna_scene.transmitters):
+        sionna_scene.remove(name)
+    for number, position_m in enumerate(tx_position_m.tolist()):
+        sionna_scene.add(rt.Transmitter(name=f"transmitter {number}", position=mi.Point3f(*position_m)))
     return rt.PathSolver()(
         sionna_scene,
         max_depth=max_depth,

@@ -106,8 +106,6 @@ class Reach:
             image_m = images_m[-1].copy()
             rows = np.flatnonzero(self.chains.interaction[chain, depth] == SPECULAR)
             triangle = self.chains.triangle[chain[rows], depth]
-            normal = self.planes.normal[triangle]
-            height_m = np.einsum("cx,cx->c", normal, image_m[rows]) - self.planes.offset_m[triangle]
-            image_m[rows] -= 2 * height_m[:, None] * normal
+            image_m[rows] = self.planes.mirrored(triangle, image_m[rows])
             images_m.append(image_m)
         return images_m

@@ -71,7 +71,7 @@ class ReceiverRays:
         opaque = opaque_meshes(radio_scene.meshes, carrier_hz.tolist(), radio_scene.policy)
         wavelength_m = SPEED_OF_LIGHT_M_S / float(carrier_hz.min())
         aperture_m = _aperture_points(receiver, wavelength_m)
-        self.chains = shoot(radio_scene, self.planes, aperture_m, opaque, settings)
+        self.chains = shoot(radio_scene, self.planes, aperture_m, opaque, radio_scene.mirrors, settings)
         self._reach = Reach(
             self.chains,
             self.planes,

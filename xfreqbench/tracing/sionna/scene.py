@@ -6,16 +6,18 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt
+from jaxtyping import Bool, Float, UInt
 from numpy.typing import NDArray
 
-from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, write_mitsuba
+from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, complex_permittivity
+from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
 from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
 from xfreqbench.types import FloatArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
@@ -29,6 +31,12 @@ import sionna.rt  # noqa: E402
 dr: Any = drjit  # their stubs know no variant, so most of what is called here has no type there
 mi: Any = mitsuba
 rt: Any = sionna.rt
+
+_PATTERNS: dict[ScatteringPattern, Any] = {
+    "lambertian": rt.LambertianPattern,
+    "directive": rt.DirectivePattern,
+    "backscattering": rt.BackscatteringPattern,
+}
 
 __all__ = ["RadioScene", "antenna_array", "dr", "mi", "point3f", "roomy_hash_table", "rt"]
 
@@ -68,7 +76,7 @@ def antenna_array(receiver: ReceiverArray, positions_wavelengths: Float[FloatArr
 
 
 class RadioScene:
-    """Meshes loaded into Sionna RT, with materials that follow `set_carrier`.
+    """Meshes loaded into Sionna RT, with materials that follow `set_carrier`, and scatter where the scene says so.
 
     The materials are plain ones whose values come from `xfreqbench.scene.materials`. Sionna's own ITU materials
     raise for every carrier outside a band, even for the 3.5 GHz at which a scene is loaded, and leave the
@@ -79,6 +87,18 @@ class RadioScene:
         self.meshes = list(meshes)
         self.policy = policy
         self.sionna = _load(self.meshes)
+        slabs = slabs_of(self.meshes)
+        for name, material in self.sionna.radio_materials.items():
+            scattering = slabs[int(name.rpartition("-")[2])].scattering
+            if scattering:
+                material.scattering_coefficient = scattering.coefficient
+                material.xpd_coefficient = scattering.xpd_coefficient
+                material.scattering_pattern = _PATTERNS[scattering.pattern](**scattering.pattern_numbers)
+
+    @cached_property
+    def mirrors(self) -> Bool[NDArray[np.bool_], "K"]:
+        """Whether each triangle mirrors, meshes in order."""
+        return np.asarray(mirror_patches(self.meshes) >= 0)
 
     @property
     def mitsuba(self) -> Any:
@@ -99,13 +119,11 @@ class RadioScene:
         Raises `MaterialBandError` before anything has changed. All values are opaque to Dr.Jit: ten
         carriers share one compiled kernel.
         """
-        permittivity = {
-            mesh.material: complex_permittivity(mesh.material, carrier_hz, self.policy)
-            for mesh in self.meshes
-        }
+        slabs = slabs_of(self.meshes)
+        permittivity = [complex_permittivity(slab.material, carrier_hz, self.policy) for slab in slabs]
         self.sionna.frequency = dr.opaque(mi.Float, carrier_hz)
         for name, material in self.sionna.radio_materials.items():
-            value = permittivity[name.rpartition("-")[0]]
+            value = permittivity[int(name.rpartition("-")[2])]
             conductivity_s_m = -value.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
             material.relative_permittivity = dr.opaque(mi.Float, value.real)
             material.conductivity = dr.opaque(mi.Float, conductivity_s_m)

@@ -1,0 +1,74 @@
+"""The bench of peers: its rooms, and solvers that find the same paths and channels in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xfreqbench.bench.peers import run
+from xfreqbench.bench.peers.differt import DiffeRTSolver, require_differt
+from xfreqbench.bench.peers.measure import CARRIERS_HZ, PeerTask, differences_db, measured, missed
+from xfreqbench.bench.peers.rooms import panel_room, transmitters
+from xfreqbench.bench.peers.solvers import OurSolver, PathSolver
+from xfreqbench.bench.tables import Bench
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.scene.meshes import surface_meshes
+
+ORDER = 2
+
+
+@pytest.mark.parametrize("number", [12, 14, 40])
+def test_a_room_has_as_many_triangles_as_asked(number: int) -> None:
+    assert sum(len(mesh.triangles) for mesh in surface_meshes(panel_room(number))) == number
+
+
+@pytest.mark.parametrize("number", [0, 10, 13])
+def test_a_room_that_rectangles_cannot_make_is_refused(number: int) -> None:
+    with pytest.raises(XFreqBenchError, match=f"but {number} are asked for"):
+        panel_room(number)
+
+
+def require_same_answers(theirs: type, **options) -> None:
+    positions_m, room, single = transmitters(3), panel_room(16), panel_room(16, 1)
+    ours = OurSolver(room, CARRIERS_HZ, ORDER)
+    for position_m in positions_m:
+        found_m = OurSolver(single, CARRIERS_HZ, ORDER).lengths_m(position_m)
+        others_m = theirs(single, CARRIERS_HZ, ORDER, **options).lengths_m(position_m)
+        assert len(found_m) == len(others_m) > 8
+        assert missed(found_m, others_m, 1e-5) == (0, pytest.approx(0, abs=1e-5))
+    channels = theirs(room, CARRIERS_HZ, ORDER, **options).channels(positions_m)
+    assert differences_db(ours.channels(positions_m), channels).min() > 50  # of single precision and rays
+
+
+@pytest.mark.sionna
+def test_path_solver_has_our_paths_and_channels() -> None:
+    require_same_answers(PathSolver, batch=2, rays=50_000)
+
+
+def test_differt_has_our_paths_and_channels() -> None:
+    pytest.importorskip("differt", reason="the extra peers is not installed")
+    require_same_answers(DiffeRTSolver, candidates="exhaustive")
+
+
+def test_paths_are_paired_one_to_one() -> None:
+    assert missed(np.array([1.0, 2.0, 2.0]), np.array([1.0, 2.0, 3.0]), 0.1) == (1, 0.0)
+    assert missed(np.array([1.0]), np.array([1.05, 1.05]), 0.1) == (1, pytest.approx(0.05))
+    assert missed(np.zeros(0), np.array([1.0]), 0.1) == (1, 0.0)
+
+
+def test_a_solver_is_timed_in_a_process_of_its_own() -> None:
+    result = measured(PeerTask("image", 12, 1, num_tx=4, seconds=60.0))
+    assert result.channel.shape == (4, 16)
+    assert [len(lengths) for lengths in result.lengths_m] == [7, 7, 7]  # the line of sight, and six walls
+    assert result.tx_s > 0 and result.setup_s > 0
+
+
+def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench("peers", "xfreqbench bench peers", print)
+    with pytest.raises(UnknownNameError, match="Did you mean 'PathSolver'"):
+        run.bench_peers(bench, ["PathSolvr"], [1], 1.0)
+    monkeypatch.setattr("xfreqbench.bench.peers.differt.find_spec", lambda name: None)
+    with pytest.raises(XFreqBenchError, match=r'needs the extra "peers"'):
+        run.bench_peers(bench, ["DiffeRT-hybrid"], [1], 1.0)
+    with pytest.raises(XFreqBenchError, match="pip install"):
+        require_differt()

@@ -1,0 +1,204 @@
+"""Methods that raise, leave, fork or answer nonsense: each is told by its name, and nothing is recorded of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from stub_methods import lofo_job
+from xfreqbench.baselines.nearest import Nearest
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import find_split
+from xfreqbench.errors import DataError, MethodError
+from xfreqbench.exchange.score_file import score_file
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.runs import checkpoints, records
+from xfreqbench.runs.run import run_job, run_jobs
+
+
+class FailsInPredict(Nearest):
+    def predict(self, tx_position_m, carrier_hz):
+        return {}["map"]
+
+
+class Leaving(Nearest):
+    """Raises `error` in the part of its contract that `part` names."""
+
+    part, error = "", SystemExit(0)
+
+    def _reach(self, part):
+        if self.part == part:
+            raise self.error
+
+    def fit(self, train, budget, seed):
+        self._reach("fit")
+        yield from super().fit(train, budget, seed)
+        yield Progress(2, 0.0)
+
+    def predict(self, tx_position_m, carrier_hz):
+        self._reach("predict")
+        return super().predict(tx_position_m, carrier_hz)
+
+    def save(self, directory):
+        self._reach("save")
+
+    def findings(self):
+        self._reach("findings")
+        return {"text": "\udcff"} if self.part == "text" else {}
+
+
+class Uncounted(Nearest):
+    def fit(self, train, budget, seed):
+        self.num_parameters = float("nan")
+        yield from super().fit(train, budget, seed)
+
+
+class UnheardError(Exception):
+    def __str__(self):
+        raise ValueError
+
+
+class Faint(Nearest):
+    """Its maps have power in one direction alone, `peak`."""
+
+    peak = 1.0
+
+    def predict(self, tx_position_m, carrier_hz):
+        maps = np.zeros((len(carrier_hz), 90, 360), np.float32)
+        maps[:, 3, 4] = self.peak
+        return maps
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "stub_methods:FailsInFit",
+            r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*stub_methods\.py",
+        ),
+        (
+            f"{__name__}:FailsInPredict",
+            r"failed in predict on split 'lofo-24\.25GHz': KeyError: 'map' \(.*test_method_errors\.py",
+        ),
+    ],
+)
+def test_a_method_that_fails_is_named_and_the_jobs_before_it_are_kept(
+    dataset: PasDataset, tmp_path: Path, name: str, words: str
+) -> None:
+    with pytest.raises(MethodError, match=words):
+        run_jobs([lofo_job(dataset), lofo_job(dataset, name)], tmp_path)
+    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == ["nearest"]
+
+
+PARTS = ("fit", "predict", "save", "findings")
+
+
+ERRORS = (SystemExit(0), GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_whatever_a_method_raises_names_the_method_and_the_part(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, error: BaseException
+) -> None:
+    monkeypatch.setattr(Leaving, "part", part)
+    monkeypatch.setattr(Leaving, "error", error)
+    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
+    words = rf"Leaving' failed in {part} on split .*{type(error).__name__}: "
+    with pytest.raises(MethodError, match=words) as raised:
+        run_job(lofo_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9)), tmp_path)
+    str(raised.value).encode()
+    assert not (tmp_path / "records.jsonl").exists()
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_an_interrupted_method_is_no_broken_one(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    wrapped = SystemError("a kernel was interrupted")
+    wrapped.__cause__ = KeyboardInterrupt()
+    monkeypatch.setattr(Leaving, "part", part)
+    monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
+    for seed, error in enumerate((KeyboardInterrupt(), wrapped)):
+        monkeypatch.setattr(Leaving, "error", error)
+        with pytest.raises(KeyboardInterrupt):
+            run_job(lofo_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9), seed=seed), tmp_path)
+
+
+def test_a_number_of_parameters_that_is_no_count_is_told(dataset: PasDataset, tmp_path: Path) -> None:
+    with pytest.raises(MethodError, match=r"Uncounted\.num_parameters is nan, a float"):
+        run_job(lofo_job(dataset, f"{__name__}:Uncounted"), tmp_path)
+    assert not (tmp_path / "records.jsonl").exists()
+
+
+def test_findings_that_no_file_can_hold_are_told(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Leaving, "part", "text")
+    with pytest.raises(MethodError, match=r"Leaving' failed in findings on split .*surrogate"):
+        run_job(lofo_job(dataset, f"{__name__}:Leaving"), tmp_path)
+
+
+FORKING = """
+import os
+from xfreqbench.baselines.nearest import Nearest
+
+class Forking(Nearest):
+    def fit(self, train, budget, seed):
+        self.child = os.fork()
+        yield from super().fit(train, budget, seed)
+        if self.child:
+            os.waitpid(self.child, 0)
+        elif FAILS:
+            raise RuntimeError("in the child")
+"""
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path, fails: bool) -> None:
+    (tmp_path / "forking.py").write_text(FORKING.replace("FAILS", str(fails)))
+    options = f"run --data {dataset.path} --results results --targets 77 --quiet --method forking:Forking"
+    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("it forked the process; the child ends here") == 1
+    assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 1
+
+
+def test_a_method_that_exits_does_not_look_like_success(dataset: PasDataset, tmp_path: Path) -> None:
+    (tmp_path / "leaving.py").write_text("import sys\n\nsys.exit(0)\n")
+    options = f"run --data {dataset.path} --results results --targets 77 --method leaving:Method"
+    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Method 'leaving:Method' cannot be imported: SystemExit: 0" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("peak", [0.0, 1e-6, 0.5])
+def test_a_run_and_a_file_of_predictions_accept_the_same_maps(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peak: float
+) -> None:
+    monkeypatch.setattr(Faint, "peak", peak)
+    split = find_split(dataset, "lofo", "lofo-24.25GHz")
+    maps = Faint().predict(np.zeros((len(split.test), 3)), np.zeros(len(split.test)))
+    path = tmp_path / "file.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group(split.name)
+        group["pas"] = maps
+        group.attrs.update(split_sha256=split.sha256, method="theirs")
+    job = lofo_job(dataset, f"{__name__}:Faint")
+    if peak == 0.5:
+        with pytest.raises(MethodError, match=r"the map of row \d+ has its peak at 0\.5\. Divide each map"):
+            run_job(job, tmp_path / "run")
+        with pytest.raises(DataError, match=r"has its peak at 0\.5\. Divide each map"):
+            score_file(path, Path(dataset.path), tmp_path / "scored")
+    else:
+        ran = run_job(job, tmp_path / "run")
+        (scored,) = score_file(path, Path(dataset.path), tmp_path / "scored").records
+        assert ran.scores["ssim"] == scored.scores["ssim"]

@@ -1,0 +1,130 @@
+"""Rooms that are closed meshes, objects in which nothing stands, and rooms that promise to be closed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mesh_scenes
+import numpy as np
+import pytest
+import trimesh
+from mesh_scenes import PLACES, WOOD, file_shape, scene_with, write_meshes
+
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene, parse_scene
+from xfreqbench.scene.placement import check_receiver, check_transmitters, place_transmitters
+from xfreqbench.scene.rooms import check_closed, objects_of
+
+
+def box(name: str, low_m: list[float], high_m: list[float]) -> str:
+    return f'[[surface]]\nname = "{name}"\nmaterial = "wood"\nthickness_m = 0.02\nmin_m = {low_m}\nmax_m = {high_m}\n'
+
+
+ROOM = box("room", [0.0, 0.0, 0.0], [5.0, 4.0, 3.0])
+CABINET = box("cabinet", [0.5, 0.5, 0.1], [1.5, 1.5, 2.0])  # about the receiver
+ASIDE = box("aside", [2.0, 1.0, 0.1], [3.0, 2.0, 0.7])
+SILL = box("sill", [4.9, 1.0, 0.8], [5.25, 2.0, 0.85])  # stands out of the room by a quarter of a metre
+NEXT = box("next", [5.3, 0.0, 0.0], [9.0, 4.0, 3.0])
+
+
+def scene_of(*surfaces: str, top: str = "") -> Scene:
+    return parse_scene(f'name = "test"\n{top}\n{PLACES}{"".join(surfaces)}')
+
+
+def check(scene: Scene) -> None:
+    meshes = surface_meshes(scene)
+    check_receiver(scene, meshes, 10e9)
+    placed = place_transmitters(scene, meshes, 10e9)
+    check_transmitters(scene, meshes, placed.tx_position_m, [10e9])
+
+
+@pytest.mark.parametrize("others", [[], [ASIDE], [ASIDE, SILL]])
+def test_a_closed_box_about_everything_is_a_room(others: list[str]) -> None:
+    scene = scene_of(ROOM, *others)
+    check(scene)
+    assert "room" not in {mesh.name for mesh in objects_of(scene, surface_meshes(scene))}
+
+
+@pytest.mark.parametrize("others", [[ROOM], [ASIDE], [ROOM, ASIDE]])
+def test_a_cabinet_about_the_receiver_is_none(others: list[str]) -> None:
+    with pytest.raises(PlacementError, match=r"Receiver.*inside 'cabinet'.*rooms = \['cabinet'\]"):
+        check(scene_of(CABINET, *others))
+
+
+def test_a_room_and_what_is_in_it_may_be_one_mesh(tmp_path: Path) -> None:
+    joined = (
+        mesh_scenes.ROOM + mesh_scenes.TABLE + trimesh.creation.box(bounds=[[0.5, 0.5, 1.0], [1.5, 1.5, 2.0]])
+    )
+    joined.export(tmp_path / "all.ply")
+    scene = scene_with(tmp_path, WOOD, file_shape("all.ply"))
+    meshes = surface_meshes(scene)
+    assert len(objects_of(scene, meshes)) == 2
+    with pytest.raises(PlacementError, match="Receiver array point 0 stands inside 's'"):
+        check_receiver(scene, meshes, 10e9)
+    aside = replace(scene, receiver=replace(scene.receiver, position_m=(1.0, 3.0, 1.5)))
+    check_receiver(aside, meshes, 10e9)
+    with pytest.raises(PlacementError, match="Transmitter 0 stands inside 's'"):
+        check_transmitters(aside, meshes, np.array([[2.5, 1.5, 0.4]]), [10e9])
+
+
+def test_the_space_between_walls_of_two_shells_is_free(tmp_path: Path) -> None:
+    """A room with solid walls is an outer shell and an inner one turned inside out: inside, the air is free."""
+    inner = mesh_scenes.ROOM.copy()
+    inner.invert()
+    (inner + trimesh.creation.box(bounds=[[-0.2] * 3, [5.2, 4.2, 3.2]])).export(tmp_path / "solid.ply")
+    scene = scene_with(tmp_path, WOOD, file_shape("solid.ply"))
+    check(scene)
+    with pytest.raises(PlacementError, match="Transmitter 0 stands inside 's'"):
+        check_transmitters(scene, surface_meshes(scene), np.array([[-0.1, 2.0, 1.0]]), [10e9])
+
+
+def test_a_transmitter_in_an_object_of_a_room_is_refused() -> None:
+    scene = scene_of(ROOM, ASIDE)
+    meshes = surface_meshes(scene)
+    with pytest.raises(PlacementError, match="Transmitter 1 stands inside 'aside'"):
+        check_transmitters(scene, meshes, np.array([[4.0, 3.0, 1.0], [2.5, 1.5, 0.4]]), [10e9])
+    with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
+        check_transmitters(scene, meshes, np.array([[4.995, 3.0, 1.0]]), [10e9])
+
+
+def test_rooms_side_by_side_are_named() -> None:
+    with pytest.raises(PlacementError, match=r"rooms = \['room'\]"):
+        check(scene_of(ROOM, NEXT))
+    scene = scene_of(ROOM, NEXT, ASIDE, top='rooms = ["room", "next"]')
+    check(scene)
+    assert [mesh.name for mesh in objects_of(scene, surface_meshes(scene))] == ["aside"]
+    with pytest.raises(UnknownNameError, match=r"mesh for a room 'rom'\. Did you mean 'room'"):
+        check(scene_of(ROOM, NEXT, top='rooms = ["rom"]'))
+    floor = box("floor", [0.0, 0.0, 0.0], [5.0, 4.0, 0.0])
+    with pytest.raises(SceneError, match="'floor' as a room, but some of its edges"):
+        check(scene_of(floor, top='rooms = ["floor"]'))
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "stl"])
+def test_a_room_that_is_one_mesh_can_be_planned(tmp_path: Path, kind: str) -> None:
+    """STL repeats the vertices of every triangle, and is closed nonetheless."""
+    write_meshes(tmp_path)
+    scene = scene_with(tmp_path, WOOD, file_shape(f"meshes/room.{kind}"), file_shape("meshes/table.ply"))
+    plan = plan_generation(scene, [2.4e9, 60e9], maps=False)
+    assert (len(plan.tx_position_m), plan.settings.solver) == (2, "image")
+    assert plan.line_of_sight.all()
+
+
+def test_a_hole_in_what_is_promised_closed_is_found() -> None:
+    walls = [
+        box("floor", [0.0, 0.0, 0.0], [5.0, 4.0, 0.0]), box("ceiling", [0.0, 0.0, 3.0], [5.0, 4.0, 3.0]),
+        box("west", [0.0, 0.0, 0.0], [0.0, 4.0, 3.0]), box("east", [5.0, 0.0, 0.0], [5.0, 4.0, 3.0]),
+        box("south", [0.0, 0.0, 0.0], [5.0, 0.0, 3.0]), box("north", [0.0, 4.0, 0.0], [5.0, 4.0, 3.0]),
+    ]  # fmt: skip
+    promise = "closed = true"
+    for sound in (scene_of(*walls, top=promise), scene_of(ROOM, top=promise), scene_of(*walls[1:])):
+        check_closed(sound, surface_meshes(sound))
+    open_below = scene_of(*walls[1:], top=promise)
+    with pytest.raises(PlacementError, match=r"closed = true, but [\d,]+ of 10,000 rays.*towards \["):
+        plan_generation(open_below, [10e9])
+    empty = scene_of(top=promise)
+    with pytest.raises(PlacementError, match="10,000 of 10,000 rays"):
+        check_closed(empty, surface_meshes(empty))

@@ -1,0 +1,242 @@
+"""Scenes of Sionna RT, own materials from end to end, and hashes that later inputs have not changed."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mesh_scenes import PLACES, WOOD, file_shape, scene_of_file, scene_with, write_meshes
+
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.errors import SceneError, UnknownNameError
+from xfreqbench.scene.materials import ConstantMaterial, Scattering
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
+from xfreqbench.scene.model import load_scene, parse_scene
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import TraceSettings
+
+# Of meshes and of the scene's JSON, before GLB, OBJ, transforms, own materials and rooms could be given.
+SHIPPED = {
+    "corridor": ("d469559e6b3ad9eb", "ee7cc39a1d0f3b64"),
+    "empty": ("e3b0c44298fc1c14", "22432289376c81f8"),
+    "lounge": ("3a9733bb3952b748", "371502a4ceee4812"),
+    "office": ("8f59e2cc110cf6f6", "5f8a1436a4670e4f"),
+    "two_rooms": ("b42b44cd08745dec", "88149a990bd70de3"),
+}
+OWN = '[[material]]\nname = "foam"\nrelative_permittivity = 1.5\nconductivity_s_m = 0.002\n'
+FOAM = """[[surface]]
+name = "wall"
+material = "foam"
+thickness_m = 0.1
+min_m = [0.0, 0.0, 0.0]
+max_m = [0.0, 4.0, 3.0]
+"""
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenes_have_the_hashes_that_they_always_had(name: str) -> None:
+    scene = load_scene(name)
+    found = meshes_sha256(surface_meshes(scene)), hashlib.sha256(scene.canonical_json.encode()).hexdigest()
+    assert tuple(each[:16] for each in found) == SHIPPED[name]
+
+
+def test_meshes_that_were_read_before_have_the_hash_of_then(tmp_path: Path) -> None:
+    """Of a PLY and materials of both kinds, as an export of the first version's documents had them."""
+    named = '<bsdf type="twosided" id="mat-itu_glass"><float name="thickness" value="0.008"/></bsdf>'
+    write_meshes(tmp_path)
+    pane = '<ref id="mat-itu_glass" name="bsdf"/>'
+    shapes = file_shape("meshes/table.ply"), file_shape("meshes/room.ply", material=pane)
+    meshes = surface_meshes(scene_with(tmp_path, WOOD, named, *shapes))
+    assert [mesh.thickness_m for mesh in meshes] == [0.1, 0.008]
+    assert meshes_sha256(meshes)[:16] == "1eba06249f5081c3"
+
+
+@pytest.mark.parametrize(
+    ("name", "num_triangles", "material"),
+    [
+        ("floor_wall", 4, "brick"),
+        ("box", 12, "metal"),
+        ("box_two_screens", 16, "glass"),
+        ("simple_wedge", 4, "concrete"),
+    ],
+)
+def test_scenes_of_sionna_rt_are_named(tmp_path: Path, name: str, num_triangles: int, material: str) -> None:
+    meshes = surface_meshes(scene_of_file(tmp_path, f"sionna:{name}"))
+    assert sum(len(mesh.triangles) for mesh in meshes) == num_triangles
+    assert material in {mesh.material for mesh in meshes}
+
+
+def test_a_scene_that_sionna_rt_does_not_bring_names_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"scene of Sionna RT 'floor_wal'\. Did you mean 'floor_wall'"):
+        surface_meshes(scene_of_file(tmp_path, "sionna:floor_wal"))
+    with pytest.raises(UnknownNameError, match="scene of Sionna RT"):
+        surface_meshes(scene_of_file(tmp_path, "sionna:../scenes/box"))
+
+
+def test_sionnas_box_is_a_room(tmp_path: Path) -> None:
+    plan = plan_generation(
+        scene_of_file(tmp_path, "sionna:box"), [2.4e9], TraceSettings(max_depth=2), maps=False
+    )
+    assert len(plan.tx_position_m) == 2
+
+
+def test_a_surface_may_be_of_a_material_of_the_scenes_own() -> None:
+    scene = parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}')
+    (wall,) = surface_meshes(scene)
+    assert wall.material == ConstantMaterial("foam", 1.5, 0.002)
+    plan = plan_generation(scene, [1e9, 500e9], maps=False)  # no band ends there
+    assert "the same at every carrier: foam (ε′ 1.5, σ 0.002 S/m)" in plan.summary
+    changed = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "0.003")}{FOAM}')
+    assert meshes_sha256(surface_meshes(scene)) != meshes_sha256(surface_meshes(changed))
+
+
+@pytest.mark.sionna
+def test_both_solvers_give_one_channel_with_an_own_material() -> None:
+    scene = parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}')
+    tx_position_m, carriers_hz = np.array([[3.5, 3.0, 1.5]]), [1e9, 30e9]
+    image, sionna = (
+        make_tracer(scene, carriers_hz, TraceSettings(solver=solver, max_depth=1, rays=10_000))
+        .channel(tx_position_m)
+        .cfr
+        for solver in ("image", "sionna")
+    )
+    assert np.abs(image - sionna).max() < 2e-3 * np.abs(image).max()  # Sionna's float32
+    vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
+    nothing = (
+        make_tracer(vacuum, carriers_hz, TraceSettings(solver="image", max_depth=1))
+        .channel(tx_position_m)
+        .cfr
+    )
+    assert np.abs(image - nothing).max() > 0.01 * np.abs(image).max()
+
+
+@pytest.mark.sionna
+def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
+    thick = FOAM.replace("thickness_m = 0.1", "thickness_m = 1000.0")
+    scene = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "1e9")}{thick}')
+    tracer = make_tracer(scene, [94e9], TraceSettings(solver="sionna", max_depth=1, rays=10_000))
+    with pytest.raises(
+        SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"
+    ):
+        tracer.channel(np.array([[3.5, 3.0, 1.5]]))
+
+
+@pytest.mark.sionna
+def test_sionna_is_given_own_materials_as_they_are(tmp_path: Path) -> None:
+    from xfreqbench.tracing.sionna.scene import RadioScene
+
+    meshes = surface_meshes(parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}'))
+    loaded = RadioScene(meshes)
+    loaded.set_carrier(60e9)
+    (material,) = loaded.sionna.radio_materials.values()
+    np.testing.assert_allclose(
+        [material.relative_permittivity[0], material.conductivity[0]], [1.5, 0.002], rtol=1e-6
+    )
+    again = surface_meshes(scene_of_file(tmp_path, str(write_mitsuba(meshes, tmp_path))))
+    assert str(again[0].material) == "mat-own-0"
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('name = "foam"', "no ITU-R P.2040 material 'foam'"),
+        ('name = "foam"\nitu = "fom"', "no ITU-R P.2040 material 'fom'"),
+        ('name = "foam"\nconductivity_s_m = 1.0', "state its relative_permittivity too"),
+        ('name = "foam"\nitu = "wood"\nrelative_permittivity = 2.0', "state one of them"),
+        ('name = "foam"\nrelative_permittivity = 0.5', "greater than or equal to 1"),
+        ('name = "foam"\nrelative_permittivity = nan', "material.0.relative_permittivity"),
+        (
+            'name = "foam"\nitu = "wood"\n[[material]]\nname = "foam"\nitu = "wood"',
+            "two materials are named 'foam'",
+        ),
+    ],
+)
+def test_a_table_of_materials_without_sense_is_refused(table: str, message: str) -> None:
+    with pytest.raises((SceneError, UnknownNameError), match=message):
+        parse_scene(f'name = "test"\n{PLACES}[[material]]\n{table}\n')
+
+
+def rough_wood(**fields: object) -> str:
+    told = ", ".join(f"{name} = {value!r}" for name, value in fields.items())
+    return f'[[material]]\nname = "wood"\nscattering = {{{told}}}\n'
+
+
+def test_scattering_is_read_from_the_table_and_from_xml(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    table = file_shape("meshes/table.ply")
+    stated = (
+        '<float name="scattering_coefficient" value="0.3"/><float name="xpd_coefficient" value="0.1"/></bsdf>'
+    )
+    lobe = '<string name="scattering_pattern" value="directive"/><integer name="alpha_r" value="4"/></bsdf>'
+    smooth, flat, rough, directive, own = (
+        surface_meshes(scene_with(tmp_path, bsdf, table, toml=toml))
+        for bsdf, toml in (
+            (WOOD, ""),
+            (WOOD.replace("</bsdf>", stated.replace("0.3", "0")), ""),
+            (WOOD.replace("</bsdf>", stated), ""),
+            (WOOD.replace("</bsdf>", stated).replace("</bsdf>", lobe), ""),
+            (WOOD.replace("</bsdf>", stated), rough_wood(coefficient=0.5)),
+        )
+    )
+    assert meshes_sha256(flat) == meshes_sha256(smooth)
+    assert len({meshes_sha256(each) for each in (smooth, rough, directive, own)}) == 4
+    assert rough[0].scattering == Scattering(0.3, xpd_coefficient=0.1)
+    assert directive[0].scattering == Scattering(0.3, xpd_coefficient=0.1, pattern="directive", alpha_r=4)
+    assert own[0].scattering == Scattering(0.5)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"coefficient": 1.5}, "less than or equal to 1"),
+        ({"coefficient": 0.3, "pattern": "shiny"}, "'lambertian', 'directive' or 'backscattering'"),
+        ({"coefficient": 0.3, "pattern": "directive"}, "'directive' has alpha_r, but none is stated"),
+        ({"coefficient": 0.3, "alpha_r": 4}, "'lambertian' has no numbers, but alpha_r is stated"),
+        ({"pattern": "lambertian"}, "material.0.scattering.coefficient: Field required"),
+        ({"coefficient": 0.3, "pattern": "directive", "alpha_r": 0}, "greater than or equal to 1"),
+    ],
+)
+def test_scattering_without_sense_is_refused(tmp_path: Path, fields: dict[str, object], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        parse_scene(f'name = "test"\n{PLACES}{rough_wood(**fields)}')
+    write_meshes(tmp_path)
+    names = {"coefficient": "scattering_coefficient", "pattern": "scattering_pattern"}
+    told = "".join(f'<float name="{names.get(key, key)}" value="{value}"/>' for key, value in fields.items())
+    if "coefficient" in fields:
+        with pytest.raises(SceneError, match=r"scene\.xml: material 'M', "):
+            surface_meshes(
+                scene_with(
+                    tmp_path, WOOD.replace("</bsdf>", f"{told}</bsdf>"), file_shape("meshes/table.ply")
+                )
+            )
+
+
+@pytest.mark.sionna
+def test_a_plan_tells_how_a_scene_scatters() -> None:
+    table = rough_wood(coefficient=0.3, pattern="directive", alpha_r=4)
+    scene = parse_scene(f'name = "test"\n{PLACES}{table}{FOAM.replace("foam", "wood")}')
+    without = plan_generation(scene, [1e9], maps=False)
+    assert without.settings.solver == "sionna"  # the image method knows smooth surfaces only
+    assert (
+        "scattering: wood (S 0.3, directive), of which the interaction diffuse is not traced"
+        in without.summary
+    )
+    settings = TraceSettings(interactions=("specular", "diffuse"), rays=1000)
+    traced = plan_generation(scene, [1e9], settings, maps=False)
+    assert "scattering: wood (S 0.3, directive)\n" in traced.summary + "\n"
+    told = {
+        "material": "wood",
+        "coefficient": 0.3,
+        "xpd_coefficient": 0.0,
+        "pattern": "directive",
+        "alpha_r": 4,
+    }
+    assert traced.header.settings["scattering"] == [told]
+    smooth = parse_scene(f'name = "test"\n{PLACES}{FOAM.replace("foam", "wood")}')
+    assert "scattering" not in plan_generation(smooth, [1e9], maps=False).header.settings
+    with pytest.raises(SceneError, match="no material of the scene scatters"):
+        plan_generation(smooth, [1e9], settings, maps=False)
+    with pytest.raises(SceneError, match="rough ones too"):
+        make_tracer(scene, [1e9], TraceSettings(solver="image"))

@@ -1,0 +1,57 @@
+"""A small room furnished with meshes: a cushion of many small facets, a table of one board, and a metal screen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+
+SLABS = {"wood": 0.02, "metal": 0.002}  # metres
+GRID = TransmitterGrid(min_m=(0.5, 0.5, 1.0), max_m=(3.5, 2.5, 1.0), step_m=(1.0, 1.0, 1.0))
+RECEIVER = ReceiverArray(position_m=(1.9, 1.4, 2.3))
+SHELL = (
+    Surface("floor", "concrete", 0.2, (0.0, 0.0, 0.0), (4.0, 3.0, 0.0)),
+    Surface("ceiling", "concrete", 0.2, (0.0, 0.0, 2.5), (4.0, 3.0, 2.5)),
+    Surface("west", "plasterboard", 0.1, (0.0, 0.0, 0.0), (0.0, 3.0, 2.5)),
+    Surface("east", "concrete", 0.1, (4.0, 0.0, 0.0), (4.0, 3.0, 2.5)),
+)
+TX_M = np.array([[0.5, 0.6, 1.1], [3.3, 2.4, 0.9], [2.9, 0.4, 0.6], [1.4, 2.6, 1.3]])
+
+
+def write_meshes(folder: Path, meshes: dict[str, tuple[str, trimesh.Trimesh]]) -> str:
+    """Write meshes by name, each with its material, and the Mitsuba XML that names them; returns its name."""
+    lines = [
+        f'<bsdf type="itu-radio-material" id="mat-{name}"><string name="type" value="{name}"/>'
+        f'<float name="thickness" value="{thickness_m}"/></bsdf>'
+        for name, thickness_m in SLABS.items()
+    ]
+    for name, (material, mesh) in meshes.items():
+        mesh.export(folder / f"{name}.ply")
+        lines.append(
+            f'<shape type="ply" id="mesh-{name}"><string name="filename" value="{name}.ply"/>'
+            f'<ref id="mat-{material}" name="bsdf"/></shape>'
+        )
+    (folder / "room.xml").write_text(f'<scene version="2.1.0">{"".join(lines)}</scene>', encoding="utf-8")
+    return "room.xml"
+
+
+def cushion(subdivisions: int) -> trimesh.Trimesh:
+    """A box with round edges, of 20·4ⁿ triangles."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
+    round_m = ball.vertices / np.linalg.norm(ball.vertices, ord=6, axis=1, keepdims=True)
+    return trimesh.Trimesh([2.4, 1.0, 0.6] + round_m * [0.6, 0.35, 0.15], ball.faces, process=False)
+
+
+def furnished_room(folder: Path, subdivisions: int = 3) -> Scene:
+    """The room; its meshes are written to the folder, the cushion in 20·4ⁿ triangles."""
+    meshes = {
+        "cushion": ("wood", cushion(subdivisions)),
+        "table": ("wood", trimesh.creation.box(bounds=[[0.8, 1.2, 0.7], [1.9, 2.1, 0.73]])),
+        "screen": ("metal", trimesh.creation.box(bounds=[[3.0, 1.2, 0.8], [3.02, 2.0, 1.4]])),
+        "foot": ("metal", trimesh.creation.cylinder(0.03, segment=[[1.3, 1.6, 0.02], [1.3, 1.6, 0.68]])),
+    }
+    xml = write_meshes(folder, meshes)
+    return Scene("furnished", RECEIVER, GRID, surface=SHELL, scene=xml, folder=folder)

@@ -1,0 +1,172 @@
+"""The image method among many facets: it is the method of `tracer`, on other data structures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from furnished_room import GRID, RECEIVER, TX_M, furnished_room, write_meshes
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene, Surface, load_scene
+from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
+from xfreqbench.tracing.solvers import resolve_solver
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+CARRIERS_HZ = [2.4e9, 24.25e9]
+SETTINGS = TraceSettings("image", max_depth=4, rays=60_000)
+EXACT = ImageSavings(field_nodes_per_axis=4)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return furnished_room(tmp_path_factory.mktemp("room"))
+
+
+def error_db(cfr: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Error of each channel (…, M) relative to its norm, in dB."""
+    return -20 * np.log10(np.linalg.norm(cfr - truth, axis=-1) / np.linalg.norm(truth, axis=-1))
+
+
+def test_channels_among_boxes_are_those_of_the_loops_over_planes() -> None:
+    office = load_scene("office")
+    tx = choose_transmitters(place_transmitters(office, surface_meshes(office)), 4, seed=1)
+    settings = TraceSettings("image", max_depth=4, rays=20_000)
+    loops, trees = (
+        tracer(office, CARRIERS_HZ, settings, EXACT).channel(tx) for tracer in (ImageTracer, FurnishedTracer)
+    )
+    np.testing.assert_allclose(trees.cfr, loops.cfr, rtol=0, atol=1e-9 * np.abs(loops.cfr).max())
+    np.testing.assert_array_equal(trees.num_paths, loops.num_paths)
+    ours, theirs = (
+        tracer(office, CARRIERS_HZ, settings).paths(tx[0]) for tracer in (FurnishedTracer, ImageTracer)
+    )
+    np.testing.assert_allclose(ours.gain, theirs.gain, atol=1e-9 * np.abs(theirs.gain).max())
+    np.testing.assert_allclose(ours.arrival, theirs.arrival, atol=1e-9)
+    np.testing.assert_array_equal(ours.interactions, theirs.interactions)
+    np.testing.assert_allclose(ours.vertices_m, theirs.vertices_m, atol=1e-9)
+
+
+def test_what_elements_share_is_what_each_finds_alone(room: Scene) -> None:
+    shared = FurnishedTracer(room, CARRIERS_HZ, SETTINGS, EXACT).channel(TX_M)
+    for other in (replace(EXACT, share_visibility=False), replace(EXACT, prune=False)):
+        alone = FurnishedTracer(room, CARRIERS_HZ, SETTINGS, other).channel(TX_M)
+        np.testing.assert_allclose(shared.cfr, alone.cfr, rtol=0, atol=1e-12 * np.abs(alone.cfr).max())
+        np.testing.assert_array_equal(shared.num_paths, alone.num_paths)
+
+
+@pytest.mark.parametrize("element", [0, 6, 15])
+def test_an_element_hears_what_a_receiver_in_its_place_hears(room: Scene, element: int) -> None:
+    carrier_hz = CARRIERS_HZ[0]
+    array = FurnishedTracer(room, [carrier_hz], SETTINGS).channel(TX_M).cfr[:, 0, element]
+    place_m = RECEIVER.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)[element]
+    alone = replace(room, receiver=replace(RECEIVER, rows=1, cols=1, position_m=tuple(place_m.tolist())))
+    tracer = FurnishedTracer(alone, [carrier_hz], SETTINGS)
+    for tx, heard, own in zip(TX_M, array, tracer.channel(TX_M).cfr[:, 0, 0], strict=True):
+        strongest = np.abs(tracer.paths(tx).gain).max()
+        assert abs(heard - own) < 1e-3 * strongest  # the field of the array is interpolated; measured 4e-4
+
+
+def test_channels_have_converged_in_the_number_of_rays(room: Scene) -> None:
+    few, many = (
+        FurnishedTracer(room, CARRIERS_HZ, replace(SETTINGS, rays=rays)).channel(TX_M).cfr
+        for rays in (SETTINGS.rays, 8 * SETTINGS.rays)
+    )
+    assert np.median(error_db(few, many)) > 40
+
+
+@pytest.mark.sionna
+@pytest.mark.parametrize(("mirrors", "limit_db"), [("patches", 40), ("facets", 25)])
+def test_both_solvers_reflect_at_the_same_mirrors(tmp_path: Path, mirrors: str, limit_db: float) -> None:
+    """Where every facet of a round cushion mirrors, rays find the paths by them by chance."""
+    from xfreqbench.tracing.sionna.tracer import SionnaTracer
+
+    scene = replace(furnished_room(tmp_path, subdivisions=2), mirrors=mirrors)
+    settings = replace(SETTINGS, max_depth=3)
+    image = FurnishedTracer(scene, CARRIERS_HZ, settings).channel(TX_M).cfr
+    sionna = SionnaTracer(scene, CARRIERS_HZ, replace(settings, rays=400_000)).channel(TX_M).cfr
+    assert np.median(error_db(image, sionna)) > limit_db
+
+
+def test_auto_takes_the_image_method_where_few_patches_mirror(room: Scene) -> None:
+    geometry = Geometry(surface_meshes(room))
+    assert resolve_solver(geometry, TraceSettings()).solver == "image"
+    facets = replace(room, mirrors="facets", least_patch_area_m2=None)
+    many = Geometry([*surface_meshes(facets)] * 2)
+    assert not can_solve(many, TraceSettings())
+    assert resolve_solver(many, TraceSettings()).solver == "sionna"
+    with pytest.raises(SceneError, match="mirrors = 'patches'"):
+        image_tracer(facets, CARRIERS_HZ, SETTINGS, geometry=many)
+
+
+def plate(edge_m: float, height_m: float, pieces: int = 1) -> trimesh.Trimesh:
+    """A square of 2·pieces² triangles, level, with a corner at the origin."""
+    steps = np.linspace(0, edge_m, pieces + 1)
+    x, y = np.meshgrid(steps, steps, indexing="ij")
+    vertices = np.stack([x, y, np.full_like(x, height_m)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(pieces)[:, None] * (pieces + 1) + np.arange(pieces)).reshape(-1)
+    quads = np.stack([corner, corner + pieces + 1, corner + pieces + 2, corner + 1], axis=1)
+    return trimesh.Trimesh(vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), process=False)
+
+
+def test_ten_thousand_triangles_in_a_plane_mirror_as_one_rectangle(tmp_path) -> None:
+    xml = write_meshes(tmp_path, {"plate": ("wood", plate(2.0, 0.5, pieces=71))})
+    cut = Scene("cut", RECEIVER, GRID, scene=xml, folder=tmp_path)
+    whole = replace(cut, scene=None, surface=(Surface("plate", "wood", 0.02, (0, 0, 0.5), (2, 2, 0.5)),))
+    tx = np.array([[1.3, 0.8, 1.2], [1.1, 1.9, 0.2]])
+    cfr, expected = (
+        image_tracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=2000), EXACT).channel(tx).cfr
+        for scene in (cut, whole)
+    )
+    np.testing.assert_allclose(cfr, expected, rtol=0, atol=1e-6 * np.abs(expected).max())  # PLY: float32
+
+
+def test_a_small_facet_stands_beside_a_large_one(tmp_path) -> None:
+    """A millimetre of metal on the line of sight blocks it, under a floor of a kilometre."""
+    speck = plate(1e-3, 0.0).apply_translation([0.9995, 0.9995, 1.5])
+    xml = write_meshes(tmp_path, {"floor": ("wood", plate(1000.0, 0.0)), "speck": ("metal", speck)})
+    receiver = replace(RECEIVER, rows=1, cols=1, position_m=(1.0, 1.0, 2.0))
+    scene = Scene("speck", receiver, GRID, scene=xml, folder=tmp_path)
+    tracer = image_tracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=1000))
+    assert len(tracer.paths(np.array([1.0002, 1.0, 1.0])).delay_s) == 0  # the way by the floor is blocked too
+    beside = tracer.paths(np.array([1.01, 1.0, 1.0]))
+    np.testing.assert_allclose(beside.delay_s * SPEED_OF_LIGHT_M_S, np.hypot(0.01, [1.0, 3.0]), rtol=1e-7)
+
+
+def test_an_array_may_straddle_a_shadow(tmp_path) -> None:
+    """The edge of a metal sheet lets half of the elements see the transmitter."""
+    sheet = plate(1.0, 1.5).apply_translation([RECEIVER.position_m[0] - 1.0, 1.0, 0.0])
+    xml = write_meshes(tmp_path, {"sheet": ("metal", sheet)})
+    scene = Scene("shadow", RECEIVER, GRID, scene=xml, folder=tmp_path)
+    x, y, z = RECEIVER.position_m
+    below = np.array([[x, y, 2 * 1.5 - z]])  # as far below the sheet as the array is above
+    h = FurnishedTracer(scene, [2.4e9], replace(SETTINGS, rays=1000)).channel(below).cfr[0, 0]
+    is_seen = RECEIVER.element_position_m(SPEED_OF_LIGHT_M_S / 2.4e9)[:, 0] > x
+    np.testing.assert_array_equal(h != 0, is_seen)
+
+
+def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(room: Scene) -> None:
+    import numba
+
+    settings = replace(SETTINGS, rays=5000)
+    first = FurnishedTracer(room, CARRIERS_HZ, settings).channel(TX_M).cfr
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    again = FurnishedTracer(room, CARRIERS_HZ, settings).channel(TX_M[:2]).cfr
+    numba.set_num_threads(before)
+    np.testing.assert_array_equal(again, first[:2])
+
+
+def test_another_order_of_carriers_gives_the_same_channels(room: Scene) -> None:
+    settings = replace(SETTINGS, rays=2000)
+    forward = FurnishedTracer(room, CARRIERS_HZ, settings)
+    backward = FurnishedTracer(room, CARRIERS_HZ[::-1], settings)
+    np.testing.assert_array_equal(forward.channel(TX_M).cfr, backward.channel(TX_M).cfr[:, ::-1])
+    np.testing.assert_array_equal(forward.paths(TX_M[0]).gain, backward.paths(TX_M[0]).gain[::-1])

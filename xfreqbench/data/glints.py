@@ -1,0 +1,81 @@
+"""What a data set with `mirrors = "patches"` leaves out: chains of reflections by facets that are no mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.retrace import traced_scene
+from xfreqbench.errors import DataError
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_ghz
+
+
+@dataclass(frozen=True, eq=False)
+class Glints:
+    """Paths of n transmitters to the array centre where patches mirror, and where every facet does.
+
+    `num_paths` and, at F carriers, the sum of |gain|² over paths, `power`, are first of the patches, then of the
+    facets.
+    """
+
+    carrier_hz: Float[FloatArray, "F"]
+    num_paths: Int[IntArray, "2 n"]
+    power: Float[FloatArray, "2 n F"]
+
+    def __str__(self) -> str:
+        patches, facets = self.num_paths.sum(axis=1)
+        share = 1 - self.power[0] / np.where(self.power[1] == 0, 1, self.power[1])
+        shares = ", ".join(
+            f"{np.median(own):.1%} (worst {own[np.abs(own).argmax()]:.1%}) at {format_ghz(carrier)}"
+            for own, carrier in zip(share.T, self.carrier_hz.tolist(), strict=True)
+        )
+        return (
+            f"glints     where every facet mirrors, solver sionna finds {facets} paths of {self.num_paths.shape[1]} "
+            f"transmitters; patches leave out {facets - patches}, and of the power, in the median, {shares}"
+        )
+
+
+def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None = None) -> Glints:
+    """Trace so many of a data set's transmitters, drawn by `seed`, with its own mirrors and with all facets.
+
+    Both are traced by solver `sionna`, which takes any number of mirrors, with the depth and rays of the header.
+    Meshes are looked for as `traced_scene` does. Raises `DataError` for data in which every facet mirrors.
+    """
+    scene = traced_scene(dataset, folder)
+    if scene.scene is None or scene.least_patch is None:
+        raise DataError(
+            f"{dataset.path} leaves no mirror out: "
+            + ("its scene has no meshes." if scene.scene is None else "its scene says mirrors = 'facets'.")
+        )
+    positions_m = dataset.tables["tx_position_m"]
+    rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
+    found = [
+        _paths(dataset, each, positions_m[np.sort(rows)])
+        for each in (scene, replace(scene, mirrors="facets"))
+    ]
+    return Glints(
+        dataset.header.carrier_hz,
+        np.array([counts for counts, _ in found]),
+        np.array([power for _, power in found]),
+    )
+
+
+def _paths(
+    dataset: PasDataset, scene: Scene, tx_position_m: Float[FloatArray, "n 3"]
+) -> tuple[Int[IntArray, "n"], Float[FloatArray, "n F"]]:
+    """Number of paths of each transmitter to the array centre, and their power at each carrier."""
+    settings = replace(dataset.trace_settings, solver="sionna", interactions=("specular", "refraction"))
+    geometry = Geometry(surface_meshes(scene))
+    tracer = make_tracer(scene, dataset.header.carrier_hz.tolist(), settings, geometry)
+    paths = [tracer.paths(tx) for tx in tx_position_m]
+    counts = np.array([len(each.delay_s) for each in paths], dtype=np.int64)
+    return counts, np.array([(np.abs(each.gain) ** 2).sum(axis=1) for each in paths])

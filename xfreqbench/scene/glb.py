@@ -1,0 +1,154 @@
+"""Triangles of a GLB file (binary glTF 2.0), with the names of their nodes and materials, and nothing else of it.
+
+trimesh reads GLB too, but gives nodes of several materials random names, which the hash of a scene would hold, leaves
+out triangle fans without a word, and opens images.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, slab_of
+from xfreqbench.scene.materials import SceneMaterial
+from xfreqbench.types import FloatArray, IntArray
+
+_MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
+_INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
+_FLOAT = 5126
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_")
+
+
+def read_glb(content: bytes, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
+    """A shape for each node of the file's scene and each material of its mesh, in metres, with y upwards.
+
+    `materials` is the scene's own table, by the names that the file uses. Raises `ValueError` for what is no GLB, or
+    holds geometry that is compressed, skinned or in another file, and others where parts are missing.
+    """
+    header, binary = _chunks(content)
+    required = [name for name in header.get("extensionsRequired", []) if not name.startswith(_HARMLESS)]
+    if required:
+        raise ValueError(f"it needs {', '.join(required)}; export it without compression and instancing")
+    for node, matrix in _nodes(header):
+        if "mesh" in node:
+            yield from _primitives(header, binary, node, matrix, materials)
+
+
+def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
+    """The JSON of a GLB and its binary buffer."""
+    magic, version, length = struct.unpack_from("<4sII", content)
+    if magic != _MAGIC or version != 2:
+        raise ValueError("it is no binary glTF of version 2")
+    if length > len(content):
+        raise ValueError(f"it ends after {len(content):,} of {length:,} bytes")
+    chunks: dict[bytes, bytes] = {}
+    start = 12
+    while start + 8 <= length:
+        size, kind = struct.unpack_from("<I4s", content, start)
+        chunks.setdefault(kind, content[start + 8 : start + 8 + size])
+        start += 8 + size
+    header = json.loads(chunks[_JSON].decode("utf-8"))
+    if not isinstance(header, dict):
+        raise ValueError("its JSON is no object")
+    return header, chunks.get(_BINARY, b"")
+
+
+def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[FloatArray, "4 4"]]]:
+    """Nodes of the file's scene, parents first, each with the matrix that takes it to the scene."""
+    nodes, scenes = header.get("nodes", []), header.get("scenes", [])
+    children = {child for node in nodes for child in node.get("children", [])}
+    top = [index for index in range(len(nodes)) if index not in children]
+    roots = scenes[header.get("scene", 0)].get("nodes", []) if scenes else top
+    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    met = set[int]()
+    while waiting:
+        index, above = waiting.pop()
+        if index in met or index < 0:
+            raise ValueError(f"node {index} stands in two places of its tree")
+        met.add(index)
+        matrix = above @ _local_matrix(nodes[index])
+        yield nodes[index], matrix
+        waiting += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
+
+
+def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    turn = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
+    matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64)
+    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+    return matrix
+
+
+def _primitives(
+    header: dict[str, Any],
+    binary: bytes,
+    node: dict[str, Any],
+    matrix: Float[FloatArray, "4 4"],
+    materials: Mapping[str, SceneMaterial],
+) -> Iterator[ImportedShape]:
+    """A shape for each primitive of a node; points and lines are passed over."""
+    mesh = header["meshes"][node["mesh"]]
+    name = str(node.get("name") or mesh.get("name") or f"mesh {node['mesh']}")
+    if "skin" in node:
+        raise ValueError(f"node {name!r} is skinned; apply the armature before the export")
+    for primitive in mesh["primitives"]:
+        mode = primitive.get("mode", _TRIANGLES)
+        if mode not in (_TRIANGLES, _STRIP, _FAN):
+            continue
+        position_m = _accessor(header, binary, primitive["attributes"]["POSITION"], {_FLOAT: "<f4"}, 3)
+        vertices_m = position_m.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        if "indices" in primitive:
+            corners = _accessor(header, binary, primitive["indices"], _INDEX_TYPES, 1)[:, 0].astype(np.int64)
+        else:
+            corners = np.arange(len(vertices_m))
+        if corners.max(initial=0) >= len(vertices_m):
+            raise ValueError(f"node {name!r} has a face with vertex {corners.max()} of {len(vertices_m)}")
+        stated = None
+        if "material" in primitive:
+            number = primitive["material"]
+            stated = StatedMaterial(str(header["materials"][number].get("name") or f"material {number}"))
+        where = f"node {name!r}"
+        triangles = Triangles(vertices_m, _triangles(corners, mode))
+        yield ImportedShape(name, slab_of(stated, materials, where, name), triangles, where)
+
+
+def _accessor(
+    header: dict[str, Any], binary: bytes, index: int, types: dict[int, str], columns: int
+) -> NDArray[Any]:
+    """Values (N, columns) of an accessor into the file's own buffer, at most as many as the buffer holds."""
+    accessor = header["accessors"][index]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise ValueError(f"accessor {index} is sparse or empty; export the meshes as they are")
+    view = header["bufferViews"][accessor["bufferView"]]
+    if view.get("buffer", 0) != 0 or "uri" in header["buffers"][0]:
+        raise ValueError("its geometry is in another file; export it as one .glb")
+    if accessor["componentType"] not in types or accessor["type"] != {1: "SCALAR", 3: "VEC3"}[columns]:
+        raise ValueError(f"accessor {index} is no {'position' if columns == 3 else 'index'} of glTF 2.0")
+    dtype = np.dtype(types[accessor["componentType"]])
+    stride = view.get("byteStride", columns * dtype.itemsize)
+    offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    if min(stride - columns * dtype.itemsize, offset, accessor["count"] - 1) < 0:
+        raise ValueError(f"accessor {index} has no sound size")
+    shape, strides = (accessor["count"], columns), (stride, dtype.itemsize)
+    return np.ndarray(shape, dtype, binary, offset, strides)  # raises where the buffer is too small
+
+
+def _triangles(corners: Int[IntArray, "n"], mode: int) -> Int[IntArray, "K 3"]:
+    """Corners of a list, strip or fan of triangles; every second one of a strip is turned round."""
+    if mode == _TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if mode == _FAN:
+        return np.stack([np.full(max(0, len(corners) - 2), corners[0]), corners[1:-1], corners[2:]], axis=1)
+    strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    strip[1::2] = strip[1::2, ::-1]
+    return strip

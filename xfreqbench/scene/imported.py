@@ -1,0 +1,113 @@
+"""Shapes as mesh files state them, and what the names of their materials mean."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.materials import DEFAULT_THICKNESS_M, ITU_MATERIALS, Material, Scattering, SceneMaterial
+from xfreqbench.types import FloatArray, IntArray
+
+MAX_TRIANGLES = 5_000_000  # and vertices, of a scene's mesh file
+
+
+class Triangles(NamedTuple):
+    """K triangles on V vertices, in metres."""
+
+    vertices_m: Float[FloatArray, "V 3"]
+    triangles: Int[IntArray, "K 3"]
+
+
+@dataclass(frozen=True)
+class StatedMaterial:
+    """What a mesh file says about a material: its name, and its properties where they are stated."""
+
+    name: str
+    material: Material | None = None
+    thickness_m: float | None = None
+    scattering: Scattering | None = None
+
+
+class Slab(NamedTuple):
+    """What the faces of a mesh are made of."""
+
+    material: Material
+    thickness_m: float
+    scattering: Scattering | None = None  # None for a smooth surface
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedShape:
+    """A shape of a mesh file: its name, what it is made of, its triangles, and their origin in words."""
+
+    name: str
+    slab: Slab
+    triangles: Triangles
+    source: str
+
+    def transformed(self, matrix: Float[FloatArray, "3 3"]) -> ImportedShape:
+        """The same shape with every vertex multiplied by a matrix."""
+        vertices_m, triangles = self.triangles
+        with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
+            return replace(self, triangles=Triangles(vertices_m @ matrix.T, triangles))
+
+
+def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedShape]:
+    """The shapes of a file, one after another; raises `SceneError` once they are more than any solver can trace."""
+    size = 0
+    for shape in shapes:
+        size += max(map(len, shape.triangles))
+        if size > MAX_TRIANGLES:
+            raise SceneError(f"it holds more than {MAX_TRIANGLES:,} triangles. Simplify its meshes.")
+        yield shape
+
+
+def slab_of(
+    stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], source: str, name: str
+) -> Slab:
+    """The slab that the material of a shape stands for; `source` says in words which shape that is.
+
+    A shape without a material has the one of its own `name` in the scene's table. An entry of
+    that table comes first: under the material's name as the file has it, under its plain name, or under that of the
+    P.2040 material that the file states. Else it is what the file states, or the P.2040 material of its plain name.
+    Raises `SceneError` where the name means nothing, or there is none.
+    """
+    if stated is None and name not in table:
+        raise SceneError(
+            f"{source} has faces without a material. Give them one, named like 'itu_concrete', or say what they are in "
+            f"the scene's TOML: [[material]] name = {name!r}, itu = 'concrete', thickness_m = 0.1."
+        )
+    stated = stated or StatedMaterial(name)
+    plain = plain_name(stated.name)
+    names = [stated.name, plain, str(stated.material)]
+    own = next((table[name] for name in names if name in table), None)
+    material = own.material if own else stated.material
+    if material is None:
+        if plain not in ITU_MATERIALS:
+            raise SceneError(
+                f"{source}: material {stated.name!r} is no ITU material. Name it like 'itu_concrete', or say what it "
+                f"is in the scene's TOML: [[material]] name = {stated.name!r}, itu = 'concrete', thickness_m = 0.1."
+            )
+        material = plain
+    thickness_m = (own.thickness_m if own else None) or stated.thickness_m or DEFAULT_THICKNESS_M
+    scattering = (own.scattering if own else None) or stated.scattering
+    return Slab(material, thickness_m, rough(scattering))
+
+
+def rough(scattering: Scattering | None) -> Scattering | None:
+    """The scattering of a surface, None where its coefficient is 0."""
+    return scattering if scattering and scattering.coefficient > 0 else None
+
+
+def plain_name(name: str) -> str:
+    """Name of a material without `mat-` and `itu_`, which exports put before it, and `.001` of Blender's copies."""
+    bare = name.removeprefix("mat-")
+    bare = bare.removeprefix("itu_").removeprefix("itu-")
+    return re.sub(r"(\.\d{3,})+$", "", bare)

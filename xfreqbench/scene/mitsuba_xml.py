@@ -1,0 +1,307 @@
+"""Shapes and materials of a Mitsuba XML, as Blender, Sionna RT and people write them."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import cast, get_args
+
+import numpy as np
+import trimesh
+from pydantic import TypeAdapter, ValidationError
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, plain_name, slab_of
+from xfreqbench.scene.materials import (
+    DEFAULT_THICKNESS_M,
+    ITU_MATERIALS,
+    MAX_CONDUCTIVITY_S_M,
+    MAX_PERMITTIVITY,
+    MAX_THICKNESS_M,
+    ConstantMaterial,
+    Material,
+    Scattering,
+    SceneMaterial,
+    material_bands,
+)
+from xfreqbench.scene.mesh_files import MeshKind, read_mesh
+from xfreqbench.scene.transforms import affine_transform, vector
+from xfreqbench.system.files import require_regular
+
+Element = ElementTree.Element
+
+MAX_INCLUDES = 100  # files that one scene may include in all
+MAX_EXPANDED = 1_000_000  # characters that `$name` may become in all
+_SPHERE_SUBDIVISIONS = 3  # 1,280 triangles
+_SCATTERING = {  # fields of `Scattering`, and their names in Sionna RT
+    "coefficient": "scattering_coefficient",
+    "xpd_coefficient": "xpd_coefficient",
+    "pattern": "scattering_pattern",
+    **{name: name for name in ("alpha_r", "alpha_i", "lambda_")},
+}
+_FORMS = ("rectangle", "cube", "sphere")
+_FILES = get_args(MeshKind)
+
+
+def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
+    """Shapes of a Mitsuba XML in world coordinates, one after another.
+
+    `materials` is the scene's own table, which comes before what the file says of a material. Raises `SceneError` for
+    a file that cannot be read, and for what would not be traced as it is meant.
+    """
+    elements = list(_Document(path).elements(path))
+    bsdfs = _bsdfs(elements, path)
+    meshes = cache(lambda file, kind: read_mesh(file, kind))
+    shapes = [shape for element in elements for shape in element.iter("shape")]
+    if not shapes:
+        raise SceneError(f"{path} holds no <shape>. Give the Mitsuba scene that has the room's meshes.")
+    for shape in shapes:
+        name = shape.get("id", "unnamed").removeprefix("mesh-")
+        where = f"{path}: shape {name!r}"
+        if shape.get("type") == "merge" and shape.find("./transform") is None:
+            continue  # the shapes in it follow
+        kind = shape.get("type", "")
+        if kind not in (*_FORMS, *_FILES):
+            raise SceneError(
+                f"{where} is a {kind!r}. Use {', '.join(_FORMS)}, or export it as one of "
+                f"{', '.join(_FILES)} in world coordinates."
+            )
+        slab = slab_of(_material_of(shape, bsdfs, path, where), materials, where, name)
+        if kind in _FORMS:
+            triangles, source = _form(shape, kind, where), where
+        else:
+            filename = _text(shape, "filename")
+            file = path.parent / filename
+            if "\\" in filename and not file.exists():  # as Windows writes it
+                file = path.parent / filename.replace("\\", "/")
+            source = f"{path}: the mesh {file} of shape {name!r}"
+            try:
+                triangles = meshes(file, cast("MeshKind", kind))
+            except Exception as error:  # trimesh raises whatever its parsers do
+                fault = getattr(error, "strerror", None) or error
+                raise SceneError(f"{source} cannot be read: {fault}.") from error
+        yield ImportedShape(name, slab, _placed(triangles, shape, where), source)
+
+
+class _Document:
+    """A scene's file with those that it includes, as one sequence of elements."""
+
+    def __init__(self, path: Path) -> None:
+        self.folder = path.parent
+        self.defaults: dict[str, str] = {}
+        self.num_included = 0
+        self.num_expanded = 0
+
+    def elements(self, path: Path) -> Iterator[Element]:
+        """Elements below the root, `<include>` replaced by what it names, `$name` by the value of its `<default>`."""
+        for element in self._parsed(path):
+            if element.tag == "default":
+                self.defaults.setdefault(element.get("name", ""), element.get("value", ""))
+                continue
+            for part in element.iter():
+                part.attrib = {key: self._expanded(value, path) for key, value in part.attrib.items()}
+            if element.tag == "include":
+                yield from self.elements(self._included(element.get("filename", ""), path))
+            elif element.find(".//include") is not None:
+                raise SceneError(f"{path}: <include> is followed directly below <scene> only; move it there.")
+            else:
+                yield element
+
+    def _parsed(self, path: Path) -> Element:
+        try:
+            return ElementTree.parse(require_regular(path)).getroot()
+        except OSError as error:
+            raise SceneError(f"The Mitsuba scene {path} cannot be read: {error.strerror}.") from error
+        except (ElementTree.ParseError, LookupError, ValueError) as error:  # of XML, its encoding, its path
+            raise SceneError(
+                f"The Mitsuba scene {str(path)!r} cannot be read: {error}. Give a Mitsuba XML, a .glb or an .obj."
+            ) from error
+
+    def _included(self, filename: str, path: Path) -> Path:
+        """Path of an included file, which is in the scene's folder or below it."""
+        self.num_included += 1
+        if self.num_included > MAX_INCLUDES:
+            raise SceneError(
+                f"{path} includes more than {MAX_INCLUDES} files, or itself. Put the scene into fewer files."
+            )
+        file = self.folder / filename
+        try:
+            is_below = file.resolve().is_relative_to(self.folder.resolve())
+        except (
+            OSError,
+            ValueError,
+            RuntimeError,
+        ) as error:  # of a name that no file can have, or a ring of links
+            raise SceneError(f"{path} includes {filename!r}, which is no file's name.") from error
+        if not is_below:
+            raise SceneError(
+                f"{path} includes {filename!r}, which is outside of the scene's folder {self.folder}. "
+                "Put a copy of the file into the folder."
+            )
+        return file
+
+    def _expanded(self, text: str, path: Path) -> str:
+        if "$" not in text:
+            return text
+        expanded = re.sub(r"\$(\w+)", lambda found: self.defaults.get(found[1], found[0]), text)
+        self.num_expanded += len(expanded)
+        if self.num_expanded > MAX_EXPANDED:
+            raise SceneError(
+                f"{path}: texts like {text[:40]!r} become more than {MAX_EXPANDED:,} characters. "
+                "Write shorter <default> values."
+            )
+        return expanded
+
+
+def _bsdfs(elements: list[Element], path: Path) -> dict[str, Element]:
+    """Every material by its id, those that stand in others too, and those that have a second id as an alias."""
+    found: dict[str, Element] = {}
+    for element in elements:
+        for bsdf in element.iter("bsdf"):
+            known = found.setdefault(bsdf.get("id", ""), bsdf)
+            if known is not bsdf and bsdf.get("id") and not _are_alike(known, bsdf):
+                raise SceneError(f"{path}: two materials have the id {bsdf.get('id')!r}; rename one of them.")
+    found.pop("", None)
+    for element in elements:
+        if element.tag == "alias" and element.get("id") in found:
+            found[element.get("as", "")] = found[element.get("id", "")]
+    return found
+
+
+def _are_alike(first: Element, second: Element) -> bool:
+    pairs = zip(first.iter(), second.iter(), strict=False)
+    return len(list(first.iter())) == len(list(second.iter())) and all(
+        (a.tag, a.attrib) == (b.tag, b.attrib) for a, b in pairs
+    )
+
+
+def _material_of(shape: Element, bsdfs: dict[str, Element], path: Path, where: str) -> StatedMaterial:
+    referred = [bsdfs[ref.get("id", "")] for ref in shape.findall("./ref") if ref.get("id", "") in bsdfs]
+    own = [*shape.findall("./bsdf"), *referred]
+    if not own:
+        raise SceneError(f"{where} refers to no material of this file; add <ref id='mat-…'/>.")
+    return _stated_material(_nested(own[0], bsdfs), path)
+
+
+def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
+    """A material and all that it wraps, as `twosided` does, or refers to, the outer before the inner."""
+    found = [bsdf]
+    for each in found:  # which grows
+        inner = [*each.findall("./bsdf"), *(bsdfs.get(ref.get("id", "")) for ref in each.findall("./ref"))]
+        met = set(map(id, found))
+        found += [one for one in inner if one is not None and id(one) not in met]
+    return found
+
+
+def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
+    """What a material and those in it state: of each property the outermost."""
+    names = [each.get("id", "") for each in nested]
+    name = next((name for name in names if plain_name(name) in ITU_MATERIALS), names[0])
+    stated = StatedMaterial(name)
+    for each in nested:
+        stated = StatedMaterial(
+            name,
+            stated.material or _material(each, name, path),
+            stated.thickness_m or _number(each, "thickness", path, 0.0, MAX_THICKNESS_M),
+            stated.scattering or _scattering(each, name, path),
+        )
+    return stated
+
+
+def _material(bsdf: Element, name: str, path: Path) -> Material | None:
+    """The P.2040 material that a bsdf states, or the one that it defines itself; raises `SceneError`."""
+    itu = _text(bsdf, "type")
+    if itu:
+        material_bands(itu)
+        return itu
+    if bsdf.get("type") != "radio-material":
+        return None
+    permittivity = _number(bsdf, "relative_permittivity", path, 1.0, MAX_PERMITTIVITY)
+    conductivity_s_m = _number(bsdf, "conductivity", path, 0.0, MAX_CONDUCTIVITY_S_M)
+    if permittivity is None:
+        raise SceneError(
+            f"{path}: material {name!r} states no relative_permittivity. "
+            "Add <float name='relative_permittivity' value='…'/>, which holds at every carrier."
+        )
+    return ConstantMaterial(name, permittivity, conductivity_s_m or 0.0)
+
+
+def _scattering(bsdf: Element, name: str, path: Path) -> Scattering | None:
+    """How a material scatters, under the names that Sionna RT has for it; raises `SceneError`."""
+    if bsdf.find("./float[@name='scattering_coefficient']") is None:
+        return None
+    values = {each.get("name", ""): each.get("value", "") for each in bsdf}
+    stated = {key: values[word] for key, word in _SCATTERING.items() if word in values}
+    try:
+        return TypeAdapter(Scattering).validate_python(stated)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = _SCATTERING.get(str(fault["loc"][0]), "") if fault["loc"] else "scattering"
+        raise SceneError(f"{path}: material {name!r}, {where}: {fault['msg']}") from error
+
+
+def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> float | None:
+    """A number of a material, if it is stated: one from `least` to `most`, and a thickness above the least."""
+    stated = bsdf.find(f"./float[@name='{name}']")
+    if stated is None:
+        return None
+    text = stated.get("value", "")
+    try:
+        number = float(text)
+    except ValueError:
+        number = np.nan
+    is_thickness = name == "thickness"
+    if not least <= number <= most or (is_thickness and number == least):
+        needed = (
+            f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
+            if is_thickness
+            else f"a number from {least:g} to {most:g}"
+        )
+        raise SceneError(f"{path}: the {name} of material {bsdf.get('id', '')!r} is {text!r}. Give {needed}.")
+    return number
+
+
+def _form(shape: Element, kind: str, where: str) -> Triangles:
+    """Triangles of a shape that needs no file, as Mitsuba defines it: two units wide about the origin."""
+    if kind == "rectangle":
+        corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        return Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    if kind == "cube":
+        return _triangles(trimesh.creation.box(extents=(2, 2, 2)))
+    unit = _unit_sphere()
+    centre, radius = shape.find("./point[@name='center']"), shape.find("./float[@name='radius']")
+    centre_m = vector(centre, where) if centre is not None else np.zeros(3)
+    radius_m = vector(radius, where)[0] if radius is not None else 1.0
+    if not radius_m > 0:
+        raise SceneError(f"{where} has the radius {radius_m:g}; give a number of metres above 0.")
+    return Triangles(unit.vertices_m * radius_m + centre_m, unit.triangles)
+
+
+@cache
+def _unit_sphere() -> Triangles:
+    return _triangles(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS))
+
+
+def _triangles(mesh: trimesh.Trimesh) -> Triangles:
+    return Triangles(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+
+
+def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
+    """Triangles moved to where the shape's `to_world` puts them."""
+    transforms = shape.findall("./transform")
+    if not transforms:
+        return triangles
+    if len(transforms) > 1 or transforms[0].get("name") != "to_world":
+        raise SceneError(f"{where} has a <transform> besides 'to_world'; leave one, named 'to_world'.")
+    matrix = affine_transform(transforms[0], where)
+    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
+        return Triangles(triangles.vertices_m @ matrix[:3, :3].T + matrix[:3, 3], triangles.triangles)
+
+
+def _text(element: Element, name: str) -> str:
+    """Value of an element's `<string>` of a name; empty where there is none."""
+    found = element.find(f"./string[@name='{name}']")
+    return found.get("value", "") if found is not None else ""

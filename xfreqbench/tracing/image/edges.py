@@ -1,0 +1,136 @@
+"""Edges at which waves diffract: where the facets around a line leave more than half of the space free.
+
+A box has twelve, a screen has one along each free side of its rim. Facets that go on in one plane, a wall that
+stands on the floor and the corner of a room as seen from inside leave half of the space or less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
+from xfreqbench.types import FloatArray, IntArray
+
+BESIDE_M = (
+    1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
+)
+MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
+
+
+class Edge(NamedTuple):
+    """A straight edge and the wedge around it: the angle from its face 0 to its face n, through free space.
+
+    A point is at the angle φ with tan φ = (x·normal) / (x·tangent), x from the edge, so face 0 is at φ = 0 and
+    face n at `angle_rad`. A screen's rim has both faces in one facet, and the angle 2π.
+    """
+
+    start_m: Float[FloatArray, "3"]
+    along: Float[FloatArray, "3"]
+    tangent: Float[FloatArray, "3"]
+    normal: Float[FloatArray, "3"]
+    length_m: float
+    angle_rad: float
+    faces: tuple[int, int]  # indices of the facets
+
+
+class _Flat(NamedTuple):
+    """Facets as arrays (Q, ...): unit normal, a corner, its two edges' dual vectors, and whether it is a triangle."""
+
+    normal: Float[FloatArray, "Q 3"]
+    corner_m: Float[FloatArray, "Q 3"]
+    dual: Float[FloatArray, "Q 2 3"]
+    is_triangle: NDArray[np.bool_]
+
+
+def find_edges(geometry: Geometry) -> list[Edge]:
+    """Edges of all facets at which waves diffract, in the order of the facets."""
+    if not geometry.facets:
+        return []
+    flat = _flat(geometry)
+    return [
+        edge
+        for start_m, along, length_m in _pieces(geometry)
+        if (edge := _wedge(flat, start_m, along, length_m)) is not None
+    ]
+
+
+def _flat(geometry: Geometry) -> _Flat:
+    corners_m = np.array([facet.corners_m[[0, 1, -1]] for facet in geometry.facets])
+    sides_m = corners_m[:, 1:] - corners_m[:, :1]
+    normal = np.cross(sides_m[:, 0], sides_m[:, 1])
+    dual = np.linalg.solve(sides_m @ sides_m.transpose(0, 2, 1), sides_m)
+    is_triangle = np.array([len(facet.corners_m) == 3 for facet in geometry.facets])
+    return _Flat(normal / np.linalg.norm(normal, axis=1)[:, None], corners_m[:, 0], dual, is_triangle)
+
+
+def _pieces(geometry: Geometry) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+    """Start, direction and length of the pieces between corners into which the facets' sides divide their lines."""
+    start_m = np.concatenate([facet.corners_m for facet in geometry.facets])
+    end_m = np.concatenate([np.roll(facet.corners_m, -1, axis=0) for facet in geometry.facets])
+    left = np.linalg.norm(end_m - start_m, axis=1) > BESIDE_M
+    while left.any():
+        first = int(left.argmax())
+        origin_m, along = start_m[first], end_m[first] - start_m[first]
+        along = along / np.linalg.norm(along)
+        is_on_line = left & (_distance_m(start_m, origin_m, along) < PLANE_TOLERANCE)
+        is_on_line &= _distance_m(end_m, origin_m, along) < PLANE_TOLERANCE
+        is_on_line[first] = True
+        left &= ~is_on_line
+        at_m = np.sort((np.concatenate([start_m[is_on_line], end_m[is_on_line]]) - origin_m) @ along)
+        at_m = at_m[np.diff(at_m, prepend=-np.inf) > BESIDE_M]
+        for low_m, high_m in pairwise(at_m):
+            yield origin_m + low_m * along, along, float(high_m - low_m)
+
+
+def _distance_m(
+    points_m: Float[FloatArray, "n 3"], origin_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"]
+) -> Float[FloatArray, "n"]:
+    """Distances of points from a line."""
+    return np.asarray(np.linalg.norm(np.cross(points_m - origin_m, along), axis=1))
+
+
+def _wedge(
+    flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float
+) -> Edge | None:
+    """The wedge around a piece of a line, or None where its facets leave no more than half of the space free."""
+    middle_m = start_m + length_m / 2 * along
+    gap_m = np.einsum("qi,qi->q", middle_m - flat.corner_m, flat.normal)
+    facets = np.flatnonzero(
+        (np.abs(gap_m) < PLANE_TOLERANCE) & (np.abs(flat.normal @ along) < PLANE_TOLERANCE)
+    )
+    beside = np.cross(flat.normal[facets], along)
+    face, towards = _faces(flat, np.tile(facets, 2), np.concatenate([beside, -beside]), middle_m)
+    if len(face) == 0:
+        return None
+    across = np.cross(along, towards[0])
+    angle_rad = np.arctan2(towards @ across, towards @ towards[0]) % (2 * np.pi)
+    angle_rad[angle_rad > 2 * np.pi - MIN_TURN_RAD] = 0.0  # the first facet again, rounded
+    order = np.argsort(angle_rad, kind="stable")
+    free_rad = np.diff(angle_rad[order], append=angle_rad[order[0]] + 2 * np.pi)
+    widest = int(free_rad.argmax())
+    if free_rad[widest] < np.pi + MIN_TURN_RAD:
+        return None
+    zero, n = order[widest], order[(widest + 1) % len(order)]
+    normal = np.cross(along, towards[zero])
+    faces = int(face[zero]), int(face[n])
+    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), faces)
+
+
+def _faces(
+    flat: _Flat,
+    facets: Int[IntArray, "n"],
+    towards: Float[FloatArray, "n 3"],
+    middle_m: Float[FloatArray, "3"],
+) -> tuple[Int[IntArray, "k"], Float[FloatArray, "k 3"]]:
+    """Of pairs of a facet and a direction from an edge, those where the facet lies in that direction."""
+    towards = towards / np.linalg.norm(towards, axis=1)[:, None]
+    point_m = middle_m + BESIDE_M * towards - flat.corner_m[facets]
+    u, v = np.einsum("nci,ni->cn", flat.dual[facets], point_m)
+    is_inside = (u > 0) & (v > 0) & np.where(flat.is_triangle[facets], u + v < 1, (u < 1) & (v < 1))
+    return facets[is_inside], towards[is_inside]

@@ -1,0 +1,226 @@
+"""Kernels of the trie of mirror planes: which sequences rays find, and which of them a transmitter may have.
+
+A node of the trie is a sequence of mirror planes from the receiver on. It knows the image of the array centre behind
+these planes, and the part of its last plane that the image shines on through the mirrors before it. So most nodes are
+turned down for a transmitter by one test.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xfreqbench.tracing.image.forest import Forest
+from xfreqbench.tracing.image.forest_kernels import FAR, Walk, first_hit, new_walk, part, whole
+from xfreqbench.tracing.image.kernels import NUM_CHUNKS, Facets, Path
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+class Shots(NamedTuple):
+    """How `launch` shoots its rays, from each of O origins."""
+
+    origin_m: F64  # (O, 3)
+    turn_rad: F64  # (O,) of the sphere of rays about the vertical
+    num_rays: int
+    max_depth: int
+    num_planes: int  # that mirror; facets of later planes do not
+
+
+class Trie(NamedTuple):
+    """Sequences of mirror planes, sorted by their last plane; the first is the empty one. (N nodes, P planes)"""
+
+    parent: I64  # (N,)
+    plane: I64  # (N,): the last plane, or −1
+    length: I64  # (N,)
+    image_m: F64  # (N, 3) of the array centre
+    place_m: F64  # (N, 7): image along its plane's axes u, v, n; lowest and highest u and v that it shines on
+    first: I64  # (P + 1,): nodes that end at plane p are first[p]:first[p + 1]
+    axis: F64  # (P, 3, 3): u, v and n of each plane
+    offset_m: F64  # (P,)
+    radius_m: float  # of the widest aperture
+
+
+# --- which sequences of mirrors matter: rays that branch into a reflected and a transmitted one ---
+
+
+@whole
+def _follow(
+    facets: Facets, forest: Forest, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any
+) -> None:
+    """Follow the ray on the bottom of the stack, and all that branch off it, and put its sequences in `trie`.
+
+    The stack holds origin and direction of each `ray` (S, 2, 3), and as its `state` (S, 2) a node of the trie and
+    the number of interactions. `trie` maps parent · P + plane to a node's number.
+    """
+    num_rays = 1
+    while num_rays > 0:
+        top = num_rays - 1
+        o, d = ray[top, 0], ray[top, 1]
+        q, t = first_hit(forest, o, d, walk)
+        num_rays = top
+        if q < 0:
+            continue
+        p, state[top, 1] = forest.plane[q], state[top, 1] + 1
+        child = np.int64(0)
+        if p < shots.num_planes:
+            key = state[top, 0] * shots.num_planes + p
+            child = trie.get(key, np.int64(len(trie)))
+            trie[key] = child
+        if state[top, 1] >= shots.max_depth:
+            continue
+        speed = 0.0
+        for c in range(3):
+            o[c] += t * d[c]
+            speed += facets.normal[c, p] * d[c]
+        if not forest.is_opaque[q]:
+            num_rays += 1  # the transmitted ray stays where it is
+        if p < shots.num_planes:
+            for c in range(3):
+                ray[num_rays, 0, c] = o[c]
+                ray[num_rays, 1, c] = d[c] - 2.0 * speed * facets.normal[c, p]
+            state[num_rays, 0], state[num_rays, 1] = child, state[top, 1]
+            num_rays += 1
+
+
+@whole
+def keys_of(trie: Any) -> I64:
+    """Keys of a trie's nodes, in the order of their numbers."""
+    keys = np.empty(len(trie), np.int64)
+    for key, node in trie.items():
+        keys[node] = key
+    return keys
+
+
+@whole
+def shot_by(facets: Facets, forest: Forest, shots: Shots, chunk: int) -> I64:
+    """Keys of the nodes that one chunk of the rays finds."""
+    origin, first = chunk // NUM_CHUNKS, chunk % NUM_CHUNKS
+    ray, state = np.zeros((shots.max_depth + 2, 2, 3)), np.zeros((shots.max_depth + 2, 2), np.int64)
+    walk, trie = new_walk(1, 1, ray[0, 0]), {np.int64(-1): np.int64(0)}
+    for index in range(first, shots.num_rays, NUM_CHUNKS):
+        z = 1.0 - 2.0 * (index + 0.5) / shots.num_rays
+        horizontal = math.sqrt(1.0 - z * z)
+        azimuth = (index * 2.399963229728653 + shots.turn_rad[origin]) % (2.0 * math.pi)  # the golden angle
+        ray[0, 0] = shots.origin_m[origin]
+        ray[0, 1, 0], ray[0, 1, 1] = horizontal * math.cos(azimuth), horizontal * math.sin(azimuth)
+        ray[0, 1, 2] = z
+        state[0] = 0
+        _follow(facets, forest, shots, ray, state, walk, trie)
+    return keys_of(trie)
+
+
+# --- which candidates a transmitter may have ---
+
+
+@whole
+def joined_keys(keys: I64, num_planes: int) -> I64:
+    """Keys of the nodes of several tries as one: theirs one after another, each beginning with its root, −1."""
+    trie, node, first = {np.int64(-1): np.int64(0)}, np.zeros(len(keys), np.int64), 0
+    for k in range(len(keys)):
+        if keys[k] < 0:
+            first = k
+            continue
+        key = node[first + keys[k] // num_planes] * num_planes + keys[k] % num_planes
+        node[k] = trie.get(key, np.int64(len(trie)))
+        trie[key] = node[k]
+    return keys_of(trie)
+
+
+@part
+def _passes(
+    place: F64, node: int, u: float, v: float, here: float, radius_m: float, total: float, margin: float
+) -> tuple[float, float, float]:
+    """Where the line from a point (u, v, here) to a node's image meets the node's plane; its margin, or −1.
+
+    The margin is how far the path to an element within `radius_m` of the array centre may be from there, with a
+    fifth to spare; it is −1 where no such path meets the part of the plane that the image shines on, and `FAR`
+    where only an exact test can tell.
+    """
+    there = place[node, 2]
+    if abs(there) <= radius_m or abs(here) <= margin:
+        return u, v, FAR
+    if here * there >= 0.0:
+        return u, v, -1.0
+    du, dv, t = place[node, 0] - u, place[node, 1] - v, here / (here - there)
+    left = math.sqrt(du * du + dv * dv + (here - there) ** 2)
+    u, v = u + t * du, v + t * dv
+    share = 1.0 - (1.0 - t) * left / total if total > 0.0 else t
+    margin = 1.2 * radius_m * share * left / abs(here - there) + 1e-6
+    if (
+        u < place[node, 3] - margin
+        or u > place[node, 4] + margin
+        or v < place[node, 5] - margin
+        or v > place[node, 6] + margin
+    ):
+        return u, v, -1.0
+    return u, v, margin
+
+
+@part
+def _may_reach(trie: Trie, node: int, tx: F64) -> bool:
+    """Whether any element could see the path of a node, walls on the way aside; never wrongly no."""
+    x, y, z, margin = tx[0], tx[1], tx[2], 0.0
+    image = trie.image_m[node]
+    total = math.sqrt((image[0] - x) ** 2 + (image[1] - y) ** 2 + (image[2] - z) ** 2)
+    while node > 0:
+        axis = trie.axis[trie.plane[node]]
+        u = axis[0, 0] * x + axis[0, 1] * y + axis[0, 2] * z
+        v = axis[1, 0] * x + axis[1, 1] * y + axis[1, 2] * z
+        w = axis[2, 0] * x + axis[2, 1] * y + axis[2, 2] * z
+        offset = trie.offset_m[trie.plane[node]]
+        u, v, margin = _passes(trie.place_m, node, u, v, w - offset, trie.radius_m, total, margin)
+        if margin < 0.0:
+            return False
+        if margin == FAR:
+            return True
+        x = axis[0, 0] * u + axis[1, 0] * v + axis[2, 0] * offset
+        y = axis[0, 1] * u + axis[1, 1] * v + axis[2, 1] * offset
+        z = axis[0, 2] * u + axis[1, 2] * v + axis[2, 2] * offset
+        node = trie.parent[node]
+    return True
+
+
+@whole
+def candidates_of(trie: Trie, tx: F64, found: I64) -> int:
+    """Put the nodes that may reach an element from the transmitter into `found` (N,); returns their number."""
+    found[0], number = 0, 1
+    for p in range(len(trie.offset_m)):
+        axis = trie.axis[p]
+        u = axis[0, 0] * tx[0] + axis[0, 1] * tx[1] + axis[0, 2] * tx[2]
+        v = axis[1, 0] * tx[0] + axis[1, 1] * tx[1] + axis[1, 2] * tx[2]
+        here = axis[2, 0] * tx[0] + axis[2, 1] * tx[1] + axis[2, 2] * tx[2] - trie.offset_m[p]
+        for node in range(trie.first[p], trie.first[p + 1]):
+            if _passes(trie.place_m, node, u, v, here, trie.radius_m, 0.0, 0.0)[2] >= 0.0:
+                found[number] = node
+                number += 1
+    kept = 1
+    for c in range(1, number):
+        found[kept] = found[c]
+        kept += _may_reach(trie, found[c], tx)
+    return kept
+
+
+@whole
+def line_of(facets: Facets, trie: Trie, node: int, walk: Walk) -> Path:
+    """The path of a node: its planes from the receiver on, and what they make of an element's offset."""
+    length, mirror, normal = trie.length[node], walk.mirror, facets.normal
+    walk.plane[:] = -1
+    at = node
+    for step in range(length - 1, -1, -1):
+        walk.plane[step], at = trie.plane[at], trie.parent[at]
+    for a in range(3):
+        for b in range(3):
+            mirror[a, b] = 1.0 if a == b else 0.0
+    for step in range(length):
+        p = walk.plane[step]
+        for b in range(3):
+            along = normal[0, p] * mirror[0, b] + normal[1, p] * mirror[1, b] + normal[2, p] * mirror[2, b]
+            for a in range(3):
+                mirror[a, b] -= 2.0 * along * normal[a, p]
+    walk.image[:] = trie.image_m[node]
+    return Path(length, walk.plane, walk.image, mirror)
