@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits
 
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.bartlett import PAS_KINDS, BartlettBeam, cfr_of_plane_waves, pas_kind_named
@@ -53,6 +54,17 @@ def test_channels_too_weak_for_float32_powers_keep_their_map() -> None:
     cfr = plane_wave_cfr(40, 77, 10e9)[None]
     np.testing.assert_allclose(BEAM.maps(cfr * 1e-25)[0], BEAM.maps(cfr)[0], atol=1e-6)
     assert BEAM.maps((cfr * 1e-25).astype(np.complex64))[1][0] > 0
+
+
+def test_maps_are_the_same_bytes_in_one_thread_and_in_two() -> None:
+    rng = np.random.default_rng(0)
+    cfr = rng.normal(size=(20, 16)) + 1j * rng.normal(size=(20, 16))
+    made = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, "blas"):
+            maps, peak = BEAM.maps(cfr)
+        made.append(maps.tobytes() + peak.tobytes())
+    assert made[0] == made[1]
 
 
 def test_a_channel_of_zeros_is_a_map_of_zeros() -> None:

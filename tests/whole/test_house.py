@@ -53,7 +53,7 @@ HOMES = {
     "safetensors": {"methods/learning/training.py"},
     "sionna": {"tracing/sionna/scene.py"},
     "skimage": {"maps/metrics.py"},
-    "threadpoolctl": {"methods/virtual_source/search/fine.py"},
+    "threadpoolctl": {"system/machine.py"},
     "trimesh": {
         "report/drawing/glb.py",
         "scene/mesh_files.py",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import steering_vector
+from xfreqbench.system.machine import one_blas_thread
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -74,7 +75,8 @@ class BartlettBeam:
         if kind == "phase-only":
             cfr = _divide_or_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32
-        beam = _divide_or_zero(cfr, scale).astype(np.complex64) @ self.conjugate_steering
+        with one_blas_thread():  # the same bytes however many threads there are
+            beam = _divide_or_zero(cfr, scale).astype(np.complex64) @ self.conjugate_steering
         power = beam.real**2 + beam.imag**2
         peak = power.max(axis=1, keepdims=True)
         maps = _divide_or_zero(power, peak)

@@ -1,4 +1,4 @@
-"""What a run was made with: processor, peak memory, versions of libraries, and commit of the source code."""
+"""What a run is made with: threads, processor, peak memory, versions of libraries, and commit of the source code."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import os
 import platform
 import resource
 import subprocess
+from contextlib import AbstractContextManager
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+from threadpoolctl import ThreadpoolController
 
 from xfreqbench.errors import XFreqBenchError
 
@@ -28,6 +32,20 @@ def require_thread_count() -> None:
             f"{_THREADS} is set to {asked!r}. Set it to a number of threads from 1 to {_MOST_THREADS}, or unset it: "
             "there is then one for each core."
         )
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """A context in which BLAS computes products in one thread.
+
+    On some processors products are rounded in other ways by two threads than by one. Where they are small, others
+    only wait.
+    """
+    return _numeric_libraries().limit(limits=1, user_api="blas")
+
+
+@cache
+def _numeric_libraries() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def reset_peak_memory() -> None:

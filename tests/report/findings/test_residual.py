@@ -95,10 +95,11 @@ def test_all_true_paths_give_the_true_map(complete: Residual) -> None:
 
 
 def test_where_every_plane_was_found_the_found_planes_are_all(complete: Residual) -> None:
-    np.testing.assert_array_equal(ssim_of(complete, Selection(True)), ssim_of(complete, EVERYTHING))
+    # some processors round the rows of one product apart, by 1e-7 of a map in float32
+    np.testing.assert_allclose(ssim_of(complete, Selection(True)), ssim_of(complete, EVERYTHING), atol=1e-6)
     for order in (0, 1, 2, 3):
         found, every = ssim_of(complete, Selection(True, order)), ssim_of(complete, Selection(False, order))
-        np.testing.assert_array_equal(found, every)
+        np.testing.assert_allclose(found, every, atol=1e-6)
     assert not complete.share_not_found.any()
 
 

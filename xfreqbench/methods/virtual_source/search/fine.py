@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float, Int
 from scipy.ndimage import maximum_filter
-from threadpoolctl import threadpool_limits
 
 from xfreqbench.methods.virtual_source.search.coarse import MAX_TILT
 from xfreqbench.methods.virtual_source.search.cross_terms import (
@@ -18,6 +17,7 @@ from xfreqbench.methods.virtual_source.search.cross_terms import (
     aligned,
     phasor,
 )
+from xfreqbench.system.machine import one_blas_thread
 from xfreqbench.types import FloatArray, IntArray
 
 _NUM_CANDIDATES = (
@@ -42,7 +42,7 @@ _SETTLED_GAIN = 1e-4  # evidence gained by a step; with less, the search ends
 def refined_m(reference: LineOfSightReference, place_m: Float[FloatArray, "C 3"]) -> Float[FloatArray, "K 3"]:
     """Mirrored receivers followed from the lowest carrier to the highest; the best of them are kept."""
     num_carriers = len(reference.carrier_hz)
-    with threadpool_limits(limits=1, user_api="blas"):  # for products as small as these, others only wait
+    with one_blas_thread():
         for joining in range(min(1, num_carriers - 1), num_carriers):
             branches = _NUM_BRANCHES if joining <= 2 else 1
             moved = [at for place in place_m for at in _local_maxima(reference, place, joining, branches)]
