@@ -57,7 +57,7 @@ def bench_load(bench: Bench, methods: Sequence[str]) -> None:
     )
     with tempfile.TemporaryDirectory() as folder, bench.table("Fits under load", note, COLUMNS) as table:
         path = Path(folder) / "data.h5"
-        generate("two_rooms", path, (2.4, 24.25, 77.0), num_transmitters=64, maps=False)
+        generate("two_rooms", path, (2.4, 24.25, 77.0), tx=64, maps=False)
         for method in methods:
             table.add(method, *_cells(path, method))
 

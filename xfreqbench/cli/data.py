@@ -14,7 +14,6 @@ from xfreqbench.cli.options import (
     Quiet,
     app,
     parse_carriers_hz,
-    progress_bars,
     say,
     say_written,
 )
@@ -93,6 +92,7 @@ def generate(
     from xfreqbench.data.generate import estimate_seconds, generate_planned
     from xfreqbench.data.plan import plan_generation
     from xfreqbench.scene.model import load_scene
+    from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers, require_executor
     from xfreqbench.tracing.solvers import interactions_named
     from xfreqbench.tracing.tracer import TraceSettings

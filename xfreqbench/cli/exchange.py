@@ -12,7 +12,6 @@ from xfreqbench.cli.options import (
     Quiet,
     app,
     print_table,
-    progress_bars,
     say,
     say_written,
     target_carriers_hz,
@@ -58,6 +57,7 @@ def import_(
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder
     from xfreqbench.exchange.png_folder import read_png_folder
+    from xfreqbench.system.bars import progress_bars
 
     source = read_png_folder(folder, convention_named(convention, set_), freq)
     if source.convention.caveat:
@@ -87,6 +87,7 @@ def export(
     """
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import export_png_folder
+    from xfreqbench.system.bars import progress_bars
 
     with progress_bars("maps", ["exporting"], quiet) as (progress,):
         dataset = export_png_folder(data, output, convention_named(convention, set_), progress)
@@ -117,6 +118,7 @@ def split(
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.data.splits import make_splits
     from xfreqbench.exchange.split_file import Handout, write_handout
+    from xfreqbench.system.bars import progress_bars
 
     dataset = open_dataset(data)
     handout = Handout(dataset, make_splits(dataset, protocol, target_carriers_hz(targets)), maps)
@@ -149,6 +151,7 @@ def score(
     from xfreqbench.exchange.score_file import score_file
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
+    from xfreqbench.system.bars import progress_bars
 
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)

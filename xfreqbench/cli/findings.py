@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Output, Quiet, app, print_table, progress_bars, say
+from xfreqbench.cli.options import Output, Quiet, app, print_table, say
 
 RunData = Annotated[Path, Parameter(name="--data", help="The data set that the run was on.")]
 
@@ -89,6 +89,7 @@ def residual(
     from xfreqbench.report.findings import residual_tables as tables
     from xfreqbench.report.findings.compared import ComparedFindings, choose_record
     from xfreqbench.report.findings.residual import compute_residual, plan_residual
+    from xfreqbench.system.bars import progress_bars
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))

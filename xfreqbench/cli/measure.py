@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Output, Quiet, app, bench, progress_bars, say
+from xfreqbench.cli.options import Output, Quiet, app, bench, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -181,6 +181,7 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
     """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run goes on where it was."""
     from xfreqbench.bench.reference import make_reference, reference_path
     from xfreqbench.scene.model import load_scene
+    from xfreqbench.system.bars import progress_bars
 
     path = output or reference_path(scene)
     with progress_bars("calls", [f"reference of {scene}"], quiet) as (progress,):

@@ -1,12 +1,10 @@
-"""What all commands share: the two apps, common options, comma-separated carriers, progress bars and printing."""
+"""What all commands share: the two apps, common options, comma-separated carriers and printing."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -52,35 +50,6 @@ def target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | No
     if targets is None:
         return None
     return "all" if targets == "all" else parse_carriers_hz(targets, "--targets")
-
-
-@contextmanager
-def progress_bars(unit: str, stages: list[str], quiet: bool) -> Iterator[list[Callable[[int, int], None]]]:
-    """Show a bar for each stage on stderr, with rate and remaining time; yields a callback(done, total) for each."""
-    if quiet:
-        yield [lambda done, total: None for _ in stages]
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    counts = (
-        MofNCompleteColumn(),
-        TextColumn(unit + " {task.fields[rate]}"),
-        TimeElapsedColumn(),
-        Remaining(),
-    )
-    columns = (TextColumn("{task.description}"), BarColumn(), *counts)
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        yield [_driver(progress, progress.add_task(stage, total=None, rate="")) for stage in stages]
-
-
-def _driver(progress: Any, task: Any) -> Callable[[int, int], None]:
-    def update(done: int, total: int) -> None:
-        speed = progress.tasks[task].speed
-        progress.update(task, completed=done, total=total, rate=f"{speed:.3g}/s" if speed else "")
-
-    return update
 
 
 def say(text: str, quiet: bool = False) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Executor, Output, Quiet, app, progress_bars, say, target_carriers_hz
+from xfreqbench.cli.options import Executor, Output, Quiet, app, say, target_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 
 
@@ -106,33 +104,17 @@ def run(
     from xfreqbench.methods.registry import device_option, method_names
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
-    from xfreqbench.runs.protocol import protocol_jobs
-    from xfreqbench.runs.run import run_jobs
+    from xfreqbench.runs.protocol import protocol_jobs, run_shown
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     overrides = {name: (*set_, *device_option(name, device)) for name in names}
     targets_hz = target_carriers_hz(targets)
     jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget))
-    if executor == "serial":
-        with _run_bars(f"{protocol} on {data.name}", quiet) as (progress, fitting):
-            records = run_jobs(jobs, results, progress, fitting)
-    else:
-        records = _run_on_workers(executor, jobs, results, quiet)
+    records = run_shown(jobs, results, executor, not quiet)
     say(
         f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
         quiet,
     )
-
-
-def _run_on_workers(executor: str, jobs: list[Any], results: Path, quiet: bool) -> list[Any]:
-    """Run jobs on workers and return their records; raises `XFreqBenchError` naming the jobs that failed."""
-    from xfreqbench.runs.on_workers import run_on
-    from xfreqbench.system.workers import open_workers
-
-    with open_workers(executor, is_fresh=True) as workers, progress_bars("done", ["runs"], quiet) as (bar,):
-        outcome = run_on(workers, jobs, results, lambda done, total, job: bar(done, total))
-    _raise_failures(outcome.failures, "runs")
-    return outcome.records
 
 
 def _raise_failures(failures: list[str], what: str) -> None:
@@ -149,38 +131,6 @@ def _seeds(text: str) -> list[int]:
             f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
         )
     return list(dict.fromkeys(map(int, parts)))
-
-
-@contextmanager
-def _run_bars(title: str, quiet: bool) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
-    """A bar of the runs and one of the fit at hand, driven by the two callbacks of `run_jobs`."""
-    if quiet:
-        yield (lambda done, total, record: None), (lambda job, fit: None)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}")
-    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
-        runs = progress.add_task(title, total=None, state="")
-        steps = progress.add_task("fitting", total=None, state="")
-
-        def finished(done: int, total: int, record: Any) -> None:
-            progress.update(runs, completed=done, total=total, state=f"{done}/{total} runs")
-
-        def fitting(job: Any, fit: Any) -> None:
-            state = (
-                f"step {fit.step:,}, loss {fit.loss:.4g}, {fit.seconds:.0f} s, {fit.share:.0%} of the budget"
-            )
-            progress.update(
-                steps,
-                description=f"fitting {job.method} {job.split}",
-                completed=fit.share,
-                total=1 if fit.share else None,  # without a budget nobody knows when it ends
-                state=state if fit.share else state.rpartition(", ")[0],
-            )
-
-        yield finished, fitting
 
 
 @app.command
@@ -213,6 +163,7 @@ def benchmark(
     It prints what it takes before it starts; interrupted or killed, the same command goes on.
     """
     from xfreqbench.runs import benchmark as benchmarks
+    from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers
 
     planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)

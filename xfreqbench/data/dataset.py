@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
@@ -39,6 +40,7 @@ from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list
 
 Rows = slice | Sequence[int] | NDArray[Any]  # of numbers, or a mask
+TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _ITERATED_MAPS = 64  # read at once: 8 MB
 _SHOWN_CARRIERS = 12
 
@@ -218,6 +220,19 @@ class PasDataset:
         for start in range(0, len(self), size):
             rows = np.arange(start, min(start + size, len(self)))
             yield rows, self.pas(rows)
+
+    def torch(self) -> Any:
+        """The samples as a `torch.utils.data.Dataset`: each is (map, tx_position_m, carrier_hz, cfr), as tensors.
+
+        A `DataLoader` takes it, with forked or spawned workers too. It is `TensorSamples` of
+        `xfreqbench.methods.learning.samples`, found by its entry point: this floor knows no PyTorch. Raises
+        `DataError` where the installation lacks the entry point.
+        """
+        for offered in entry_points(group=TENSORS, name="torch"):
+            return offered.load()(self)
+        raise DataError(
+            f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench"
+        )
 
     def subset(self, rows: Rows) -> PasDataset:
         """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""

@@ -16,15 +16,17 @@ from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
 from xfreqbench.data.trace import forget_rays, traced
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.errors import ClusterError
+from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
-from xfreqbench.tracing.solvers import make_tracer
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.solvers import interactions_named, make_tracer
+from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -33,35 +35,52 @@ NUM_RETRACED = 4  # samples of every data set that are traced again before it ge
 
 
 def generate(
-    scene: str | Scene,
-    path: str | Path,
+    scene: str | Path | Scene,
+    output: str | Path,
     freqs_ghz: Sequence[float] = PAPER_CARRIERS_GHZ,
     *,
-    num_transmitters: int | None = None,
-    tx_position_m: Float[FloatArray, "T 3"] | None = None,
-    settings: TraceSettings = TraceSettings(),
+    tx: int | None = None,
+    tx_positions: Float[FloatArray, "T 3"] | None = None,
+    solver: SolverName = "auto",
+    interactions: Sequence[str] = ("specular", "refraction"),
+    rays: int = 500_000,
+    max_depth: int = 6,
+    seed: int = 1,
     pas_kind: str = "power",
+    materials: MaterialPolicy = "error",
     maps: bool = True,
     executor: str = SERIAL,
+    progress: bool = False,
 ) -> PasDataset:
-    """Trace a scene at some carriers, write channels and maps to the file `path`, and open it.
+    """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
 
-    `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. See `plan_generation` for the
-    transmitters, `pas_kind` and `maps`, and `generate_planned` for what happens where `path` exists. `executor` is
-    `serial`, a number of processes, or `dask://host:port`. Raises `XFreqBenchError`, before the first ray where
-    that is possible.
+    `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The transmitters are `tx` of the
+    scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres. The
+    other options are those of `xfreqbench generate`, with the same names and defaults; `executor` is `serial`, a
+    number of processes, or `dask://host:port`, and `progress` draws bars on stderr.
+
+    The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
+    what is raised. Mistakes are `XFreqBenchError`s, before the first ray where that is possible.
     """
+    if tx is not None and tx_positions is not None:
+        raise XFreqBenchError(
+            "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
+        )
+    settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials)
     plan = plan_generation(
-        load_scene(scene) if isinstance(scene, str) else scene,
+        scene if isinstance(scene, Scene) else load_scene(scene),
         [ghz_to_hz(carrier) for carrier in freqs_ghz],
         settings,
-        num_transmitters=num_transmitters,
-        tx_position_m=tx_position_m,
+        num_transmitters=tx,
+        tx_position_m=tx_positions,
         pas_kind=pas_kind,
         maps=maps,
     )
-    with open_workers(executor) as workers:
-        return open_dataset(generate_planned(plan, Path(path), workers=workers))
+    with (
+        open_workers(executor) as workers,
+        progress_bars("transmitters", ["tracing", "writing"], not progress) as (tracing, writing),
+    ):
+        return open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
 
 
 def generate_planned(

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import Targets, make_splits
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget, parse_budget
-from xfreqbench.methods.registry import method_names
+from xfreqbench.methods.registry import device_option, method_names
 from xfreqbench.runs.on_workers import run_on
+from xfreqbench.runs.progress import run_bars
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.run import run_jobs
+from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.workers import SERIAL, open_workers
 from xfreqbench.units import ghz_to_hz
+
+Options = Sequence[str] | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 
 
 def protocol_jobs(
@@ -41,22 +47,25 @@ def protocol_jobs(
 
 def run(
     data: str | Path | PasDataset,
-    methods: str | Sequence[str] | Mapping[str, Sequence[str]] = "all",
+    methods: str | Sequence[str] | Mapping[str, Options] = "all",
     protocol: str = "lofo",
     results: str | Path = "results",
     *,
-    targets_ghz: Sequence[float] | None = None,
+    targets_ghz: Sequence[float] | Literal["all"] | None = None,
     seeds: Sequence[int] = (0,),
-    budget: str | None = "5m",
+    budget: str | Budget | None = "5m",
+    device: Literal["cpu", "cuda"] = "cpu",
     executor: str = SERIAL,
+    progress: bool = False,
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
     `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; as
-    a mapping it gives each name its options, as in `{"nearest": [], "xfreq-gs": ["width=64"]}`. `targets_ghz` are
-    the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given. `budget` ends every fit, as in
-    `300s`, `5m` or `2000steps`; None leaves the end to the method. `executor` is `serial`, a number of processes,
-    or `dask://host:port`.
+    a mapping it gives each name its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts
+    `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
+    `budget` ends every fit, as in `300s`, `5m` or `2000steps`; None leaves the end to the method. `device` is where
+    methods that have the choice compute. `executor` is `serial`, a number of processes, or `dask://host:port`.
+    `progress` draws bars on stderr.
 
     Records and predictions go to the folder `results`. What is finished there is not run again, and a fit that was
     killed goes on from its last checkpoint. Raises `XFreqBenchError`, before the first fit where that is possible;
@@ -64,16 +73,40 @@ def run(
     """
     if isinstance(methods, str):
         methods = method_names() if methods == "all" else [methods]
-    overrides = methods if isinstance(methods, Mapping) else dict.fromkeys(methods, ())
-    targets_hz = None if targets_ghz is None else [ghz_to_hz(target) for target in targets_ghz]
-    jobs = protocol_jobs(_path_of(data), overrides, protocol, targets_hz, seeds, parse_budget(budget))
+    options = methods if isinstance(methods, Mapping) else dict.fromkeys(methods, ())
+    overrides = {name: (*_texts(given), *device_option(name, device)) for name, given in options.items()}
+    targets_hz = targets_ghz if isinstance(targets_ghz, str | None) else list(map(ghz_to_hz, targets_ghz))
+    limit = budget if isinstance(budget, Budget) else parse_budget(budget)
+    jobs = protocol_jobs(_path_of(data), overrides, protocol, targets_hz, seeds, limit)
+    return run_shown(jobs, Path(results), executor, progress)
+
+
+def run_shown(jobs: Sequence[Job], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
+    """The records of the jobs of a protocol, run where `executor` says, with bars on stderr if `progress` is true.
+
+    Raises as `run` does; where workers run the jobs, the `XFreqBenchError` names those that failed.
+    """
     if executor == SERIAL:
-        return run_jobs(jobs, Path(results))
-    with open_workers(executor, is_fresh=True) as workers:
-        outcome = run_on(workers, jobs, Path(results), lambda done, total, job: None)
+        with run_bars(not progress) as callbacks:
+            return run_jobs(jobs, results_dir, *callbacks)
+    with (
+        open_workers(executor, is_fresh=True) as workers,
+        progress_bars("done", ["runs"], not progress) as (bar,),
+    ):
+        outcome = run_on(workers, jobs, results_dir, lambda done, total, job: bar(done, total))
     if outcome.failures:
-        raise XFreqBenchError("\n".join([f"{len(outcome.failures)} runs failed.", *outcome.failures]))
+        number = f"{len(outcome.failures)} of {len(jobs)} runs failed; run the same again, and they are tried again."
+        raise XFreqBenchError("\n".join([number, *outcome.failures]))
     return outcome.records
+
+
+def _texts(options: Options) -> tuple[str, ...]:
+    """Options as texts `key=value`, each value as JSON has it unless it is a text already."""
+    if not isinstance(options, Mapping):
+        return tuple(options)
+    return tuple(
+        f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in options.items()
+    )
 
 
 def _path_of(data: str | Path | PasDataset) -> str:

@@ -293,19 +293,20 @@ def _shipped_files() -> Iterator[Path]:
     return iter(sorted(folder.glob("*.toml")))
 
 
-def load_scene(name_or_path: str) -> Scene:
-    """Read a shipped scene by name, or any scene by the path of its TOML file.
+def load_scene(name_or_path: str | Path) -> Scene:
+    """Read a shipped scene by name, or any scene by the path of its TOML file, which ends in `.toml`.
 
     Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
     read or that describes no valid scene, every fault listed with its place in the file.
     """
-    if name_or_path.endswith(".toml"):
-        path = Path(name_or_path)
+    given = str(name_or_path)
+    if given.endswith(".toml"):
+        path = Path(given)
     else:
         shipped = {path.stem: path for path in _shipped_files()}
-        if name_or_path not in shipped:
-            raise UnknownNameError("scene", name_or_path, [*shipped, "PATH.toml"])
-        path = shipped[name_or_path]
+        if given not in shipped:
+            raise UnknownNameError("scene", given, [*shipped, "PATH.toml"])
+        path = shipped[given]
     try:
         return parse_scene(read_text(path), folder=path.parent)
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isinf, isnan, nan
+from typing import Literal
 
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
@@ -19,13 +20,15 @@ class LeaderboardColumn:
     """One column: its title, a hint that explains it, and what stands in the cell of a row.
 
     `value` is the number that rows are sorted by, nan where it is unknown; a column of words has none and is sorted
-    by its texts. `interval` is the 95 % interval as text, `[low, high]`, or empty where it is unknown.
+    by its texts. `bounds` are those of the 95 % interval, nan where it is unknown, and `interval` is the same as text,
+    `[low, high]` or empty.
     """
 
     title: str
     hint: str
     text: Callable[[BoardRow], str]
     value: Callable[[BoardRow], float] | None = None
+    bounds: Callable[[BoardRow], Interval] = lambda row: UNKNOWN
     interval: Callable[[BoardRow], str] = lambda row: ""
     is_largest_first: bool = False  # in what order the first click sorts
     is_board_order: bool = False  # whether rows stand sorted by this column at first
@@ -70,6 +73,10 @@ ONE_SPLIT = (
     *("rank", "method", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seeds", *COSTS, "published"),
 )
+TABLE = (
+    *("best rank", "worst rank", "method", "budget", "ssim", "mean", "p10", *_OTHER_METRICS),
+    *("skill", "seed spread", "seeds", *COSTS, "published"),
+)
 PAGE = (
     *("rank", "method", "splits", "average", "p10", "skill", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
@@ -78,7 +85,7 @@ PAGE = (
 
 
 def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name: those of `RANKING`, `BRIEF`, `ONE_SPLIT` or `PAGE`, in that order.
+    """Columns of a comparison by name: those of `RANKING`, `BRIEF`, `ONE_SPLIT`, `TABLE` or `PAGE`, in that order.
 
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
     number for, and published numbers where no row has any, are left out.
@@ -128,12 +135,20 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
     known = [published] if any(map(published.text, comparison.rows)) else []
     return {
         "rank": [rank],
+        "best rank": [_place_column(comparison, 0)],
+        "worst rank": [_place_column(comparison, 1)],
         "method": [method],
         "name": [name],
         "budget": [budget],
         "seeds": [seeds],
         "published": known,
     }
+
+
+def _place_column(comparison: Comparison, end: Literal[0, 1]) -> LeaderboardColumn:
+    word = ("best", "worst")[end]
+    hint = f"{word} place that the intervals leave open"
+    return _number_column(f"{word} rank", hint, lambda row: (comparison.ranks(row) or (nan, nan))[end], ".0f")
 
 
 def _ssim_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
@@ -238,6 +253,7 @@ def _number_column(
         hint,
         lambda row: _number(value(row), form),
         value,
+        interval,
         interval_text,
         is_largest_first=is_largest_first,
     )

@@ -123,6 +123,13 @@ class Comparison:
         }
 
 
+def comparisons_of(board: Board) -> list[Comparison]:
+    """One for each set of splits that rows share, and one for each lone split; they share their resamples."""
+    resampling = Resampling()
+    lone = [(split,) for split in board.lone_splits()]
+    return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
+
+
 def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray, "R"]:
     """Median SSIM in each of R = `NUM_RESAMPLES` resamples of whole transmitters, shape (R,).
 

@@ -8,10 +8,9 @@ from typing import Any
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.templates import render
-from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.captions import machine_name
 from xfreqbench.report.leaderboard.columns import COSTS
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
+from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.gallery import gallery, scales
 from xfreqbench.report.leaderboard.page_content import CHART_COSTS, board_content, figure_content
 from xfreqbench.report.leaderboard.page_tables import board_tables, page_facts
@@ -41,7 +40,7 @@ def write_page(results: Path, output_html: Path) -> Path:
 
 
 def _page(found: RankedResults) -> str:
-    comparisons = [_comparisons(board) for board in found.boards]
+    comparisons = [comparisons_of(board) for board in found.boards]
     galleries = [gallery(board, found.folder) for board in found.boards]
     content = {
         "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
@@ -58,13 +57,6 @@ def _page(found: RankedResults) -> str:
         machine_name=machine_name,
         content=_finite(content),
     )
-
-
-def _comparisons(board: Board) -> list[Comparison]:
-    """One for each set of splits that rows share, and one for each lone split; they share their resamples."""
-    resampling = Resampling()
-    lone = [(split,) for split in board.lone_splits()]
-    return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
 
 
 def _finite(content: Any) -> Any:

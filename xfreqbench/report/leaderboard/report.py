@@ -17,7 +17,7 @@ from xfreqbench.report.leaderboard.captions import (
     origin_statement,
 )
 from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, metric_title
-from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison, Resampling
+from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Resampling, comparisons_of
 from xfreqbench.report.leaderboard.figures import (
     bench_figure,
     draw_bench,
@@ -63,9 +63,9 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     Raises as `boards` does.
     """
     return "\n\n".join(
-        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(Comparison(board, splits), BRIEF)}"
+        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(each, BRIEF)}"
         for board in boards(records)
-        for splits in [*board.split_sets(), *((split,) for split in board.lone_splits())]
+        for each in comparisons_of(board)
     )
 
 

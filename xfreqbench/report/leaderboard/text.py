@@ -1,10 +1,18 @@
-"""The leaderboard as text: what `xfreqbench run` prints, for Python."""
+"""The leaderboard for Python: as text, as a table of a notebook, and as a data frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
+from typing import Any
 
+from xfreqbench.errors import XFreqBenchError
+from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.leaderboard.boards import BoardRow, boards
+from xfreqbench.report.leaderboard.captions import leak_statement, notes
+from xfreqbench.report.leaderboard.columns import BRIEF, TABLE, LeaderboardColumn, leaderboard_columns
+from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.runs.records import RunRecord
@@ -12,7 +20,7 @@ from xfreqbench.runs.records import RunRecord
 
 @dataclass(frozen=True, repr=False)
 class Leaderboard:
-    """Records of runs that print as tables: one for each data set, protocol and kind of maps."""
+    """Records of runs that are shown as tables: one for each data set, protocol and set of splits."""
 
     records: tuple[RunRecord, ...]
 
@@ -21,10 +29,58 @@ class Leaderboard:
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        """The tables of `str`, for notebooks."""
+        shown = [(each, leaderboard_columns(each, BRIEF)) for each in self._comparisons()]
+        return render("leaderboard/notebook.html", shown=shown, leak_statement=leak_statement, notes=notes)
+
+    def to_pandas(self) -> Any:
+        """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.
+
+        The first columns say which table it is: scene, protocol, kind of maps, sha256 of the data, and the splits as
+        a tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
+        interval of 95 % is known, its ends are in two more columns, `skill low` and `skill high`. Raises
+        `XFreqBenchError` where pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise XFreqBenchError(
+                'A data frame needs the extra "notebooks". Run: pip install "xfreqbench[notebooks]"'
+            ) from error
+        return pandas.DataFrame([row for each in self._comparisons() for row in _rows(each)])
+
+    def _comparisons(self) -> list[Comparison]:
+        return [each for board in boards(self.records) for each in comparisons_of(board)]
+
 
 def leaderboard(results: str | Path = "results") -> Leaderboard:
-    """The leaderboard of a results folder, or of one file of records, to be printed.
+    """The leaderboard of a results folder, or of one file of records, to be shown.
 
     Raises `DataError` where there are no records, or one cannot be read.
     """
     return Leaderboard(read_results(Path(results)).records)
+
+
+def _rows(comparison: Comparison) -> list[dict[str, Any]]:
+    """The rows of a comparison, each with its cells by their titles."""
+    board, columns = comparison.board, leaderboard_columns(comparison, TABLE)
+    where = {
+        "scene": board.scene,
+        "protocol": board.protocol,
+        "maps": board.pas_kind,
+        "data sha256": board.dataset_sha256,
+        "splits": comparison.splits,
+    }
+    return [
+        where | {name: cell for column in columns for name, cell in _cells(column, row).items()}
+        for row in comparison.rows
+    ]
+
+
+def _cells(column: LeaderboardColumn, row: BoardRow) -> dict[str, Any]:
+    if column.value is None:
+        return {column.title: column.text(row)}
+    low, high = column.bounds(row)
+    ends = {} if isnan(low) else {f"{column.title} low": low, f"{column.title} high": high}
+    return {column.title: column.value(row), **ends}

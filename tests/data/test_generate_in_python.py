@@ -1,0 +1,94 @@
+"""`xb.generate` is the command `generate`: the same options, the same file, the same refusals."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.cli import data as commands
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
+
+SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
+OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
+OF_PYTHON_ALONE = {"freqs_ghz", "progress"}
+
+
+def small(path: Path, **changes: object) -> PasDataset:
+    return xb.generate("empty", output=path, **{**SMALL, **changes})  # type: ignore[arg-type]
+
+
+def test_every_option_of_the_command_is_one_here_with_the_same_default() -> None:
+    command = inspect.signature(commands.generate).parameters
+    python = inspect.signature(xb.generate).parameters
+    assert python.keys() - OF_PYTHON_ALONE == command.keys() - OF_THE_COMMAND_ALONE
+    given = {
+        name: each.default for name, each in command.items() if each.default is not inspect.Parameter.empty
+    }
+    given["interactions"] = tuple(given["interactions"].split(","))
+    shared = given.keys() & python.keys() - {"scene"}
+    assert {name: python[name].default for name in shared} == {name: given[name] for name in shared}
+
+
+def test_what_the_rays_are_asked_by_default_are_the_defaults_of_the_settings() -> None:
+    python = inspect.signature(xb.generate).parameters
+    settings = asdict(xb.TraceSettings())
+    assert {name: python[name].default for name in settings} == settings
+
+
+def test_python_opens_what_the_command_wrote(tmp_path: Path) -> None:
+    words = {"tx": 3, "rays": 20_000, "max_depth": 2, "quiet": True}
+    commands.generate("empty", output=tmp_path / "data.h5", freqs="2.4,24.25", **words)  # type: ignore[arg-type]
+    before = (tmp_path / "data.h5").stat().st_mtime_ns
+    dataset = small(tmp_path / "data.h5")
+    assert len(dataset) == 6
+    assert (tmp_path / "data.h5").stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("kind", ["name", "text", "path", "scene"])
+def test_a_scene_is_a_name_a_path_or_a_scene(tmp_path: Path, kind: str) -> None:
+    toml = Path(commands.__file__).parents[2] / "scenes" / "empty.toml"
+    scene = {"name": "empty", "text": str(toml), "path": toml, "scene": xb.load_scene(toml)}[kind]
+    dataset = xb.generate(scene, output=tmp_path / "data.h5", **SMALL)  # type: ignore[arg-type]
+    assert dataset.header.scene_name == "empty"
+    assert dataset.path == tmp_path / "data.h5"
+
+
+def test_transmitters_stand_where_they_are_put(tmp_path: Path) -> None:
+    positions = np.array([[2.0, 1.0, 1.0], [3.0, 2.0, 1.5]])
+    dataset = small(tmp_path / "data.h5", tx=None, tx_positions=positions)
+    np.testing.assert_array_equal(dataset.tx_position_m[::2], positions)
+
+
+def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
+    at_receiver = np.array([xb.load_scene("empty").receiver.position_m])
+    small(tmp_path / "data.h5")
+    with pytest.raises(OutputExistsError, match="holds another job"):
+        small(tmp_path / "data.h5", seed=2)
+    with pytest.raises(XFreqBenchError, match="Did you mean 'refraction'"):
+        small(tmp_path / "x.h5", interactions=["refracton"])
+    with pytest.raises(XFreqBenchError, match="give one of them"):
+        small(tmp_path / "x.h5", tx_positions=np.ones((1, 3)))
+    with pytest.raises(PlacementError):
+        small(tmp_path / "x.h5", tx=None, tx_positions=at_receiver)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["data.h5"]
+
+
+def test_bars_are_drawn_where_they_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small(tmp_path / "data.h5")
+    assert not capsys.readouterr().err
+    small(tmp_path / "shown.h5", progress=True)
+    shown = capsys.readouterr().err
+    assert "tracing" in shown and "3/3 transmitters" in shown
+
+
+def test_no_bar_precedes_a_refusal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small(tmp_path / "data.h5")
+    with pytest.raises(OutputExistsError):
+        small(tmp_path / "data.h5", seed=2, progress=True)
+    assert not capsys.readouterr().err

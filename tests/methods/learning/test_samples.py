@@ -1,0 +1,90 @@
+"""A data set as a `torch.utils.data.Dataset`: the same numbers, in this process and in workers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_header, transmitters, write_dataset
+from torch.utils.data import DataLoader, Dataset, RandomSampler
+
+from xfreqbench.data import dataset as module
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import DataError
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Four transmitters at three carriers."""
+    return write_dataset(tmp_path_factory.mktemp("samples") / "data.h5")
+
+
+def require_equal(batch: object, dataset: PasDataset, numbers: list[int]) -> None:
+    asked = dataset[numbers]
+    arrays = asked.pas(), asked.tx_position_m, asked.carrier_hz, asked.cfr
+    for tensor, array in zip(batch, arrays, strict=True):  # type: ignore[call-overload]
+        np.testing.assert_array_equal(tensor.numpy(), array, strict=True)
+
+
+def test_it_is_what_torch_calls_a_data_set(dataset: PasDataset) -> None:
+    samples = dataset.torch()
+    assert isinstance(samples, Dataset)
+    assert len(samples) == len(dataset) == 12
+    sample = samples[7]
+    assert [each.shape for each in sample] == [(90, 360), (3,), (), (4,)]
+    require_equal([each[None] for each in sample], dataset, [7])
+    with pytest.raises(IndexError, match="0 to 11, but 12"):
+        samples[12]
+
+
+def test_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
+    require_equal([each[None] for each in dataset[[9, 4]].torch()[1]], dataset, [4])
+
+
+@pytest.mark.parametrize("maps", [True, False])
+def test_a_loader_gives_batches(tmp_path: Path, maps: bool) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", maps=maps)
+    batches = list(DataLoader(dataset.torch(), batch_size=5))
+    for batch, start in zip(batches, (0, 5, 10), strict=True):
+        require_equal(batch, dataset, list(range(12))[start : start + 5])
+    assert batches[0].map.dtype == torch.float32
+    assert batches[0].cfr.dtype == torch.complex64
+
+
+@pytest.mark.parametrize("start", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
+def test_workers_read_what_this_process_reads(dataset: PasDataset, start: str) -> None:
+    """Whether they inherit the data set or get it pickled, while this process reads the same file."""
+    loader = DataLoader(dataset[::2].torch(), batch_size=2, num_workers=2, multiprocessing_context=start)
+    for number, batch in enumerate(loader):
+        require_equal(batch, dataset, [4 * number, 4 * number + 2])
+        dataset.pas([0])
+
+
+def test_a_loader_draws_at_random(dataset: PasDataset) -> None:
+    samples = dataset.torch()
+    sampler = RandomSampler(samples, generator=torch.Generator().manual_seed(1))
+    (batch,) = DataLoader(samples, batch_size=12, sampler=sampler)
+    assert sorted(batch.carrier_hz.tolist()) == sorted(dataset.carrier_hz.tolist())
+    assert batch.carrier_hz.tolist() != dataset.carrier_hz.tolist()
+
+
+def test_maps_alone_have_an_empty_channel(tmp_path: Path) -> None:
+    header = replace(make_header(num_tx=1), channels=False)
+    with PasWriter(tmp_path / "data.h5", header) as writer:
+        maps = np.ones((1, 3, 90, 360), np.float32)
+        writer.append(transmitters(1), np.array([True]), SampleBlock.of_maps(maps))
+    (batch,) = DataLoader(open_dataset(tmp_path / "data.h5").torch(), batch_size=3)
+    assert batch.cfr.shape == (3, 0)
+    assert batch.map.shape == (3, 90, 360)
+
+
+def test_an_installation_without_the_entry_point_says_so(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "entry_points", lambda **_: [])
+    with pytest.raises(DataError, match="Install xfreqbench again"):
+        dataset.torch()

@@ -1,0 +1,77 @@
+"""`xb.run` is the command `run`: methods on every split of a protocol."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import MethodError, UnknownNameError, XFreqBenchError
+from xfreqbench.runs.protocol import Options
+
+TARGET = {"targets_ghz": [77.0]}
+TEXTS = ("num_gaussians=4", "derive_targets=false")
+
+
+def test_records_come_in_the_order_of_methods_seeds_and_splits(dataset: PasDataset, tmp_path: Path) -> None:
+    asked = {"targets_ghz": [24.25, 77.0], "seeds": [0, 3]}
+    records = xb.run(dataset, ["nearest", "line-of-sight"], results=tmp_path, **asked)  # type: ignore[arg-type]
+    jobs = [(record.job.method, record.job.seed, record.job.split) for record in records]
+    splits = ("lofo-24.25GHz", "lofo-77GHz")
+    assert jobs == [
+        (method, seed, split)
+        for method in ("nearest", "line-of-sight")
+        for seed in (0, 3)
+        for split in splits
+    ]
+    assert xb.read_records(tmp_path) == tuple(records)
+
+
+def test_what_is_finished_is_not_run_again_whether_the_data_come_open_or_as_a_path(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    for data in (dataset, dataset.path, str(dataset.path)):
+        xb.run(data, "nearest", results=tmp_path, **TARGET)  # type: ignore[arg-type]
+    assert len(xb.read_records(tmp_path)) == 1
+
+
+def test_all_targets_are_a_split_each(dataset: PasDataset, tmp_path: Path) -> None:
+    records = xb.run(dataset, "line-of-sight", results=tmp_path, targets_ghz="all")
+    assert len(records) == dataset.num_carriers
+
+
+@pytest.mark.parametrize("options", [{"num_gaussians": 4, "derive_targets": False}, TEXTS])
+def test_options_of_a_method_are_values_or_texts(
+    dataset: PasDataset, tmp_path: Path, options: Options
+) -> None:
+    asked = {"budget": "1steps", "results": tmp_path, **TARGET}
+    (record,) = xb.run(dataset, {"aperture-gs": options}, **asked)  # type: ignore[arg-type]
+    assert record.job.overrides == TEXTS
+    assert (record.config["num_gaussians"], record.config["derive_targets"]) == (4, False)
+
+
+def test_a_budget_is_a_text_or_a_budget(dataset: PasDataset, tmp_path: Path) -> None:
+    for budget in ("3steps", xb.Budget(max_steps=3)):
+        (record,) = xb.run(dataset, "nearest", results=tmp_path, budget=budget, **TARGET)  # type: ignore[arg-type]
+        assert record.job.budget == xb.Budget(max_steps=3)
+
+
+def test_names_and_subsets_are_refused_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'nearest'"):
+        xb.run(dataset, ["nearest", "neares"], results=tmp_path, **TARGET)  # type: ignore[arg-type]
+    with pytest.raises(XFreqBenchError, match="subset of 2 of the"):
+        xb.run(dataset[:2], "nearest", results=tmp_path)
+    with pytest.raises(MethodError, match="5m, 2h or 2000steps"):
+        xb.run(dataset, "nearest", results=tmp_path, budget="long")
+    assert not list(tmp_path.iterdir())
+
+
+def test_bars_are_drawn_where_they_are_asked_for(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xb.run(dataset, "nearest", results=tmp_path, **TARGET)  # type: ignore[arg-type]
+    assert not capsys.readouterr().err
+    xb.run(dataset, "nearest", results=tmp_path / "shown", progress=True, **TARGET)  # type: ignore[arg-type]
+    assert "1/1 runs" in capsys.readouterr().err
