@@ -65,7 +65,7 @@ def test_a_damaged_or_foreign_output_is_not_taken_for_the_job(tmp_path: Path) ->
 
 
 def generate_command(path: Path) -> list[str]:
-    options = "--freqs 1,10,60 --tx 640 --rays 20000 --max-depth 5 --quiet -o"
+    options = "--freqs 1,10,60 --tx 640 --rays 20000 --max-depth 5 --paths --quiet -o"
     return [command_line(), "generate", "two_rooms", *options.split(), str(path)]
 
 
@@ -177,11 +177,15 @@ def test_a_transmitter_without_any_path_is_kept_and_flagged(tmp_path: Path) -> N
         transmitters=TransmitterGrid(min_m=(3.0, 0.3, 1.0), max_m=(3.0, 0.3, 1.0), step_m=(1.0, 1.0, 1.0)),
         surface=tuple(walls),
     )
-    dataset = open_dataset(generate_planned(plan_generation(scene, [5e9], SETTINGS), tmp_path / "cage.h5"))
+    dataset = open_dataset(
+        generate_planned(plan_generation(scene, [5e9], SETTINGS, paths=True), tmp_path / "cage.h5")
+    )
     assert len(dataset) == 1
     assert not dataset.has_path.any()
     assert not dataset.pas().any()
     assert np.isfinite(dataset.cfr).all()
+    paths = dataset.paths(0)
+    assert (len(paths), paths.interactions.shape, paths.arrival.shape) == (0, (0, 0), (0, 3))
 
 
 def test_without_maps_they_are_derived_when_read(tmp_path: Path) -> None:

@@ -11,11 +11,13 @@ import h5py
 import pytest
 from documents import NOT_RUN, ROOT, blocks, follow
 from markdown_it import MarkdownIt
+from plans import small_plan
 from synthetic import write_dataset
 
 import xfreqbench
 from tests.whole.test_tutorial import COMMANDS, FILES
 from xfreqbench.cli.main import app
+from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.splits import lofo
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
@@ -164,6 +166,16 @@ def test_the_table_of_variables_is_that_of_the_files(tmp_path: Path) -> None:
     write_dataset(tmp_path / "data.h5", num_tx=2)
     described = table(FORMATS, "### Variables")
     assert sorted(row[:4] for row in described) == sorted(variables(tmp_path / "data.h5"))
+
+
+def test_the_table_of_paths_is_that_of_the_files(tmp_path: Path) -> None:
+    generate_planned(small_plan(num_transmitters=1, paths=True), tmp_path / "data.h5")
+    with h5py.File(tmp_path / "data.h5") as file:
+        stored = [
+            [f"paths/{name}", axes(each), str(each.dtype), text(each, "units")]
+            for name, each in file["paths"].items()
+        ]
+    assert sorted(row[:4] for row in table(FORMATS, "### Paths")) == sorted(stored)
 
 
 def test_the_table_of_attributes_is_that_of_the_files(tmp_path: Path) -> None:

@@ -76,6 +76,12 @@ def generate(
         Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
     ] = "error",
     maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    paths: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."
+        ),
+    ] = False,
     executor: Executor = "serial",
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
@@ -118,6 +124,7 @@ def generate(
         tx_position_m=_read_positions(tx_positions),
         pas_kind=pas_kind,
         maps=maps,
+        paths=paths,
     )
     say(plan.summary, quiet)
     if dry_run:

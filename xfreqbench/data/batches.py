@@ -15,6 +15,7 @@ import numpy as np
 from xfreqbench.data.plan import Plan
 from xfreqbench.errors import OutputExistsError, StorageError
 from xfreqbench.system.files import atomic_path, require_own, sole_worker, storage_errors, write_text
+from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import Channel
 
 _MARKER, _LOCK, _BATCHES = "job.sha256", "lock", "[0-9]*-*.npz"
@@ -43,7 +44,8 @@ class BatchStore:
     def write(self, index: int, channel: Channel) -> None:
         """Keep a batch; raises `StorageError`."""
         buffer = io.BytesIO()
-        np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index))
+        paths = {} if channel.paths is None else {f"paths.{k}": v for k, v in vars(channel.paths).items()}
+        np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index), **paths)
         content = buffer.getvalue()
         path = self.folder / f"{self._name(index)}-{hashlib.sha256(content).hexdigest()}.npz"
         with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
@@ -66,9 +68,15 @@ class BatchStore:
             return None
         try:
             with np.load(io.BytesIO(content)) as stored:
-                is_ours = str(stored["batch"]) == self._name(_index(path))
-                return Channel(stored["cfr"], stored["num_paths"]) if is_ours else None
-        except (ValueError, LookupError, OSError, BadZipFile):
+                if str(stored["batch"]) != self._name(_index(path)):
+                    return None
+                paths = {name.removeprefix("paths."): stored[name] for name in stored if "." in name}
+                return Channel(
+                    stored["cfr"],
+                    stored["num_paths"],
+                    RaggedPaths(**paths) if self.plan.header.paths else None,
+                )
+        except (ValueError, TypeError, LookupError, OSError, BadZipFile):
             return None
 
     def _name(self, index: int) -> str:

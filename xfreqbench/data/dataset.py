@@ -29,6 +29,15 @@ from xfreqbench.data.hdf5 import (
     text_attributes,
     verify_sealed,
 )
+from xfreqbench.data.paths import (
+    GROUP,
+    OFFSET,
+    SamplePaths,
+    path_variables,
+    read_transmitter,
+    stored_offsets,
+    stored_totals,
+)
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -215,6 +224,27 @@ class PasDataset:
                 maps[index] = stored[divmod(row, self.num_carriers)]
         return maps
 
+    def paths(self, sample: int | np.integer) -> SamplePaths:
+        """The paths of a sample to the array centre, by its number; negative ones count from the end.
+
+        Raises `IndexError`, and `DataError` where no paths are stored, as without `generate --paths`, or are damaged.
+        """
+        (row,) = self.subset([int(sample)]).rows
+        tx, carrier = divmod(int(row), self.num_carriers)
+        if OFFSET not in self.tables:
+            raise DataError(
+                f"{self.path} is shown to methods without its paths."
+                if self.header.paths
+                else f"{self.path} holds no paths. Generate it with --paths."
+            )
+        start, stop = self.tables[OFFSET][tx : tx + 2].tolist()
+        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
+            totals = stored_totals(file)
+            stored = read_transmitter(file, totals, start, stop)
+            return SamplePaths.of(
+                stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names
+            )
+
     def batches(self, size: int) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
         """The numbers of all samples and their maps, `size` at a time."""
         for start in range(0, len(self), size):
@@ -239,8 +269,11 @@ class PasDataset:
         return replace(self, rows=self.rows[self._checked(rows)])
 
     def isolated(self) -> PasDataset:
-        """The same samples, with the channels of all others set to zero: what a method is given to train on."""
-        tables = dict(self.tables)
+        """The same samples, with the channels of all others set to zero: what a method is given to train on.
+
+        The paths are left out, for they tell of the carriers that are tested.
+        """
+        tables = {name: table for name, table in self.tables.items() if name != OFFSET}
         for name in self.tables.keys() & {"cfr", "peak_power", "num_paths"}:
             samples = tables[name].reshape(-1, *tables[name].shape[2:])
             kept = np.zeros_like(samples)
@@ -283,6 +316,10 @@ def open_dataset(path: str | Path) -> PasDataset:
         require_layout(file, variables(header, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
+        if header.paths:
+            totals = stored_totals(file)
+            require_layout(file, path_variables(header.num_tx, len(header.carrier_hz), totals))
+            tables[OFFSET] = stored_offsets(file, totals.num_paths)
         beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}

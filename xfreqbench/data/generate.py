@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
 from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
+from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
-from xfreqbench.data.trace import forget_rays, traced
+from xfreqbench.data.trace import channel_by, forget_rays, traced
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -49,6 +50,7 @@ def generate(
     pas_kind: str = "power",
     materials: MaterialPolicy = "error",
     maps: bool = True,
+    paths: bool = False,
     executor: str = SERIAL,
     progress: bool = False,
 ) -> PasDataset:
@@ -75,6 +77,7 @@ def generate(
         tx_position_m=tx_positions,
         pas_kind=pas_kind,
         maps=maps,
+        paths=paths,
     )
     with (
         open_workers(executor) as workers,
@@ -149,11 +152,16 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
         seed, folder = int(plan.sha256[:8], 16), plan.scene.folder
         require_origin(open_dataset(written), NUM_RETRACED, seed, folder=folder, workers=workers)
 
-    with PasWriter(path, plan.header, prove=prove) as writer:
+    totals = None
+    if plan.header.paths:
+        names = tuple(mesh.name for mesh in plan.geometry.meshes)
+        parts = (store.read(index).paths for index in range(len(plan.batches)))
+        totals = PathTotals.of((part for part in parts if part is not None), names)
+    with PasWriter(path, plan.header, prove=prove, paths=totals) as writer:
         for index, rows in enumerate(plan.batches):
             channel = store.read(index)
             samples = SampleBlock.of_channels(channel.cfr, channel.num_paths, beam, plan.header.pas_kind)
-            writer.append(plan.tx_position_m[rows], plan.line_of_sight[rows], samples)
+            writer.append(plan.tx_position_m[rows], plan.line_of_sight[rows], samples, channel.paths)
             report(rows.stop, len(plan.tx_position_m))
 
 
@@ -162,8 +170,8 @@ def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     start = time.perf_counter()
     tracer = make_tracer(plan.scene, plan.tracing.carrier_hz, plan.settings, plan.geometry)
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
-    tracer.channel(plan.tx_position_m[spread[:1]])  # compiles
+    channel_by(tracer, plan.tracing, plan.tx_position_m[spread[:1]])  # compiles
     shot = time.perf_counter()
-    tracer.channel(plan.tx_position_m[spread])
+    channel_by(tracer, plan.tracing, plan.tx_position_m[spread])
     per_transmitter = (time.perf_counter() - shot) / probes
     return shot - start + per_transmitter * len(plan.tx_position_m)

@@ -37,8 +37,9 @@ _MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: th
 class Variable:
     """One HDF5 dataset: name, type, shape, names of its axes, unit, description, and chunk if it is stored in chunks.
 
-    A variable whose only axis has its own name is the coordinate of that axis. A name may begin with a group, as in
-    `lofo-77GHz/train_row`; the names of the axes then begin with it too.
+    Chunks may be `compressed`, by shuffling bytes and deflate. A variable whose only axis has its own name is the
+    coordinate of that axis. A name may begin with a group, as in `lofo-77GHz/train_row`; the names of axes in the
+    group then begin with it too.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Variable:
     units: str
     long_name: str
     chunk: tuple[int, ...] | None = None
+    compressed: bool = False
 
     @property
     def num_bytes(self) -> int:
@@ -275,6 +277,7 @@ def _text(owner: Any, name: str) -> str:
 
 
 def _create(file: Any, variable: Variable) -> None:
+    filters = {"compression": "gzip", "shuffle": True} if variable.compressed else {}
     dataset = file.create_dataset(
         variable.name,
         shape=variable.shape,
@@ -282,6 +285,7 @@ def _create(file: Any, variable: Variable) -> None:
         chunks=variable.chunk,
         fletcher32=variable.chunk is not None,
         track_times=False,
+        **filters,
     )
     _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
     if variable.axes == (variable.name,):

@@ -73,7 +73,7 @@ class Plan:
 
     @property
     def num_bytes(self) -> int:
-        """Size of the finished file in bytes."""
+        """Size of the finished file in bytes, without the paths: how many there are is not known yet."""
         return self.header.num_bytes
 
     @property
@@ -83,7 +83,8 @@ class Plan:
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.header.rejected.items() if count)
         return (
             f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({self.line_of_sight.sum()} in sight) "
-            f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB\n"
+            f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB"
+            f"{' and the paths' if self.header.paths else ''}\n"
             f"solver {self.settings.solver}, {' and '.join(self.settings.interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}" + self._material_notes
@@ -130,14 +131,21 @@ def plan_generation(
     tx_position_m: Float[FloatArray, "T 3"] | None = None,
     pas_kind: str = "power",
     maps: bool = True,
+    paths: bool = False,
 ) -> Plan:
     """Check a job and look up all that it needs; no ray is shot.
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
+    out of the file; `paths` puts the paths into it. Raises `MaterialBandError`, `PlacementError` or another
+    `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
+    if paths and "diffuse" in settings.interactions:
+        raise XFreqBenchError(
+            "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
+            "up to one for each ray: they are not stored. Leave out --paths, or the interaction diffuse."
+        )
     geometry = Geometry(surface_meshes(scene))
     _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
@@ -154,7 +162,7 @@ def plan_generation(
         placed = Placement(tx_position_m, rejected={})
     sha256 = meshes_sha256(geometry.meshes)
     absolute = replace(scene, folder=scene.folder.absolute())  # for workers that started in another folder
-    tracing = Tracing(absolute, sha256, tuple(carriers), settings, geometry)
+    tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, geometry)
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
     in_sight = sees(geometry.meshes, placed.tx_position_m, np.asarray(scene.receiver.position_m))
     return Plan(tracing, placed.tx_position_m, in_sight, header)
@@ -209,4 +217,5 @@ def _header(
         },
         software=software_versions(tracing.settings.solver),
         rejected=placed.rejected,
+        paths=tracing.paths,
     )

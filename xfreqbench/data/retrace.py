@@ -12,11 +12,13 @@ from jaxtyping import Complex, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.paths import SamplePaths
 from xfreqbench.data.trace import Tracing, traced
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.system.workers import HERE, Workers, side_by_side
+from xfreqbench.tracing.tracer import Channel
 from xfreqbench.types import IntArray
 from xfreqbench.units import format_ghz
 
@@ -28,7 +30,8 @@ class Retraced:
     """A sample that was traced again: its transmitter's index, its carrier, and how far the file is from it.
 
     `difference` is the larger of ‖h − h′‖ / ‖h′‖, where h is the stored channel and h′ the one traced again, and
-    of the greatest difference between the stored map and the map of h, whose peak is 1.
+    of the greatest difference between the stored map and the map of h, whose peak is 1. Where paths are stored, they
+    are compared by the channel that they give.
     """
 
     tx: int
@@ -88,23 +91,34 @@ def _retraced(
     header, num_carriers = dataset.header, dataset.num_carriers
     carriers_hz = tuple(header.carrier_hz.tolist())
     scene = traced_scene(dataset, folder)
-    tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings)
+    tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings, header.paths)
     rows_of = {tx: rows[rows // num_carriers == tx] for tx in np.unique(rows // num_carriers).tolist()}
     batches = ((tx, dataset.tables["tx_position_m"][tx : tx + 1]) for tx in rows_of)
     for (tx, _), channel in side_by_side(workers, partial(traced, tracing), batches):
-        yield from _compared(dataset, rows_of[tx], channel.result().cfr[0])
+        yield from _compared(dataset, rows_of[tx], channel.result())
 
 
-def _compared(
-    dataset: PasDataset, rows: Int[IntArray, "n"], again: Complex[NDArray[np.complexfloating], "F M"]
-) -> Iterator[Retraced]:
+def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> Iterator[Retraced]:
     """Samples of one transmitter beside its channel at all carriers, traced again."""
     asked = dataset.subset(rows)
     maps = dataset.beam.maps(asked.cfr, dataset.header.pas_kind)[0]
     map_differences = np.abs(asked.pas() - maps).max(axis=(1, 2))
     for row, stored, map_difference in zip(rows, asked.cfr, map_differences, strict=True):
         carrier = row % dataset.num_carriers
-        length = np.linalg.norm(again[carrier])
-        apart = np.linalg.norm(stored - again[carrier]) / length if length else float(stored.any())
         carrier_hz = float(dataset.header.carrier_hz[carrier])
-        yield Retraced(int(row // dataset.num_carriers), carrier_hz, max(float(apart), float(map_difference)))
+        differences = [float(map_difference), _apart(stored, again.cfr[0, carrier])]
+        if again.paths is not None:
+            receiver = dataset.header.receiver
+            compared = dataset.paths(row), SamplePaths.of(again.paths, int(carrier), carrier_hz, ())
+            differences.append(
+                _apart(*(each.impulse_response(receiver).gain.sum(axis=0) for each in compared))
+            )
+        yield Retraced(int(row // dataset.num_carriers), carrier_hz, max(differences))
+
+
+def _apart(
+    stored: Complex[NDArray[np.complexfloating], "M"], again: Complex[NDArray[np.complexfloating], "M"]
+) -> float:
+    """Distance of a channel from the one traced again, relative to that one."""
+    length = np.linalg.norm(again)
+    return float(np.linalg.norm(stored - again) / length) if length else float(stored.any())

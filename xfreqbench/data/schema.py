@@ -56,7 +56,7 @@ class DatasetHeader:
 
     Fields are stored in this order under their names, or under their alias where they have one, as JSON where
     they are not text. `carrier_hz` is not among them: it is a variable of the file. `settings` are the
-    solver's, and `rejected` counts the grid positions left out, by reason.
+    solver's, and `rejected` counts the grid positions left out, by reason. `paths` says whether paths are stored.
 
     A data set with `channels=False` was published by others as maps alone, which are then stored
     (`maps=True`). What was not published is marked in it: `peak_power` is 1 where there is a map (less where
@@ -75,6 +75,7 @@ class DatasetHeader:
     software: Annotated[dict[str, str], _READ, _WRITTEN, Field(alias="software_json")]
     rejected: Annotated[dict[str, int], _READ, _WRITTEN, Field(alias="rejected_json")]
     channels: Annotated[StrictBool, _READ, _WRITTEN] = True
+    paths: Annotated[StrictBool, _READ, _WRITTEN] = False
 
     @model_validator(mode="after")
     def _stores_channels_or_maps(self) -> DatasetHeader:
@@ -84,11 +85,11 @@ class DatasetHeader:
 
     @property
     def num_bytes(self) -> int:
-        """Size of the data set's variables in bytes, on the default grid of directions."""
+        """Size of the data set's variables in bytes, without paths, on the default grid of directions."""
         return sum(variable.num_bytes for variable in variables(self, AngularGrid.hemisphere()))
 
     def attributes(self) -> dict[str, str]:
-        """The header as HDF5 text attributes; `channels` stays out where it is true, as in older files."""
+        """The header as HDF5 text attributes; `channels` and `paths` stay out where they are as in older files."""
         stored = TypeAdapter(DatasetHeader).dump_python(
             self, by_alias=True, exclude={"carrier_hz"}, exclude_defaults=True
         )

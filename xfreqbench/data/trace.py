@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.errors import ClusterError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
 from xfreqbench.types import FloatArray
@@ -23,17 +25,18 @@ class Tracing:
     """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
 
     `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
-    It is not pickled: another process reads the meshes itself.
+    It is not pickled: another process reads the meshes itself. `paths` says whether paths are asked for.
     """
 
     scene: Scene
     scene_sha256: str
     carrier_hz: tuple[float, ...]
     settings: TraceSettings
+    paths: bool = False
     known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings)
+        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths)
 
     def geometry(self) -> Geometry:
         """Meshes and facets of the scene; raises `ClusterError` where a worker finds other meshes than planned."""
@@ -51,7 +54,17 @@ class Tracing:
 def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
     """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
     _, tx_position_m = batch
-    return _tracer(tracing).channel(tx_position_m)
+    return channel_by(_tracer(tracing), tracing, tx_position_m)
+
+
+def channel_by(tracer: Tracer, tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+    """Channel of T transmitters by a tracer of that scene, with the paths where they are asked for."""
+    channel = tracer.channel(tx_position_m)
+    if not tracing.paths:
+        return channel
+    paths = [tracer.paths(position_m) for position_m in tx_position_m]
+    receiver_m = np.asarray(tracing.scene.receiver.position_m, dtype=np.float64)
+    return replace(channel, paths=RaggedPaths.of(paths, tx_position_m, receiver_m))
 
 
 def forget_rays() -> None:

@@ -12,9 +12,11 @@ from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import create_sealed
+from xfreqbench.data.paths import GROUP, INTERACTION_OFFSET, OFFSET, RAGGED, PathTotals, path_variables
 from xfreqbench.data.schema import UNKNOWN_NUM_PATHS, DatasetHeader, constants, variables
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.types import FloatArray
 
 
@@ -64,7 +66,8 @@ class SampleBlock:
 class PasWriter:
     """Writes one data set: a context manager that takes samples in blocks and leaves a whole file, or none.
 
-    Maps are on `grid`, the hemisphere unless it is given, and are stored where the header says so. Raises
+    Maps are on `grid`, the hemisphere unless it is given, and are stored where the header says so. Where it says that
+    paths are stored, `paths` are the numbers of those that will be appended. Raises
     `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
     where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
     end, not before: `prove` is first called with the path of the sealed file, which is given up if that raises.
@@ -76,15 +79,25 @@ class PasWriter:
         header: DatasetHeader,
         grid: AngularGrid | None = None,
         prove: Callable[[Path], None] | None = None,
+        paths: PathTotals | None = None,
     ) -> None:
         self._header = header
         self._grid = grid or AngularGrid.hemisphere()
-        self._context = create_sealed(path, variables(header, self._grid), header.attributes(), prove=prove)
+        self._num_paths = self._num_points = 0
+        stored, groups = variables(header, self._grid), dict[str, dict[str, str]]()
+        if header.paths:
+            totals = paths or PathTotals(0, 0, ())
+            stored += path_variables(header.num_tx, len(header.carrier_hz), totals)
+            groups[GROUP] = totals.attributes
+        self._context = create_sealed(path, stored, header.attributes(), groups, prove)
 
     def __enter__(self) -> PasWriter:
         self._file = self._context.__enter__()
         for name, values in constants(self._header, self._grid).items():
             self._file.append(name, values)
+        if self._header.paths:
+            for offset in (OFFSET, INTERACTION_OFFSET):
+                self._file.append(offset, np.zeros(1))
         return self
 
     def __exit__(
@@ -97,8 +110,12 @@ class PasWriter:
         tx_position_m: Float[FloatArray, "T 3"],
         line_of_sight: Bool[NDArray[np.bool_], "T"],
         samples: SampleBlock,
+        paths: RaggedPaths | None = None,
     ) -> None:
-        """Write the next T transmitters with their samples; raises `DataError` where they do not fit the header."""
+        """Write the next T transmitters with their samples; raises `DataError` where they do not fit the header.
+
+        Their `paths` are needed where the header says that paths are stored.
+        """
         if (
             samples.cfr is None
         ):  # what is written first stands first: equal data have had equal bytes since 0.1
@@ -113,3 +130,15 @@ class PasWriter:
         self._file.append("line_of_sight", line_of_sight)
         self._file.append("num_paths", samples.num_paths)
         self._file.append("complete", np.ones(len(tx_position_m)))
+        if self._header.paths and paths is not None:
+            self._append_paths(paths)
+
+    def _append_paths(self, paths: RaggedPaths) -> None:
+        num_paths, num_points = len(paths.delay_s), len(paths.interaction)
+        self._file.append(OFFSET, self._num_paths + np.cumsum(paths.num_paths))
+        self._file.append(INTERACTION_OFFSET, self._num_points + np.cumsum(paths.num_interactions))
+        self._file.append(f"{GROUP}/path", self._num_paths + np.arange(num_paths))
+        self._file.append(f"{GROUP}/point", self._num_points + np.arange(num_points))
+        for name in RAGGED:
+            self._file.append(f"{GROUP}/{name}", getattr(paths, name))
+        self._num_paths, self._num_points = self._num_paths + num_paths, self._num_points + num_points

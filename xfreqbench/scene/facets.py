@@ -77,6 +77,12 @@ class Geometry:
         """Planes of the facets, and the index of each facet's plane, as `group_by_plane` returns them."""
         return group_by_plane(self.facets)
 
+    @property
+    def surfaces_by_plane(self) -> Int[IntArray, "Q"]:
+        """Index of each facet's mesh; the facets are sorted by plane."""
+        surface = np.array([facet.surface for facet in self.facets], dtype=np.int64)
+        return surface[np.argsort(self.planes[1], kind="stable")]
+
 
 def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
     """Facets of all meshes, in their order: two triangles that form a parallelogram are one facet."""

@@ -1,14 +1,16 @@
-"""Propagation paths from one transmitter to the array centre, as tests compare them and a view draws them."""
+"""Propagation paths from a transmitter to the array centre: as tracers give them, and as data sets store them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int, UInt8
 from numpy.typing import NDArray
 
 from xfreqbench.types import FloatArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
 
@@ -21,7 +23,8 @@ class Paths:
     channel at the centre is Σ gain·exp(−j2πf·delay_s) over the paths (Eq. 1). `delay_s` is the travel time to
     the array centre. `arrival` is a unit vector from the receiver towards the last interaction, in world axes.
     `interactions` are the codes of at most D interactions along the path from the transmitter, padded with
-    `NO_INTERACTION`, and `vertices_m` the points where they happen, padded with NaN.
+    `NO_INTERACTION`, `surfaces` the index of the scene's mesh that is met at each, padded with −1 (at an edge that of
+    one of its two faces), and `vertices_m` the points where they happen, padded with NaN.
     """
 
     carrier_hz: Float[FloatArray, "F"]
@@ -29,4 +32,89 @@ class Paths:
     delay_s: Float[FloatArray, "P"]
     arrival: Float[FloatArray, "P 3"]
     interactions: Int[NDArray[np.int64], "P D"]
+    surfaces: Int[NDArray[np.int64], "P D"]
     vertices_m: Float[FloatArray, "P D 3"]
+
+    def departure(
+        self, tx_position_m: Float[FloatArray, "3"], receiver_m: Float[FloatArray, "3"]
+    ) -> Float[FloatArray, "P 3"]:
+        """Unit vectors from the transmitter towards the first interaction, or the receiver where there is none."""
+        line_m = np.concatenate([self.vertices_m, np.full((len(self.delay_s), 1, 3), np.nan)], axis=1)
+        towards = np.where(np.isnan(line_m[:, 0]), receiver_m, line_m[:, 0]) - tx_position_m
+        return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class RaggedPaths:
+    """The paths of T transmitters, P in all with I interactions, one behind the other, as data sets store them.
+
+    `num_paths` are those of each transmitter, and `num_interactions` those of each path. `gain` and `delay_s` are
+    those of `Paths`. Azimuths and elevations are of unit vectors in world axes, which point from the receiver
+    towards the last interaction (arrival), and from the transmitter towards the first (departure).
+    """
+
+    num_paths: Int[NDArray[np.int64], "T"]
+    gain: Complex[NDArray[np.complex64], "P F"]
+    delay_s: Float[FloatArray, "P"]
+    arrival_azimuth_rad: Float[NDArray[np.float32], "P"]
+    arrival_elevation_rad: Float[NDArray[np.float32], "P"]
+    departure_azimuth_rad: Float[NDArray[np.float32], "P"]
+    departure_elevation_rad: Float[NDArray[np.float32], "P"]
+    num_interactions: Int[NDArray[np.int64], "P"]
+    interaction: UInt8[NDArray[np.uint8], "I"]
+    surface: Int[NDArray[np.int32], "I"]
+    vertex_m: Float[NDArray[np.float32], "I 3"]
+
+    @classmethod
+    def of(
+        cls,
+        paths: Sequence[Paths],
+        tx_position_m: Float[FloatArray, "T 3"],
+        receiver_m: Float[FloatArray, "3"],
+    ) -> RaggedPaths:
+        """The paths of T transmitters, one at least, and of a receiver at `receiver_m`."""
+        is_met: list[Bool[NDArray[np.bool_], "P D"]] = [each.interactions != NO_INTERACTION for each in paths]
+        starts = zip(paths, tx_position_m, strict=True)
+        arrival = angles_rad(np.concatenate([each.arrival for each in paths]))
+        departure = angles_rad(np.concatenate([each.departure(tx, receiver_m) for each, tx in starts]))
+        kept = list(zip(paths, is_met, strict=True))
+        return cls(
+            num_paths=np.array([len(each.delay_s) for each in paths], np.int64),
+            gain=np.concatenate([each.gain.T for each in paths]).astype(np.complex64),
+            delay_s=np.concatenate([each.delay_s for each in paths]),
+            arrival_azimuth_rad=arrival[0].astype(np.float32),
+            arrival_elevation_rad=arrival[1].astype(np.float32),
+            departure_azimuth_rad=departure[0].astype(np.float32),
+            departure_elevation_rad=departure[1].astype(np.float32),
+            num_interactions=np.concatenate([met.sum(axis=1) for met in is_met]).astype(np.int64),
+            interaction=np.concatenate([each.interactions[met] for each, met in kept]).astype(np.uint8),
+            surface=np.concatenate([each.surfaces[met] for each, met in kept]).astype(np.int32),
+            vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(np.float32),
+        )
+
+
+def angles_rad(direction: Float[FloatArray, "P 3"]) -> tuple[Float[FloatArray, "P"], Float[FloatArray, "P"]]:
+    """Azimuth from +x towards +y, in (−π, π], and elevation above the xy plane of unit vectors."""
+    x, y, z = direction.T
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+
+def directions(
+    azimuth_rad: Float[NDArray[np.floating], "P"], elevation_rad: Float[NDArray[np.floating], "P"]
+) -> Float[FloatArray, "P 3"]:
+    """Unit vectors of azimuths and elevations: the inverse of `angles_rad`."""
+    azimuth, elevation = azimuth_rad.astype(np.float64), elevation_rad.astype(np.float64)
+    horizontal = np.cos(elevation)
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+def element_delays_s(
+    delay_s: Float[FloatArray, "P"], arrival: Float[FloatArray, "P 3"], element_m: Float[FloatArray, "M 3"]
+) -> Float[FloatArray, "P M"]:
+    """Travel times of paths to elements at world offsets from the array centre, each path as one spherical wave.
+
+    The wave comes from where the centre sees its source: at the distance c·delay in the direction of arrival. For
+    paths of reflections and transmissions this is the exact image of the transmitter.
+    """
+    source_m = (delay_s * SPEED_OF_LIGHT_M_S)[:, None] * arrival
+    return np.linalg.norm(source_m[:, None] - element_m, axis=-1) / SPEED_OF_LIGHT_M_S

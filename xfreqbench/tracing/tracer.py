@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import MaterialPolicy
-from xfreqbench.tracing.paths import Paths
+from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.types import FloatArray
 
 Interaction = Literal["specular", "refraction", "diffraction", "diffuse"]
@@ -42,11 +42,13 @@ class Channel:
     """The channel of T transmitters at F carriers and M array elements, and the number of its paths.
 
     `cfr` is h_n(f) of Eq. (1), the received over the transmitted complex amplitude, time running as exp(+j2πft):
-    |h|² is received over transmitted power. `num_paths` counts the paths that reach at least one element.
+    |h|² is received over transmitted power. `num_paths` counts the paths that reach at least one element. `paths`
+    are those to the array centre, where they were asked for.
     """
 
     cfr: Complex[NDArray[np.complex128], "T F M"]
     num_paths: Int[NDArray[np.int32], "T F"]
+    paths: RaggedPaths | None = None
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.report.findings.model import FoundPlane, StoredFindings
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
+from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths, element_delays_s
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -94,10 +94,7 @@ def spherical_waves(
     """
     carrier_hz = float(paths.carrier_hz[carrier])
     element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz) - np.asarray(receiver.position_m)
-    source_m = (paths.delay_s * SPEED_OF_LIGHT_M_S)[:, None] * paths.arrival
-    length_m = np.linalg.norm(source_m[:, None] - element_m, axis=-1)
-    further_s = length_m / SPEED_OF_LIGHT_M_S - paths.delay_s[:, None]
-    turns = (carrier_hz * paths.delay_s % 1.0)[:, None] + carrier_hz * further_s
+    turns = carrier_hz * element_delays_s(paths.delay_s, paths.arrival, element_m)
     return paths.gain[carrier][:, None] * np.exp(-2j * np.pi * turns)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.paths import OFFSET
 from xfreqbench.units import format_ghz
 
 
@@ -25,6 +26,7 @@ def describe(path: Path) -> str:
         f"{receiver.pattern} pattern, polarization {receiver.polarization}",
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths",
+        *_paths_line(dataset),
         "settings   " + ", ".join(f"{name} {value}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
         "left out   " + (", ".join(f"{count} {why}" for why, count in header.rejected.items()) or "nothing"),
@@ -33,6 +35,16 @@ def describe(path: Path) -> str:
         "carrier      without path   median paths   peak power median (dB)",
     ]
     return "\n".join(lines + _carrier_lines(dataset))
+
+
+def _paths_line(dataset: PasDataset) -> list[str]:
+    """How many paths are stored; nothing where there are none."""
+    if not dataset.header.paths:
+        return []
+    of_each = np.diff(dataset.tables[OFFSET])
+    return [
+        f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"
+    ]
 
 
 def _carrier_lines(dataset: PasDataset) -> list[str]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.types import FloatArray
 
@@ -111,18 +110,10 @@ def _ray(
     codes = paths.interactions[index]
     met = codes != NO_INTERACTION
     points_m = paths.vertices_m[index][met]
-    names = _nearest_names(points_m, meshes)
+    names = [meshes[surface].name for surface in paths.surfaces[index][met].tolist()]
     return Ray(
         points_m=np.vstack([tx_m, points_m, receiver_m]),
         level_db=10 * float(np.log10(share)),
         delay_s=float(paths.delay_s[index]),
         events=tuple(f"{_VERBS[code]} {name}" for code, name in zip(codes[met].tolist(), names, strict=True)),
     )
-
-
-def _nearest_names(points_m: Float[FloatArray, "n 3"], meshes: Sequence[SurfaceMesh]) -> list[str]:
-    """Name of the surface that each point lies on."""
-    if not len(points_m):
-        return []
-    distance_m = [distance_to_surfaces([mesh], points_m) for mesh in meshes]
-    return [meshes[nearest].name for nearest in np.argmin(distance_m, axis=0).tolist()]

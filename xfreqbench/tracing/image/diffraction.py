@@ -20,6 +20,7 @@ from xfreqbench.tracing.image.edge_field_kernels import Room
 from xfreqbench.tracing.image.edge_side_kernels import Reflectors, Sides
 from xfreqbench.tracing.image.edges import Edge, find_edges
 from xfreqbench.tracing.image.wedge_kernels import Wedges
+from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 
@@ -34,6 +35,7 @@ class PathsToCentre:
     distance_m: Float[FloatArray, "P"]
     arrival: Float[FloatArray, "P 3"]
     interactions: Int[NDArray[np.int64], "P D"]
+    surfaces: Int[NDArray[np.int64], "P D"]
     vertices_m: Float[FloatArray, "P D 3"]
 
     def merged(self, other: PathsToCentre) -> PathsToCentre:
@@ -70,7 +72,10 @@ class Diffraction:
         settings: TraceSettings,
         shortcuts: Shortcuts,
     ) -> None:
-        wedges = _wedges(find_edges(geometry), geometry, kind, facets)
+        edges = find_edges(geometry)
+        self._surface = geometry.surfaces_by_plane
+        self._edge_surface = np.array([geometry.facets[edge.faces[0]].surface for edge in edges], np.int64)
+        wedges = _wedges(edges, geometry, kind, facets)
         self.room = Room(facets, media, wedges, _mirrors(geometry, facets, media), aperture)
         self._max_depth, self._shortcuts = settings.max_depth, shortcuts
         can_reflect = "specular" in settings.interactions
@@ -90,7 +95,14 @@ class Diffraction:
         """All paths of one transmitter over edges to the array centre, none of them skipped."""
         limits = self._limits(np.zeros(1))
         near = self._seen_from(tx_position_m[None])
-        return PathsToCentre(*diffraction_kernels.paths(self.room, near, self._sides, limits))
+        gain, distance_m, arrival, code, met, point_m = diffraction_kernels.paths(
+            self.room, near, self._sides, limits
+        )
+        surface = np.full(met.shape, -1)
+        at_edge, at_facet = code == DIFFRACTION, (code != NO_INTERACTION) & (code != DIFFRACTION)
+        surface[at_edge] = self._edge_surface[-1 - met[at_edge]]
+        surface[at_facet] = self._surface[met[at_facet]]
+        return PathsToCentre(gain, distance_m, arrival, code, surface, point_m)
 
     def _seen_from(self, points_m: Float[FloatArray, "O 3"]) -> Sides:
         """How points that are close together see the edges."""

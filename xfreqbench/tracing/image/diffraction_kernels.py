@@ -53,7 +53,7 @@ from xfreqbench.tracing.image.kernels import (
 from xfreqbench.tracing.image.wedge_kernels import Wedges, inner
 
 Sums = tuple[F64, F64]
-CentrePaths = tuple[C128, F64, F64, I64, F64]
+CentrePaths = tuple[C128, F64, F64, I64, I64, F64]
 
 SOURCES = b"".join(
     Path(str(module.__file__)).read_bytes()
@@ -176,7 +176,7 @@ def _centre_paths(
     room: Room, near: Sides, far: Sides, limits: Limits, work: Work, out: CentrePaths, num: int
 ) -> int:
     """Write the paths to the array centre to the first rows of `out`, as many as it has; how many there are."""
-    gains, length_m, arrival, code, point = out
+    gains, length_m, arrival, code, met, point = out
     legs, ends = (work.near, work.far), (work.near_end, work.far_end)
     for e in range(room.wedges.length.shape[0]):
         for a in range(near.first[e], near.first[e + 1]):
@@ -190,7 +190,7 @@ def _centre_paths(
                 if not reach(room.facets, room.wedges, e, pair, ends, limits.max_depth - 1, legs)[0]:
                     continue
                 if num < len(length_m):
-                    list_interactions(work, pair, code[num], point[num])
+                    list_interactions(work, pair, e, code[num], met[num], point[num])
                     for f in range(gains.shape[1]):
                         gains[num, f] = gain(room, e, pair, f, work)
                     length_m[num] = length_over(room.wedges, e, _row(near.polar, a), work.far_end)
@@ -241,7 +241,8 @@ def _made_paths(digest: str) -> Callable[..., CentrePaths]:
         """Paths of one transmitter, which sees the edges over `near`, to the array centre.
 
         Returned are gains (N, F) without spreading and travel phase, lengths (N,) in metres, unit vectors from the
-        centre to where they come from (N, 3), codes of the interactions (N, D) and where they happen (N, D, 3).
+        centre to where they come from (N, 3), codes of the interactions (N, D), the facet of each, or −1 − e at edge
+        e (N, D), and where they happen (N, D, 3).
         """
         assert len(digest) > 0
         work, num, depth = new_work(room.facets, 1), 0, limits.max_depth
@@ -250,6 +251,7 @@ def _made_paths(digest: str) -> Callable[..., CentrePaths]:
                 np.zeros((num, room.aperture.wavelength_m.shape[0]), np.complex128),
                 np.zeros(num),
                 np.zeros((num, 3)),
+                np.zeros((num, depth), np.int64),
                 np.zeros((num, depth), np.int64),
                 np.full((num, depth, 3), np.nan),
             )

@@ -207,8 +207,11 @@ def change(angle: float, near: Polar, far: Polar) -> float:
 
 
 @inner
-def list_interactions(work: Work, pair: tuple[Side, Side], code: I64, point: F64) -> None:
-    """Write the interactions (D,) of the path traced last, from the first end on, and where they happen (D, 3)."""
+def list_interactions(work: Work, pair: tuple[Side, Side], e: int, code: I64, met: I64, point: F64) -> None:
+    """Write the interactions (D,) of the path traced last over edge e, from the first end on, and where they happen.
+
+    `met` (D,) gets the facet of each, and −1 − e at the edge; `point` is (D, 3).
+    """
     at = 0
     for half in range(2):
         leg, n = (work.near, pair[0].length) if half == 0 else (work.far, pair[1].length)
@@ -217,12 +220,13 @@ def list_interactions(work: Work, pair: tuple[Side, Side], code: I64, point: F64
             for i in range(leg.num_crossed[s]):
                 which = leg.num_crossed[s] - 1 - i if half == 0 else i
                 share = leg.crossed_at[s, which]
-                code[at], point[at] = REFRACTION, leg.vertex[s] + share * (leg.vertex[s + 1] - leg.vertex[s])
+                code[at], met[at] = REFRACTION, leg.crossed[s, which]
+                point[at] = leg.vertex[s] + share * (leg.vertex[s + 1] - leg.vertex[s])
                 at += 1
             turn = s if half == 0 else s + 1
             if step < n:
-                code[at], point[at] = SPECULAR, leg.vertex[turn]
+                code[at], met[at], point[at] = SPECULAR, leg.hit[turn - 1], leg.vertex[turn]
                 at += 1
         if half == 0:
-            code[at], point[at] = DIFFRACTION, leg.vertex[0]
+            code[at], met[at], point[at] = DIFFRACTION, -1 - e, leg.vertex[0]
             at += 1

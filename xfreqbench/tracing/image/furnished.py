@@ -73,7 +73,7 @@ class FurnishedTracer:
         self._media, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         is_opaque = are_opaque(self._media) | ("refraction" not in settings.interactions)
         mirrors = MirrorPlanes(geometry)
-        self._facets, self._forest = planted(geometry, mirrors, kind, is_opaque)
+        self._facets, self._forest, self._surface = planted(geometry, mirrors, kind, is_opaque)
         self._aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.unique(np.vstack([receiver_m, receiver_m + self._aperture.corner_m[0]]), axis=0)
@@ -124,15 +124,17 @@ class FurnishedTracer:
         spreading = SPEED_OF_LIGHT_M_S / self.carrier_hz[:, None] / (4 * np.pi * distance_m)
         gain = np.array([gain for _, gain, _ in reached], dtype=np.complex128).reshape(-1, len(spreading)).T
         along = [
-            interactions_along(walk.scratch, int(self._trie.length[node]), depth) for node, _, walk in reached
+            interactions_along(walk.scratch, int(self._trie.length[node]), depth, self._surface)
+            for node, _, walk in reached
         ]
         return Paths(
             carrier_hz=self.carrier_hz,
             gain=gain[np.argsort(self._order)] * spreading,
             delay_s=distance_m / SPEED_OF_LIGHT_M_S,
             arrival=-np.array([walk.scratch.direction for *_, walk in reached]).reshape(-1, 3),
-            interactions=np.array([codes for codes, _ in along], np.int64).reshape(len(along), depth),
-            vertices_m=np.array([points for _, points in along]).reshape(len(along), depth, 3),
+            interactions=np.array([codes for codes, *_ in along], np.int64).reshape(len(along), depth),
+            surfaces=np.array([met for _, met, _ in along], np.int64).reshape(len(along), depth),
+            vertices_m=np.array([points for *_, points in along]).reshape(len(along), depth, 3),
         )
 
 
@@ -206,8 +208,8 @@ def planted(
     mirrors: MirrorPlanes,
     kind: Int[IntArray, "S"],
     is_opaque: Bool[NDArray[np.bool_], "K"],
-) -> tuple[Facets, Forest]:
-    """The facets of a scene in the order of a forest's leaves, and the forest.
+) -> tuple[Facets, Forest, Int[IntArray, "Q"]]:
+    """The facets of a scene in the order of a forest's leaves, the forest, and the mesh of each facet.
 
     Planes of mirrors come first; each triangle that does not mirror has a plane of its own.
     """
@@ -247,7 +249,8 @@ def planted(
         slab=slab,
         is_opaque=is_opaque[slab],
     )
-    return facets, Forest(np.ascontiguousarray(face), is_triangle, is_opaque[slab], plane, *boxes)
+    forest = Forest(np.ascontiguousarray(face), is_triangle, is_opaque[slab], plane, *boxes)
+    return facets, forest, surface[order]
 
 
 def _duals(

@@ -43,6 +43,9 @@ MAX_INTERPOLATED_WAVELENGTHS = (
 )
 
 
+Along = tuple[Int[NDArray[np.int64], "D"], Int[NDArray[np.int64], "D"], Float[FloatArray, "D 3"]]
+
+
 @dataclass(frozen=True)
 class ImageSavings:
     """What the solver skips to be faster; each can be turned off to measure what it saves.
@@ -128,6 +131,7 @@ class ImageTracer:
         origins_m = np.vstack([receiver_m, receiver_m + aperture.corner_m[0]])  # of the widest aperture
         candidates = _images(_plane_sequences(facets, origins_m, settings), facets, receiver_m)
         self.compiled = facets, media, candidates, aperture
+        self._surface = geometry.surfaces_by_plane
         self.diffraction = None
         if "diffraction" in settings.interactions:
             self.diffraction = Diffraction(
@@ -171,7 +175,10 @@ class ImageTracer:
             gain=np.array([gain for gain, *_ in details], np.complex128).reshape(-1, len(self.carrier_hz)),
             distance_m=np.asarray(distance_m, dtype=np.float64),
             arrival=np.array([arrival for _, arrival, *_ in details]).reshape(-1, 3),
-            interactions=np.array([codes for *_, codes, _ in details], np.int64).reshape(len(found), depth),
+            interactions=np.array([codes for *_, codes, _, _ in details], np.int64).reshape(
+                len(found), depth
+            ),
+            surfaces=np.array([met for *_, met, _ in details], np.int64).reshape(len(found), depth),
             vertices_m=np.array([points for *_, points in details]).reshape(len(found), depth, 3),
         )
         if self.diffraction is not None:
@@ -183,6 +190,7 @@ class ImageTracer:
             delay_s=paths.distance_m / SPEED_OF_LIGHT_M_S,
             arrival=paths.arrival,
             interactions=paths.interactions,
+            surfaces=paths.surfaces,
             vertices_m=paths.vertices_m,
         )
 
@@ -191,18 +199,17 @@ class ImageTracer:
     ) -> tuple[
         Complex[NDArray[np.complex128], "F"],
         Float[FloatArray, "3"],
-        Int[NDArray[np.int64], "D"],
-        Float[FloatArray, "D 3"],
+        *Along,
     ]:
-        """Gain at each carrier, ascending, arrival, interactions and vertices of candidate c; it reaches the centre."""
+        """Gain at each carrier, ascending, arrival, and what candidate c, which reaches the centre, meets along it."""
         facets, media, candidates, _ = self.compiled
         path, centre = kernels.Path(*(column[c] for column in candidates)), np.zeros((1, 3))
         kernels.trace(facets, path, centre, kernels.LONE, scratch)
         gain = np.zeros(len(self.carrier_hz), dtype=np.complex128)
         for f in range(len(gain)):
             gain[f] = kernels.gains(facets, media, path, centre, f, scratch)[0]
-        codes, points = interactions_along(scratch, int(path.length), self.settings.max_depth)
-        return gain, -scratch.direction.copy(), codes, points
+        along = interactions_along(scratch, int(path.length), self.settings.max_depth, self._surface)
+        return gain, -scratch.direction.copy(), *along
 
 
 def _plane_sequences(
@@ -229,20 +236,24 @@ def _plane_sequences(
 
 
 def interactions_along(
-    scratch: kernels.Scratch, num_reflections: int, depth: int
-) -> tuple[Int[NDArray[np.int64], "D"], Float[FloatArray, "D 3"]]:
-    """Codes of a traced path's interactions, from the transmitter on, and where they happen, padded with NaN."""
-    codes, points = np.zeros(depth, dtype=np.int64), np.full((depth, 3), np.nan)
+    scratch: kernels.Scratch, num_reflections: int, depth: int, surface: Int[IntArray, "Q"]
+) -> Along:
+    """What a traced path meets from the transmitter on; `surface` is the mesh of each of the kernels' facets.
+
+    Codes of the interactions, the surfaces met, padded with −1, and where, padded with NaN.
+    """
+    codes, met, points = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
     at = 0
     for segment in range(num_reflections + 1):
         start, end = scratch.vertex[0, segment], scratch.vertex[0, segment + 1]
-        for fraction in scratch.crossed_at[segment, : scratch.num_crossed[segment]]:
-            codes[at], points[at] = REFRACTION, start + fraction * (end - start)
+        for i in range(scratch.num_crossed[segment]):
+            codes[at], met[at] = REFRACTION, surface[scratch.crossed[segment, i]]
+            points[at] = start + scratch.crossed_at[segment, i] * (end - start)
             at += 1
         if segment < num_reflections:
-            codes[at], points[at] = SPECULAR, end
+            codes[at], met[at], points[at] = SPECULAR, surface[scratch.hit[segment]], end
             at += 1
-    return codes, points
+    return codes, met, points
 
 
 def media_of(

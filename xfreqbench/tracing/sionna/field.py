@@ -138,3 +138,16 @@ def path_interactions(
     vertices_m = vertices_m.astype(np.float64)
     vertices_m[interactions == NO_INTERACTION] = np.nan
     return interactions, vertices_m
+
+
+def surfaces_met(
+    radio_scene: RadioScene, buffer: Any, interactions: Int[NDArray[np.int64], "P D"]
+) -> Int[NDArray[np.int64], "P D"]:
+    """Index of the mesh that each path of a buffer meets at each interaction, −1 where there is none."""
+    if not radio_scene.meshes:
+        return np.full(interactions.shape, -1)
+    pointer = radio_scene.shape_pointer
+    mesh = np.full(int(pointer.max()) + 2, -1)
+    mesh[pointer] = np.arange(len(pointer))
+    shape = buffer.shapes.numpy().reshape(interactions.shape)
+    return mesh[np.where(interactions == NO_INTERACTION, len(mesh) - 1, shape)]

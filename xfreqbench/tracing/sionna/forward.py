@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import Paths
-from xfreqbench.tracing.sionna.field import Field, path_interactions, with_travel_phase
+from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
 from xfreqbench.tracing.tracer import MAX_DIFFUSE_PATHS, Channel, TraceSettings
 from xfreqbench.types import FloatArray
@@ -78,6 +78,7 @@ class ForwardRays:
             delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
             arrival=_arrivals(vertices_m, tx[0], centre[0])[order],
             interactions=interactions[order],
+            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
             vertices_m=vertices_m[order],
         )
 

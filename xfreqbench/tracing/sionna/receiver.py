@@ -20,7 +20,7 @@ from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
 from xfreqbench.tracing.sionna.chains import Chains, IntArray, opaque_meshes, planes_of, shoot
-from xfreqbench.tracing.sionna.field import Field, path_interactions, with_travel_phase
+from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
 from xfreqbench.tracing.sionna.reach import PlaneBoxes, Reach
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f, rt
 from xfreqbench.tracing.tracer import Channel, TraceSettings
@@ -115,6 +115,7 @@ class ReceiverRays:
             delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
             arrival=arrival[order],
             interactions=interactions[order],
+            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
             vertices_m=vertices_m[order],
         )
 

@@ -1,0 +1,233 @@
+"""Paths in a data set: the variables of its group `paths`, and the paths of one sample."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.hdf5 import Variable, read_array, text_attributes
+from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.tracing.paths import (
+    DIFFRACTION,
+    DIFFUSE,
+    NO_INTERACTION,
+    REFRACTION,
+    SPECULAR,
+    RaggedPaths,
+    directions,
+    element_delays_s,
+)
+from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
+
+GROUP = "paths"
+RAGGED = tuple(field.name for field in fields(RaggedPaths) if not field.name.startswith("num_"))
+OFFSET, INTERACTION_OFFSET = f"{GROUP}/offset", f"{GROUP}/interaction_offset"
+INTERACTION_CODES = {"specular": SPECULAR, "diffuse": DIFFUSE, "refraction": REFRACTION}
+INTERACTION_CODES["diffraction"] = DIFFRACTION
+_PATH, _POINT = f"{GROUP}/path", f"{GROUP}/point"  # axes, and the variables that are their coordinates
+_CHUNK = 4096  # rows that are compressed together
+
+
+class PathTotals(NamedTuple):
+    """How many paths and interactions a data set stores, and the names of the surfaces that may be met."""
+
+    num_paths: int
+    num_points: int
+    surface_names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, parts: Iterable[RaggedPaths], surface_names: tuple[str, ...]) -> PathTotals:
+        """The totals of paths that are stored one part after another."""
+        sizes = np.array([(len(part.delay_s), len(part.interaction)) for part in parts]).reshape(-1, 2)
+        num_paths, num_points = sizes.sum(axis=0).tolist()
+        return cls(num_paths, num_points, surface_names)
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Texts of the group: the names of the surfaces in the order of their indices, and the interactions' codes."""
+        codes = json.dumps(INTERACTION_CODES, sort_keys=True)
+        return {"surfaces_json": json.dumps(self.surface_names), "interaction_codes_json": codes}
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseResponse:
+    """The channel of a sample as P paths to each of M array elements, in complex baseband about its carrier.
+
+    h_m(t) = Σ_p gain[p, m]·δ(t − delay_s[p, m]). `gain` holds exp(−j2πf·delay), f the carrier, so that the sum over
+    paths is the channel at the carrier (Eq. 1). Delays are travel times to each element, in seconds.
+    """
+
+    carrier_hz: float
+    delay_s: Float[FloatArray, "P M"]
+    gain: Complex[NDArray[np.complex128], "P M"]
+
+    def cfr(self, offset_hz: Float[FloatArray, "K"]) -> Complex[NDArray[np.complex128], "K M"]:
+        """Channel at K frequencies, given as offsets from the carrier: Σ_p gain·exp(−j2π·offset·delay)."""
+        response = [
+            np.exp(-2j * np.pi * np.outer(offset_hz, delay)) @ gain
+            for delay, gain in zip(self.delay_s.T, self.gain.T, strict=True)
+        ]
+        return np.stack(response, axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SamplePaths:
+    """The P paths from one transmitter to the array centre at one carrier, the earliest first.
+
+    `gain` is the complex amplitude at the array centre, received over transmitted: antennas, interactions and
+    spreading (λ/4πd) are in it, and the travel phase is **not**: the channel at the centre is
+    Σ gain·exp(−j2πf·delay_s), time running as exp(+j2πft). Delays are travel times to the centre, in seconds.
+
+    Azimuths (from +x towards +y, in (−π, π]) and elevations (above the xy plane) are in radians and in **world**
+    axes: of the direction from the receiver to where the path comes from (arrival), and of the direction from the
+    transmitter in which it leaves (departure). `arrival` and `departure` are the same as unit vectors.
+
+    The interactions of a path, D at most, are in order from the transmitter: `interactions` are their codes, padded
+    with 0 (1 specular, 2 diffuse, 4 refraction, 8 diffraction, as in Sionna RT), `surfaces` the index of each surface
+    that is met in `surface_names`, padded with −1, and `vertices_m` where it is met in the world, padded with NaN.
+    """
+
+    carrier_hz: float
+    gain: Complex[NDArray[np.complex128], "P"]
+    delay_s: Float[FloatArray, "P"]
+    arrival_azimuth_rad: Float[NDArray[np.float32], "P"]
+    arrival_elevation_rad: Float[NDArray[np.float32], "P"]
+    departure_azimuth_rad: Float[NDArray[np.float32], "P"]
+    departure_elevation_rad: Float[NDArray[np.float32], "P"]
+    interactions: Int[NDArray[np.int32], "P D"]
+    surfaces: Int[NDArray[np.int32], "P D"]
+    vertices_m: Float[FloatArray, "P D 3"]
+    surface_names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.delay_s)
+
+    def __repr__(self) -> str:
+        return f"SamplePaths({len(self)} paths at {format_ghz(self.carrier_hz)})"
+
+    @property
+    def arrival(self) -> Float[FloatArray, "P 3"]:
+        """Unit vectors in world axes from the receiver towards each path's last interaction, or the transmitter."""
+        return directions(self.arrival_azimuth_rad, self.arrival_elevation_rad)
+
+    @property
+    def departure(self) -> Float[FloatArray, "P 3"]:
+        """Unit vectors in world axes from the transmitter towards each path's first interaction, or the receiver."""
+        return directions(self.departure_azimuth_rad, self.departure_elevation_rad)
+
+    def impulse_response(self, receiver: ReceiverArray) -> ImpulseResponse:
+        """The channel of every path at the elements of the array, each path as one spherical wave (`element_delays_s`).
+
+        Power and polarisation are those at the centre for all elements.
+        """
+        element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / self.carrier_hz) - receiver.position_m
+        delay_s = element_delays_s(self.delay_s, self.arrival, element_m)
+        turned = self.gain[:, None] * np.exp(-2j * np.pi * self.carrier_hz * delay_s)
+        return ImpulseResponse(self.carrier_hz, delay_s, turned)
+
+    @classmethod
+    def of(
+        cls, paths: RaggedPaths, carrier: int, carrier_hz: float, surface_names: tuple[str, ...]
+    ) -> SamplePaths:
+        """The paths of one transmitter, at the carrier of that number."""
+        count = paths.num_interactions
+        is_met = np.arange(count.max(initial=0)) < count[:, None]
+        interactions = np.full(is_met.shape, NO_INTERACTION, np.int32)
+        surfaces, vertices_m = np.full(is_met.shape, -1, np.int32), np.full((*is_met.shape, 3), np.nan)
+        interactions[is_met], surfaces[is_met] = paths.interaction, paths.surface
+        vertices_m[is_met] = paths.vertex_m
+        return cls(
+            carrier_hz,
+            paths.gain[:, carrier].astype(np.complex128),
+            paths.delay_s,
+            paths.arrival_azimuth_rad,
+            paths.arrival_elevation_rad,
+            paths.departure_azimuth_rad,
+            paths.departure_elevation_rad,
+            interactions,
+            surfaces,
+            vertices_m,
+            surface_names,
+        )
+
+
+def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[Variable]:
+    """The variables of the group, in the order of the file; all but the offsets of transmitters are compressed."""
+    P, N = totals.num_paths, totals.num_points
+    away = "from the receiver to where the path comes from, world axes"
+    ahead = "in which the path leaves the transmitter, world axes"
+    of_paths: list[tuple[str, str, tuple[str, ...], str, str]] = [
+        ("gain", "<c8", (_PATH, "carrier_hz"), "1", "gain at the array centre, without travel phase"),
+        ("delay_s", "<f8", (_PATH,), "s", "travel time to the array centre"),
+        ("arrival_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {away}"),
+        ("arrival_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {away}"),
+        ("departure_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {ahead}"),
+        ("departure_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {ahead}"),
+        ("interaction", "u1", (_POINT,), "1", "code of an interaction, in order from the transmitter"),
+        ("surface", "<i4", (_POINT,), "1", "surface that is met, by its place in surfaces_json"),
+        ("vertex_m", "<f4", (_POINT, "axis"), "m", "where it is met in the world"),
+    ]
+    size = {_PATH: P, _POINT: N, "carrier_hz": num_carriers, "axis": 3}
+    first_path = "first path of each transmitter, then the number of all paths"
+    first_point = "first interaction of each path, then the number of all interactions"
+    return [
+        Variable(OFFSET, "<i8", (num_tx + 1,), (OFFSET,), "1", first_path),
+        _rows(INTERACTION_OFFSET, "<i8", (P + 1,), (INTERACTION_OFFSET,), "1", first_point),
+        _rows(_PATH, "<i8", (P,), (_PATH,), "1", "path index"),
+        _rows(_POINT, "<i8", (N,), (_POINT,), "1", "interaction index"),
+        *(
+            _rows(f"{GROUP}/{name}", dtype, tuple(size[axis] for axis in axes), axes, units, long_name)
+            for name, dtype, axes, units, long_name in of_paths
+        ),
+    ]
+
+
+def _rows(
+    name: str, dtype: str, shape: tuple[int, ...], axes: tuple[str, ...], units: str, long_name: str
+) -> Variable:
+    chunk = (min(_CHUNK, shape[0]), *shape[1:]) if shape[0] else None
+    return Variable(name, dtype, shape, axes, units, long_name, chunk, compressed=chunk is not None)
+
+
+def stored_totals(file: Any) -> PathTotals:
+    """What an open data set stores; raises `ValueError` or another error of reading where it is damaged."""
+    names = json.loads(text_attributes(file[GROUP])["surfaces_json"])
+    return PathTotals(file[_PATH].shape[0], file[_POINT].shape[0], tuple(map(str, names)))
+
+
+def stored_offsets(file: Any, num_paths: int) -> Int[IntArray, "T1"]:
+    """First path of each transmitter, then the number of all paths; raises `ValueError` where they do not ascend."""
+    offset = read_array(file, OFFSET)
+    _require_ascending(OFFSET, offset, 0, num_paths)
+    return offset
+
+
+def read_transmitter(file: Any, totals: PathTotals, start: int, stop: int) -> RaggedPaths:
+    """Paths `start` to `stop` of an open data set, those of one transmitter; raises `ValueError` for nonsense."""
+    offset = file[INTERACTION_OFFSET][start : stop + 1]
+    first, last = int(offset[0]), int(offset[-1])
+    _require_ascending(INTERACTION_OFFSET, offset, max(0, first), min(last, totals.num_points))
+    values = {}
+    for name in RAGGED:
+        is_of_points = name in ("interaction", "surface", "vertex_m")
+        values[name] = file[f"{GROUP}/{name}"][slice(first, last) if is_of_points else slice(start, stop)]
+        if not np.isfinite(values[name]).all():
+            raise ValueError(f"dataset '{GROUP}/{name}' holds numbers that are not finite")
+    surface = values["surface"]
+    if ((surface < 0) | (surface >= len(totals.surface_names))).any():
+        raise ValueError(f"dataset '{GROUP}/surface' names surfaces that are not there")
+    if not np.isin(values["interaction"], list(INTERACTION_CODES.values())).all():
+        raise ValueError(f"dataset '{GROUP}/interaction' holds codes that stand for no interaction")
+    return RaggedPaths(np.array([stop - start]), num_interactions=np.diff(offset), **values)
+
+
+def _require_ascending(name: str, offset: IntArray, first: int, last: int) -> None:
+    if offset[0] != first or offset[-1] != last or (np.diff(offset) < 0).any():
+        raise ValueError(f"dataset {name!r} holds offsets that do not ascend from {first} to {last}")
