@@ -32,6 +32,7 @@ from xfreqbench.data.hdf5 import (
 from xfreqbench.data.paths import (
     GROUP,
     OFFSET,
+    ImpulseResponse,
     SamplePaths,
     path_variables,
     read_transmitter,
@@ -244,6 +245,19 @@ class PasDataset:
             return SamplePaths.of(
                 stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names
             )
+
+    def cir(self, sample: int | np.integer) -> ImpulseResponse:
+        """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""
+        return self.paths(sample).impulse_response(self.header.receiver)
+
+    def cfr_at(
+        self, sample: int | np.integer, offset_hz: Sequence[float] | Float[FloatArray, "K"]
+    ) -> Complex[NDArray[np.complex128], "K M"]:
+        """Channel of a sample at K frequencies about its carrier, from its paths, whose gains stay as at the carrier.
+
+        Raises as `paths` does, and `DataError` for offsets that are no numbers, or that reach as far as the carrier.
+        """
+        return self.cir(sample).cfr(np.asarray(offset_hz, dtype=np.float64))
 
     def batches(self, size: int) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
         """The numbers of all samples and their maps, `size` at a time."""

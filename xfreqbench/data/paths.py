@@ -12,6 +12,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import Variable, read_array, text_attributes
+from xfreqbench.errors import DataError
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import (
     DIFFRACTION,
@@ -69,7 +70,15 @@ class ImpulseResponse:
     gain: Complex[NDArray[np.complex128], "P M"]
 
     def cfr(self, offset_hz: Float[FloatArray, "K"]) -> Complex[NDArray[np.complex128], "K M"]:
-        """Channel at K frequencies, given as offsets from the carrier: Σ_p gain·exp(−j2π·offset·delay)."""
+        """Channel at K frequencies, given as offsets from the carrier: Σ_p gain·exp(−j2π·offset·delay).
+
+        Raises `DataError` for offsets that are no numbers, or that reach as far as the carrier.
+        """
+        if not (np.abs(offset_hz) < self.carrier_hz).all():
+            raise DataError(
+                f"Frequencies are given as offsets from the carrier, {format_ghz(self.carrier_hz)}, which is 0 itself, "
+                f"but got {offset_hz.tolist()} Hz. Give offsets within the band of the channel."
+            )
         response = [
             np.exp(-2j * np.pi * np.outer(offset_hz, delay)) @ gain
             for delay, gain in zip(self.delay_s.T, self.gain.T, strict=True)
