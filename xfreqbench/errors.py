@@ -1,6 +1,7 @@
 """All errors that a user can do something about, as one tree.
 
 XFreqBenchError            any of these; its message says what was given, what is allowed and what to do
+├── ArgumentError          a function of Python is given what it cannot use; a `TypeError` too
 ├── UnknownNameError       there is no scene, method, material, option or protocol of that name
 ├── SceneError             a scene file cannot be read, or describes no valid scene
 │   ├── MaterialBandError  a carrier is outside the band in which a material of the scene is defined
@@ -24,6 +25,10 @@ from typing import Any
 
 class XFreqBenchError(Exception):
     """Something a user can do something about; the message says what was given, what is allowed and what to do."""
+
+
+class ArgumentError(XFreqBenchError, TypeError):
+    """A function is given an argument that it cannot use."""
 
 
 def was_interrupted(error: BaseException | None) -> bool:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import PositiveInt, TypeAdapter, ValidationError
 
 from xfreqbench.data.hdf5 import (
     Variable,
@@ -39,17 +39,18 @@ from xfreqbench.data.paths import (
     stored_offsets,
     stored_totals,
 )
+from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import require_own
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list
 
-Rows = slice | Sequence[int] | NDArray[Any]  # of numbers, or a mask
 TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _ITERATED_MAPS = 64  # read at once: 8 MB
 _SHOWN_CARRIERS = 12
@@ -212,9 +213,12 @@ class PasDataset:
             )
         return self._samples("cfr")
 
-    def pas(self, rows: Rows = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
-        """Maps of some samples, with peak 1; raises `DataError`. A map takes 130 kB of memory: see `batches`."""
-        rows = self._checked(rows)
+    def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
+        """Maps of some samples, with peak 1; one number gives (1, E, A). Raises `DataError` and `IndexError`.
+
+        A map takes 130 kB of memory: see `batches`.
+        """
+        rows = chosen_rows(rows, len(self))
         if not self.header.maps:
             return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
         asked = self.rows[rows].tolist()
@@ -225,12 +229,13 @@ class PasDataset:
                 maps[index] = stored[divmod(row, self.num_carriers)]
         return maps
 
-    def paths(self, sample: int | np.integer) -> SamplePaths:
+    @checked
+    def paths(self, sample: int) -> SamplePaths:
         """The paths of a sample to the array centre, by its number; negative ones count from the end.
 
         Raises `IndexError`, and `DataError` where no paths are stored, as without `generate --paths`, or are damaged.
         """
-        (row,) = self.subset([int(sample)]).rows
+        (row,) = self.subset(sample).rows
         tx, carrier = divmod(int(row), self.num_carriers)
         if OFFSET not in self.tables:
             raise DataError(
@@ -246,12 +251,12 @@ class PasDataset:
                 stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names
             )
 
-    def cir(self, sample: int | np.integer) -> ImpulseResponse:
+    def cir(self, sample: int) -> ImpulseResponse:
         """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""
         return self.paths(sample).impulse_response(self.header.receiver)
 
     def cfr_at(
-        self, sample: int | np.integer, offset_hz: Sequence[float] | Float[FloatArray, "K"]
+        self, sample: int, offset_hz: Sequence[float] | Float[FloatArray, "K"]
     ) -> Complex[NDArray[np.complex128], "K M"]:
         """Channel of a sample at K frequencies about its carrier, from its paths, whose gains stay as at the carrier.
 
@@ -259,7 +264,8 @@ class PasDataset:
         """
         return self.cir(sample).cfr(np.asarray(offset_hz, dtype=np.float64))
 
-    def batches(self, size: int) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
+    @checked
+    def batches(self, size: PositiveInt) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
         """The numbers of all samples and their maps, `size` at a time."""
         for start in range(0, len(self), size):
             rows = np.arange(start, min(start + size, len(self)))
@@ -278,9 +284,9 @@ class PasDataset:
             f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench"
         )
 
-    def subset(self, rows: Rows) -> PasDataset:
+    def subset(self, rows: Rows | int) -> PasDataset:
         """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
-        return replace(self, rows=self.rows[self._checked(rows)])
+        return replace(self, rows=self.rows[chosen_rows(rows, len(self))])
 
     def isolated(self) -> PasDataset:
         """The same samples, with the channels of all others set to zero: what a method is given to train on.
@@ -295,31 +301,13 @@ class PasDataset:
             tables[name] = kept.reshape(tables[name].shape)
         return replace(self, tables=tables)
 
-    def _checked(self, rows: Rows) -> slice | NDArray[Any]:
-        """Numbers of samples, or a mask of all; raises `IndexError` that says what there is."""
-        if isinstance(rows, slice):
-            return rows
-        numbers = np.asarray(rows) if len(rows) else np.zeros(0, np.int64)
-        is_mask = numbers.dtype == bool and numbers.shape == (len(self),)
-        if is_mask or not numbers.size:
-            return numbers
-        if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
-            raise IndexError(
-                f"Samples are chosen by whole numbers of shape (n,), or by a mask of shape ({len(self)},), but got "
-                f"{numbers.dtype} of shape {numbers.shape}."
-            )
-        beyond = numbers[(numbers < -len(self)) | (numbers >= len(self))]
-        if beyond.size:
-            there = f"samples 0 to {len(self) - 1}" if len(self) else "no samples"
-            raise IndexError(f"There are {there}, but {beyond[0]} is asked for.")
-        return numbers
-
     def _samples(self, name: str) -> NDArray[Any]:
         table = self.tables[name]
         return table.reshape(-1, *table.shape[2:])[self.rows]
 
 
-def open_dataset(path: str | Path) -> PasDataset:
+@checked
+def open_dataset(path: FilePath) -> PasDataset:
     """All samples of a data set; raises `DataError` for a file that is missing, damaged or no data set."""
     path = Path(path)
     with open_sealed(path, SCHEMA) as file:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from pydantic import InstanceOf
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
 from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
@@ -22,6 +21,7 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system.arguments import FilePath, Numbers, Positions, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
@@ -29,21 +29,22 @@ from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_
 from xfreqbench.tracing.solvers import interactions_named, make_tracer
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
+from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 NUM_RETRACED = 4  # samples of every data set that are traced again before it gets its name
 
 
+@checked
 def generate(
-    scene: str | Path | Scene,
-    output: str | Path,
-    freqs_ghz: Sequence[float] = PAPER_CARRIERS_GHZ,
+    scene: FilePath | InstanceOf[Scene],
+    output: FilePath,
+    freqs_ghz: Numbers = PAPER_CARRIERS_GHZ,
     *,
     tx: int | None = None,
-    tx_positions: Float[FloatArray, "T 3"] | None = None,
+    tx_positions: Positions | None = None,
     solver: SolverName = "auto",
-    interactions: Sequence[str] = ("specular", "refraction"),
+    interactions: Texts = ("specular", "refraction"),
     rays: int = 500_000,
     max_depth: int = 6,
     seed: int = 1,
@@ -51,7 +52,7 @@ def generate(
     materials: MaterialPolicy = "error",
     maps: bool = True,
     paths: bool = False,
-    executor: str = SERIAL,
+    executor: Word = SERIAL,
     progress: bool = False,
 ) -> PasDataset:
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.

@@ -29,10 +29,12 @@ from typing import Literal, TypeVar
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy.typing import NDArray
+from pydantic import InstanceOf
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.system.arguments import Numbers, checked
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
 
@@ -123,10 +125,11 @@ PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
 _BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
 _WHOLE = {"sparse": sparse_frequency, "held-out-tx": held_out_tx}
 Known = TypeVar("Known")
-Targets = Sequence[float] | Literal["all"] | None
+Targets = Literal["all"] | Numbers | None
 
 
-def make_splits(dataset: PasDataset, protocol: str, targets_hz: Targets = None) -> list[Split]:
+@checked
+def make_splits(dataset: InstanceOf[PasDataset], protocol: str, targets_hz: Targets = None) -> list[Split]:
     """The splits of a protocol, which is one of `PROTOCOLS`; raises `UnknownNameError` and `ProtocolError`.
 
     `targets_hz` are the tested carriers of `lofo` and `lofo-unseen-tx` in hertz: the paper's if None, and every

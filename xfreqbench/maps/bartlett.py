@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
-from xfreqbench.errors import UnknownNameError
+from xfreqbench.errors import ArgumentError, UnknownNameError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import steering_vector
 from xfreqbench.system.machine import one_blas_thread
@@ -70,8 +70,18 @@ class BartlettBeam:
 
         `power` is P/max P with P(d) = |a(d)ᴴ h|²/M² (Eqs. 2–3), and `amplitude` its square root; the peak power of
         both is max P, as a share of the transmitted power. `phase-only` is the power map of h_n/|h_n|, and its
-        peak a pure number. A channel of zeros gives a map of zeros with peak 0, never NaN.
+        peak a pure number. A channel of zeros gives a map of zeros with peak 0, never NaN. Raises `ArgumentError` for
+        channels of another shape, and `UnknownNameError`.
         """
+        cfr, kind, num_elements = (
+            np.asarray(cfr),
+            pas_kind_named(kind),
+            len(self.element_position_wavelengths),
+        )
+        if cfr.ndim != 2 or cfr.shape[1] != num_elements:
+            raise ArgumentError(
+                f"Channels of shape (B, {num_elements}) become maps, but these have shape {cfr.shape}."
+            )
         if kind == "phase-only":
             cfr = _divide_or_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32

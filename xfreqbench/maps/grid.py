@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.errors import ArgumentError
 from xfreqbench.types import FloatArray
 
 
@@ -28,6 +29,17 @@ class AngularGrid:
 
     elevation_rad: Float[FloatArray, "E"]
     azimuth_rad: Float[FloatArray, "A"]
+
+    def __post_init__(self) -> None:
+        """Angles may be given as lists; raises `ArgumentError` for what is no list of numbers."""
+        for name in ("elevation_rad", "azimuth_rad"):
+            try:
+                angles = np.asarray(getattr(self, name), np.float64)
+            except (TypeError, ValueError):
+                angles = np.zeros(())
+            if angles.ndim != 1:
+                raise ArgumentError(f"A grid's {name} is a list of angles, but got {getattr(self, name)!r}.")
+            object.__setattr__(self, name, angles)
 
     @classmethod
     def hemisphere(cls, num_elevations: int = 90, num_azimuths: int = 360) -> AngularGrid:

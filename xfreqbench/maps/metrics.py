@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity as _untyped_structural_similarity
 
+from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import PasKind, power_of
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.types import FloatArray
@@ -43,10 +45,31 @@ class Metric:
     takes_power: bool = False  # maps of another kind are converted first
 
 
+def _of_maps(score: ScoreFunction) -> ScoreFunction:
+    """The score, which raises `ArgumentError` for maps that are not three-dimensional, of one shape and on the grid."""
+
+    @wraps(score)
+    def checked_score(predicted: Maps, truth: Maps, grid: AngularGrid) -> FloatArray:
+        predicted, truth = np.asarray(predicted), np.asarray(truth)
+        if predicted.shape != truth.shape or truth.shape[1:] != grid.shape:
+            raise ArgumentError(
+                f"{score.__name__} compares maps of shape (N, {', '.join(map(str, grid.shape))}) on this grid, but "
+                f"predicted has shape {predicted.shape} and truth {truth.shape}."
+            )
+        return score(predicted, truth, grid)
+
+    return checked_score
+
+
+@_of_maps
 def ssim(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:
     """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1."""
+    return _ssim(predicted, truth)
+
+
+def _ssim(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"]) -> Float[FloatArray, "N"]:
     scores = [
         float(structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0))
         for pair in zip(predicted, truth, strict=True)
@@ -54,15 +77,17 @@ def ssim(
     return np.array(scores, dtype=np.float64)
 
 
+@_of_maps
 def ssim_wrapped(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:
     """`ssim` with the azimuth periodic, which does not change when the scene is turned about the pole."""
     margin = SSIM_WINDOW // 2  # scikit-image crops it again, so that every column counts once
     padding = ((0, 0), (0, 0), (margin, margin))
-    return ssim(np.pad(predicted, padding, mode="wrap"), np.pad(truth, padding, mode="wrap"), grid)
+    return _ssim(np.pad(predicted, padding, mode="wrap"), np.pad(truth, padding, mode="wrap"))
 
 
+@_of_maps
 def psnr(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:
@@ -72,6 +97,7 @@ def psnr(
         return -10 * np.log10((error**2).mean(axis=(1, 2)))
 
 
+@_of_maps
 def power_error(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:
@@ -84,6 +110,7 @@ def power_error(
     return (error_db * strong).sum(axis=(1, 2)) / strong.sum(axis=(1, 2))
 
 
+@_of_maps
 def aoa_error(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:
@@ -98,6 +125,7 @@ def aoa_error(
     return np.where(_is_flat(truth), 0.0, np.where(_is_flat(predicted), 180.0, angle_deg))
 
 
+@_of_maps
 def beam_loss(
     predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
 ) -> Float[FloatArray, "N"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import chdir
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +22,7 @@ from xfreqbench.methods.contract import Budget, Method, Progress
 from xfreqbench.methods.fitting import checked_num_parameters, fit_within, predict_checked
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method
+from xfreqbench.system.arguments import Texts, checked
 from xfreqbench.types import IntArray
 from xfreqbench.units import ghz_to_hz
 
@@ -59,7 +60,8 @@ class CheckResult:
         return f"{'warn  ' if self.is_warning else 'FAULT '} {self.requirement}: {self.fault}"
 
 
-def check_method(name: str, overrides: Iterable[str] = ()) -> list[CheckResult]:
+@checked
+def check_method(name: str, overrides: Texts = ()) -> list[CheckResult]:
     """Check a method, given by name or as `package.module:Class`; returns a result for each requirement.
 
     The checks construct, fit, predict and save, in this order, and end early for a method that cannot be

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import MethodError
+from xfreqbench.errors import ArgumentError, MethodError
 from xfreqbench.types import FloatArray
 
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
@@ -29,6 +30,15 @@ class Budget:
 
     max_steps: Annotated[int, Field(gt=0, lt=2**63)] | None = None
     max_seconds: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+
+    def __post_init__(self) -> None:
+        """Raises `ArgumentError` for a limit that is no number above 0."""
+        for name, limit in vars(self).items():
+            if limit is not None and not (isinstance(limit, int | float) and 0 < limit < inf):
+                raise ArgumentError(
+                    f"A budget's {name} is a number above 0 or None, but got {limit!r}. `xfreqbench.run` takes texts "
+                    "such as '5m' in place of a budget."
+                )
 
     def share(self, step: int, seconds: float) -> float:
         """The part of the limit that is spent, 1 at its end; of two limits the one that is nearer, 0 without any."""

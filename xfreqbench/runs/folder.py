@@ -16,6 +16,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
+from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import exclusive, require_regular, require_space, storage_errors
 
 _RECORDS, _PREDICTIONS, _CHECKPOINTS = "records.jsonl", "predictions", "checkpoints"
@@ -119,7 +120,8 @@ class ResultsFolder:
         return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def read_records(results: Path | str) -> tuple[RunRecord, ...]:
+@checked
+def read_records(results: FilePath) -> tuple[RunRecord, ...]:
     """The records of all runs in a results folder, or in one file of records; none where there is no such file.
 
     Raises `DataError` naming file and line for a line that is no record.

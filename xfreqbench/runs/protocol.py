@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import InstanceOf
+
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import Targets, make_splits
 from xfreqbench.errors import XFreqBenchError
@@ -16,11 +18,12 @@ from xfreqbench.runs.on_workers import run_on
 from xfreqbench.runs.progress import run_bars
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.run import run_jobs
+from xfreqbench.system.arguments import FilePath, Numbers, Texts, WholeNumbers, Word, checked
 from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.workers import SERIAL, open_workers
 from xfreqbench.units import ghz_to_hz
 
-Options = Sequence[str] | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
+Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 
 
 def protocol_jobs(
@@ -45,17 +48,18 @@ def protocol_jobs(
     ]
 
 
+@checked
 def run(
-    data: str | Path | PasDataset,
-    methods: str | Sequence[str] | Mapping[str, Options] = "all",
+    data: FilePath | InstanceOf[PasDataset],
+    methods: Texts | Mapping[str, Options] = ("all",),
     protocol: str = "lofo",
-    results: str | Path = "results",
+    results: FilePath = "results",
     *,
-    targets_ghz: Sequence[float] | Literal["all"] | None = None,
-    seeds: Sequence[int] = (0,),
+    targets_ghz: Literal["all"] | Numbers | None = None,
+    seeds: WholeNumbers = (0,),
     budget: str | Budget | None = "5m",
     device: Literal["cpu", "cuda"] = "cpu",
-    executor: str = SERIAL,
+    executor: Word = SERIAL,
     progress: bool = False,
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
@@ -71,10 +75,9 @@ def run(
     killed goes on from its last checkpoint. Raises `XFreqBenchError`, before the first fit where that is possible;
     runs that were finished before it are kept.
     """
-    if isinstance(methods, str):
-        methods = method_names() if methods == "all" else [methods]
-    options = methods if isinstance(methods, Mapping) else dict.fromkeys(methods, ())
-    overrides = {name: (*_texts(given), *device_option(name, device)) for name, given in options.items()}
+    if not isinstance(methods, Mapping):
+        methods = dict.fromkeys(method_names() if list(methods) == ["all"] else methods, ())
+    overrides = {name: (*_texts(given), *device_option(name, device)) for name, given in methods.items()}
     targets_hz = targets_ghz if isinstance(targets_ghz, str | None) else list(map(ghz_to_hz, targets_ghz))
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
     jobs = protocol_jobs(_path_of(data), overrides, protocol, targets_hz, seeds, limit)

@@ -24,6 +24,7 @@ from xfreqbench.scene.array import (
     rotation_quaternion,
 )
 from xfreqbench.scene.materials import Material, SceneMaterial, Thickness, material_bands
+from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
@@ -293,7 +294,8 @@ def _shipped_files() -> Iterator[Path]:
     return iter(sorted(folder.glob("*.toml")))
 
 
-def load_scene(name_or_path: str | Path) -> Scene:
+@checked
+def load_scene(name_or_path: FilePath) -> Scene:
     """Read a shipped scene by name, or any scene by the path of its TOML file, which ends in `.toml`.
 
     Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
@@ -315,6 +317,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
         raise SceneError(f"{path}: {error}") from error
 
 
+@checked
 def parse_scene(text: str, folder: Path = Path()) -> Scene:
     """Scene from TOML text. Relative paths of meshes start at `folder`. Raises `SceneError`."""
     try:

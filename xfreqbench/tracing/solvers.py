@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import cast, get_args
+
+from pydantic import InstanceOf
 
 from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
+from xfreqbench.system.arguments import Numbers, checked
 from xfreqbench.tracing.tracer import (
     INTERACTIONS,
     MAX_DEPTH,
@@ -80,17 +83,19 @@ def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings
     return replace(settings, solver="image" if can_solve(geometry, settings) else "sionna")
 
 
+@checked
 def make_tracer(
-    scene: Scene,
-    carrier_hz: Sequence[float],
+    scene: InstanceOf[Scene],
+    carrier_hz: Numbers,
     settings: TraceSettings = TraceSettings(),
-    geometry: Geometry | None = None,
+    geometry: InstanceOf[Geometry] | None = None,
 ) -> Tracer:
     """Load a scene into the solver that `settings` names, and shoot its rays.
 
     `auto` is the solver that `resolve_solver` names. `geometry` is that of the scene, where it is known already;
     else it is built here. Raises `SceneError`, of which `MaterialBandError` is one.
     """
+    check_settings(settings)
     geometry = geometry or Geometry(surface_meshes(scene))
     if settings.solver == "auto":
         settings = resolve_solver(geometry, settings)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
 from typing import Any
 
-from xfreqbench.errors import XFreqBenchError
+from pydantic import InstanceOf
+
+from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.drawing.templates import render
 from xfreqbench.report.leaderboard.boards import BoardRow, boards
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
@@ -16,6 +19,7 @@ from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.runs.records import RunRecord
+from xfreqbench.system.arguments import FilePath, checked
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,11 +58,16 @@ class Leaderboard:
         return [each for board in boards(self.records) for each in comparisons_of(board)]
 
 
-def leaderboard(results: str | Path = "results") -> Leaderboard:
-    """The leaderboard of a results folder, or of one file of records, to be shown.
+@checked
+def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] = "results") -> Leaderboard:
+    """The leaderboard of a results folder, of one file of records, or of records that `run` returned, to be shown.
 
     Raises `DataError` where there are no records, or one cannot be read.
     """
+    if not isinstance(results, str | Path):
+        if not results:
+            raise DataError("A leaderboard has records, but none are given.")
+        return Leaderboard(tuple(results))
     return Leaderboard(read_results(Path(results)).records)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry, PlanarFacet, group_by_plane, planar_facets
 from xfreqbench.scene.meshes import surface_meshes, triangle_corners_m
 from xfreqbench.scene.model import Scene
+from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image import furnished_kernels
 from xfreqbench.tracing.image.forest import Forest, plant
 from xfreqbench.tracing.image.kernels import Facets
@@ -95,7 +96,8 @@ class FurnishedTracer:
         parent[0] = plane[0] = -1
         return parent, plane
 
-    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+    @checked
+    def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
         real, imag, num_paths = furnished_kernels.channels(
             self._facets,
@@ -112,7 +114,8 @@ class FurnishedTracer:
         original = np.argsort(self._order)
         return Channel(cfr[:, original], num_paths[:, original])
 
-    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+    @checked
+    def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
         tx, depth = np.asarray(tx_position_m, dtype=np.float64), self.settings.max_depth
         reached = furnished_kernels.reaching(self._facets, self._forest, self._media, self._trie, tx, depth)

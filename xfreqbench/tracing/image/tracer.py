@@ -24,6 +24,7 @@ from xfreqbench.scene.facets import Geometry, PlanarFacet
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image import kernels
 from xfreqbench.tracing.image.diffraction import Diffraction, PathsToCentre, Shortcuts
 from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
@@ -145,7 +146,8 @@ class ImageTracer:
                 Shortcuts(savings.share_visibility, savings.diffraction_planes, savings.diffraction_floor),
             )
 
-    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+    @checked
+    def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
         real, imag, num_paths = kernels.channels(
             *self.compiled,
@@ -161,7 +163,8 @@ class ImageTracer:
         original = np.argsort(self._order)
         return Channel(channel.cfr[:, original], channel.num_paths[:, original])
 
-    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+    @checked
+    def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
         tx = np.asarray(tx_position_m, dtype=np.float64)
         facets, _, candidates, _ = self.compiled

@@ -11,6 +11,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import check_dispersion
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
+from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.forward import ForwardRays
 from xfreqbench.tracing.sionna.receiver import ReceiverRays
@@ -47,10 +48,12 @@ class SionnaTracer:
         shooting = ForwardRays if ONE_WAY & set(settings.interactions) else ReceiverRays
         self._rays = shooting(RadioScene(meshes, settings.materials), scene.receiver, carriers, settings)
 
-    def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+    @checked
+    def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
         return self._rays.channel(tx_position_m)
 
-    def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
+    @checked
+    def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
         return self._rays.paths(tx_position_m)

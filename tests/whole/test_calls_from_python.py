@@ -1,0 +1,144 @@
+"""Calls as somebody would try them: each gives an answer, or an error that says what was wrong with it.
+
+They are made in an interpreter of their own, because under pytest a type checker would answer first.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from synthetic import write_dataset
+
+from xfreqbench.errors import ArgumentError, XFreqBenchError
+
+ANSWERED = {  # call: what is asked of its answer
+    "iter(data)": "next(answer).map.shape == (90, 360)",
+    "data.pas(0)": "answer.shape == (1, 90, 360)",
+    "data.pas(np.int64(-1))": "(answer[0] == data[-1].map).all()",
+    "data.subset(3)": "answer.rows.tolist() == [3]",
+    "data[[True] + [False] * 11]": "len(answer) == 1",
+    "tracer.paths([2, 1, 1])": "len(answer.delay_s) > 0",
+    "tracer.paths([[2, 1, 1]])": "len(answer.delay_s) > 0",
+    "tracer.channel([2, 1, 1])": "answer.cfr.shape == (1, 1, 16)",
+    "tracer.channel([[2, 1, 1], [3, 2, 1]])": "answer.cfr.shape == (2, 1, 16)",
+    "xb.make_tracer(scene, 24.25e9)": "answer.channel([2, 1, 1]).cfr.shape == (1, 1, 16)",
+    "xb.make_tracer(scene, np.array([1e9, 2e9]))": "answer.channel([2, 1, 1]).cfr.shape == (1, 2, 16)",
+    "xb.make_splits(data, 'lofo', 10e9)": "len(answer) == 1",
+    "xb.make_splits(data, 'lofo', np.array([10e9]))": "len(answer) == 1",
+    "xb.generate(scene, 'one.h5', 2.4, tx=2)": "len(answer) == 2",
+    "xb.generate('empty', 'two.h5', ['2.4'], tx='2', executor=1)": "len(answer) == 2",
+    "xb.generate('empty', 'three.h5', [2.4], tx_positions=[[2, 1, 1]])": "len(answer) == 1",
+    "xb.generate('empty', 'four.h5', np.array([2.4]), tx_positions=[2, 1, 1])": "len(answer) == 1",
+    "xb.run(data, 'nearest', targets_ghz=10, seeds=3, budget='1steps')": "answer[0].job.seed == 3",
+    "xb.leaderboard(xb.run(data, ['nearest'], targets_ghz='all'))": "'nearest' in str(answer)",
+    "xb.metrics.ssim(maps.tolist(), maps, data.grid)": "(answer == 1).all()",
+    "beam.maps(data.cfr[:2].tolist())": "answer[0].shape == (2, 90, 360)",
+    "xb.AngularGrid([0, 1], [0, 1, 2]).directions": "answer.shape == (2, 3, 3)",
+}
+REFUSED = {  # call: what the error says
+    "tracer.paths([2, 1])": "positions are finite numbers in metres, of shape (3,)",
+    "tracer.channel([])": "of shape (T, 3)",
+    "tracer.channel([[2, 1, float('nan')]])": "finite",
+    "xb.make_tracer('empty', [24.25e9])": "scene='empty': Input should be an instance of Scene",
+    "xb.make_tracer(scene, [])": "carrier_hz=[]: Value should have at least 1 item",
+    "xb.make_tracer(scene, [1e9], xb.TraceSettings(solver='imag'))": "Did you mean 'image'",
+    "xb.load_scene(3)": "name_or_path=3",
+    "xb.load_scene(Path('x.toml'))": "cannot be read",
+    "xb.parse_scene(Path('x.toml'))": "Input should be a valid string",
+    "xb.open_dataset(None)": "path=None: Input should be the path of a file or folder",
+    "xb.open_dataset(data)": "the path of a file",
+    "xb.generate('empty')": "generate needs output. It takes scene, output, freqs_ghz",
+    "xb.generate('empty', [2.4], 'x.h5')": "output=[2.4]: Input should be the path",
+    "xb.generate('empty', 'x.h5', 'paper')": "'paper' in freqs_ghz",
+    "xb.generate('empty', 'x.h5', [2.4], 8)": "generate takes tx by its name alone: write tx=8",
+    "xb.generate('empty', 'x.h5', [2.4], tx=2.5)": "a valid integer",
+    "xb.generate('empty', 'x.h5', [2.4], num_transmitters=8)": "takes no 'num_transmitters'. It takes scene, ",
+    "xb.generate('empty', 'x.h5', [2.4], tx_positions=[1, 2])": "finite numbers in metres",
+    "xb.generate('empty', 'x.h5', [2.4], solver='imag')": "'auto', 'image' or 'sionna'",
+    "xb.make_splits(data)": "make_splits needs protocol",
+    "xb.make_splits('data.h5', 'lofo')": "an instance of PasDataset",
+    "xb.run(None, 'nearest')": "data=None",
+    "xb.run(data, 3)": "3 in methods",
+    "xb.run(data, xb.Budget)": "methods=<class",
+    "xb.run(data, 'nearest', seeds=[-1])": "-1 in seeds: Input should be greater than or equal to 0",
+    "xb.run(data, 'nearest', seeds=[])": "at least 1 item",
+    "xb.run(data, 'nearest', budget=10)": "budget=10",
+    "xb.run(data, 'nearest', device='gpu')": "'cpu' or 'cuda'",
+    "xb.read_records(None)": "results=None",
+    "xb.leaderboard([])": "none are given",
+    "xb.leaderboard(3)": "results=3",
+    "xb.check_method(3)": "name=3: Input should be a valid string",
+    "xb.Budget('5m')": "'5m' in place of a budget",
+    "xb.Budget(max_steps=0)": "a number above 0",
+    "xb.metrics.ssim(maps[0], maps[0], data.grid)": "(N, 90, 360) on this grid, but predicted has shape (90, 360)",
+    "xb.metrics.psnr(maps[:1], maps, data.grid)": "has shape (1, 90, 360) and truth (2, 90, 360)",
+    "beam.maps(data.cfr[0])": "shape (B, 4) become maps, but these have shape (4,)",
+    "beam.maps(data.cfr, 'Power')": "Did you mean 'power'",
+    "xb.AngularGrid(1, [0])": "elevation_rad is a list of angles, but got 1",
+    "data.paths('a')": "sample='a'",
+    "data.paths(1)": "holds no paths",
+    "data.batches('a')": "size='a'",
+    "data.batches(0)": "greater than 0",
+}
+INDEXED = ("data['pas']", "data[1.5]", "data[None]", "data.pas('a')", "data[xb]", "data.torch()[99]")
+PROGRAM = """
+import json, sys
+from pathlib import Path
+import numpy as np
+import xfreqbench as xb
+
+data, scene = xb.open_dataset("data.h5"), xb.load_scene("empty")
+tracer, maps = xb.make_tracer(scene, [24.25e9]), data.pas([0, 1])
+beam = xb.BartlettBeam(data.header.receiver.element_position_wavelengths, data.grid)
+told = {}
+for call, asked in json.load(sys.stdin).items():
+    try:
+        answer = eval(call)
+        told[call] = ["answer", bool(eval(asked))]
+    except Exception as error:
+        kinds = [kind.__name__ for kind in type(error).__mro__]
+        told[call] = [kinds, str(error)]
+print(json.dumps(told))
+"""
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list]:
+    """For each call, that it was answered and how, or the kinds of its error and what that says."""
+    folder = tmp_path_factory.mktemp("calls")
+    write_dataset(folder / "data.h5")
+    calls = {**ANSWERED, **dict.fromkeys((*REFUSED, *INDEXED), "True")}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], input=json.dumps(calls), capture_output=True, text=True, cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    assert not {path.name for path in Path(folder).iterdir()} & {"x.h5", "x.h5.parts"}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("call", ANSWERED)
+def test_what_can_be_meant_is_answered(told: dict[str, list], call: str) -> None:
+    assert told[call] == ["answer", True]
+
+
+@pytest.mark.parametrize("call", REFUSED)
+def test_what_cannot_be_used_is_told_in_a_line(told: dict[str, list], call: str) -> None:
+    kinds, message = told[call]
+    assert XFreqBenchError.__name__ in kinds
+    assert REFUSED[call] in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("call", INDEXED)
+def test_samples_that_cannot_be_chosen_are_index_errors(told: dict[str, list], call: str) -> None:
+    kinds, message = told[call]
+    assert "IndexError" in kinds
+    assert "whole numbers" in message or "There are samples" in message
+
+
+def test_an_error_about_an_argument_is_what_python_calls_one() -> None:
+    assert issubclass(ArgumentError, TypeError)

@@ -1,0 +1,112 @@
+"""Arguments of public functions: what they cannot use is refused before any work, in words."""
+
+from __future__ import annotations
+
+import inspect
+import reprlib
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError, validate_call
+
+from xfreqbench.errors import ArgumentError
+from xfreqbench.types import FloatArray
+
+Taken = ParamSpec("Taken")
+Returned = TypeVar("Returned")
+_MAX_REASONS = 3
+
+
+def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
+    """The function, with arguments that are converted to the types of its parameters by Pydantic's rules.
+
+    A text is taken for a number where it is one, a whole float for an integer, and so on. What cannot be converted
+    is an `ArgumentError` that names the parameter, its type and what was given.
+    """
+
+    @wraps(function)
+    def collected(*arguments: Any, **named: Any) -> Any:
+        return arguments, named
+
+    @cache  # at the first call, when every type is defined
+    def converted() -> Callable[..., Any]:
+        return validate_call(config=ConfigDict(arbitrary_types_allowed=True))(collected)
+
+    @wraps(function)
+    def call(*arguments: Taken.args, **named: Taken.kwargs) -> Returned:
+        try:
+            arguments, named = converted()(*arguments, **named)
+        except ValidationError as error:
+            raise ArgumentError(_words(function, error)) from None
+        return function(*arguments, **named)
+
+    return call
+
+
+def _words(function: Callable[..., Any], error: ValidationError) -> str:
+    """What is wrong with the first argument that is, from one or more reasons: one for each type it might have had."""
+    names = list(inspect.signature(function).parameters)
+    faults = error.errors(include_url=False)
+    first, name = faults[0], faults[0]["loc"][0]
+    name = names[name] if isinstance(name, int) and name < len(names) else name
+    if first["type"] in ("missing_argument", "missing_keyword_only_argument"):
+        return f"{function.__name__} needs {name}. It takes {', '.join(names)}."
+    if name not in names:
+        return f"{function.__name__} takes no {name!r}. It takes {', '.join(names)}."
+    if first["type"] == "unexpected_positional_argument":
+        return f"{function.__name__} takes {name} by its name alone: write {name}={reprlib.repr(first['input'])}."
+    reasons = dict.fromkeys(
+        fault["msg"].removeprefix("Value error, ") for fault in faults if fault["loc"][0] == first["loc"][0]
+    )
+    given = reprlib.repr(first["input"]).replace("\n", " ")
+    is_within = any(isinstance(part, int) for part in first["loc"][1:])
+    what = f"{given} in {name}" if is_within else f"{name}={given}"
+    return f"{function.__name__} cannot use {what}: {'; or: '.join([*reasons][:_MAX_REASONS])}."
+
+
+def _each(given: Any) -> Any:
+    """One number or text as a list of one, an array as a list, and anything else as it is."""
+    if isinstance(given, np.ndarray | np.generic):
+        given = given.tolist()
+    return [given] if isinstance(given, int | float | str) else given
+
+
+def _array(given: Any, shape: str) -> FloatArray:
+    try:
+        found = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape[-1:] != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"positions are finite numbers in metres, of shape {shape}, as in [2.0, 1.0, 1.5]")
+    return found
+
+
+def _positions(given: Any) -> FloatArray:
+    return np.atleast_2d(_array(given, "(T, 3)"))
+
+
+def _position(given: Any) -> FloatArray:
+    return _array(given, "(3,)").reshape(3)
+
+
+def _path(given: Any) -> str | Path:
+    if isinstance(given, str | Path):
+        return given
+    raise ValueError("Input should be the path of a file or folder")
+
+
+FilePath = Annotated[str | Path, PlainValidator(_path)]
+Numbers = Annotated[
+    Sequence[Annotated[float, Field(gt=0, le=1e15)]], BeforeValidator(_each), Field(min_length=1)
+]  # carriers: one number is a list of one
+WholeNumbers = Annotated[
+    Sequence[Annotated[int, Field(ge=0, lt=2**63)]], BeforeValidator(_each), Field(min_length=1)
+]  # seeds: one number is a list of one
+Word = Annotated[str, Field(coerce_numbers_to_str=True)]  # or a number in place of its digits
+Texts = Annotated[Sequence[str], BeforeValidator(_each)]  # one text is a list of one
+Positions = Annotated[Float[FloatArray, "T 3"], PlainValidator(_positions)]  # one is a list of one
+Position = Annotated[Float[FloatArray, "3"], PlainValidator(_position)]
