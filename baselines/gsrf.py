@@ -21,10 +21,8 @@ from xfreqbench.methods.learning.training import (
     Count,
     Fraction,
     LearnedMethod,
-    Positive,
-    TrainingConfig,
 )
-from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
 from xfreqbench.methods.splatting.gaussians import RFGaussians
 
 _ATTENUATION = 0.1  # of each Gaussian at the start
@@ -32,15 +30,14 @@ _COEFFICIENT = 0.1  # standard deviation of real and imaginary parts at the star
 
 
 @dataclass(frozen=True)
-class GSRFConfig(GaussianConfig, TrainingConfig):
+class GSRFConfig(GaussianConfig, SplatTrainingConfig):
     """Options. The paper has at most 10,000 Gaussians at the start, and degree 3."""
 
     num_gaussians: Count = 512  # at most; as many as a regular grid in the box has
     max_gaussians: Count = 768
+    batch_size: Count = 64
     degree: Annotated[int, Limits(ge=0, le=8)] = 3
     degree_until: Fraction = 0.5  # share of the budget until which degrees are added one by one
-    learning_rate: Positive = 5e-3
-    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
 
 
 class FourierLegendre(nn.Module):

@@ -16,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.network import NetworkConfig
-from xfreqbench.methods.learning.targets import GridView, Targets
+from xfreqbench.methods.learning.targets import GridView, Targets, of_peak
 from xfreqbench.methods.learning.training import Count, LearnedMethod, Positive, Training, TrainingConfig
 from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.field import TracedPairs, VirtualSourceField
@@ -77,7 +77,7 @@ class VirtualSource(LearnedMethod):
         pairs = TracedPairs(
             rows.offset_m[chosen], rows.traces[chosen], rows.carrier_hz, of_tx, of_carrier, blurred_hz
         )
-        power = field.power_of(pairs, view, training.beams)
+        power = of_peak(field.power_of(pairs, view, training.beams))
         loss = self.loss_of(power, targets.maps(nth, view), training)
         return loss + self.config.sparsity * field.room.clutter()
 

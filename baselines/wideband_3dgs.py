@@ -16,8 +16,8 @@ from torch.nn.functional import relu, softplus
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
 from xfreqbench.methods.learning.network import Attributes, PairwiseMLP, Precision
-from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
-from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
 from xfreqbench.methods.splatting.gaussians import RFGaussians
 
 _HIGHEST_HZ = 94e9  # carrier that is scaled to 1 on a linear axis
@@ -26,7 +26,7 @@ _OPACITY = 0.1  # of each Gaussian at the start
 
 
 @dataclass(frozen=True)
-class Wideband3DGSConfig(GaussianConfig, TrainingConfig):
+class Wideband3DGSConfig(GaussianConfig, SplatTrainingConfig):
     """Options. The paper has 8 layers of 128 for the attenuation, 128 and 64 for the signal, and 10 octaves."""
 
     angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # of one deviation, at the start
@@ -35,8 +35,7 @@ class Wideband3DGSConfig(GaussianConfig, TrainingConfig):
     octaves: Annotated[int, Limits(ge=0)] = 4
     carrier_octaves: Annotated[int, Limits(ge=0)] = 10
     precision: Precision = "auto"
-    learning_rate: Positive = 5e-3
-    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
+    batch_size: Count = 64
 
 
 class FeatureNetwork(nn.Module):

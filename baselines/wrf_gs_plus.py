@@ -15,9 +15,9 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
 from xfreqbench.methods.learning.network import PairwiseMLP, Precision
 from xfreqbench.methods.learning.targets import Beams, GridView
-from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod
 from xfreqbench.methods.splatting.composite import composite
-from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField
+from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
 from xfreqbench.methods.splatting.footprints import bin_each, squared_distance, stacked
 from xfreqbench.methods.splatting.gaussians import RFGaussians, covariance
 from xfreqbench.methods.splatting.projection import Projection, project
@@ -27,7 +27,7 @@ _PARTS = (3, 4, 3, 2)  # of a deformation: position, quaternion, log-scale, sign
 
 
 @dataclass(frozen=True)
-class WRFGSPlusConfig(GaussianConfig, TrainingConfig):
+class WRFGSPlusConfig(GaussianConfig, SplatTrainingConfig):
     """Options. The paper has 8 layers of 256 with a skip, 10 octaves of positions and 6 of transmitters.
 
     It has tens of thousands of Gaussians.
@@ -39,9 +39,7 @@ class WRFGSPlusConfig(GaussianConfig, TrainingConfig):
     position_octaves: Annotated[int, Limits(ge=0)] = 4
     tx_octaves: Annotated[int, Limits(ge=0)] = 6
     precision: Precision = "auto"
-    batch_size: Count = 16  # each map has its own footprints
-    learning_rate: Positive = 5e-3
-    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
+    batch_size: Count = 32  # each map has its own footprints
 
 
 class DeformationNetwork(nn.Module):
@@ -96,14 +94,14 @@ class WRFGSPlusField(GaussianField):
         self.scaling.adapt(train)
         self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
 
-    def power(
+    def splatted(
         self,
         tx_position_m: Float[Tensor, "B 3"],
         carrier_hz: Float[Tensor, "B"],
         view: GridView,
         beams: Beams,
     ) -> Float[Tensor, "B E A"]:
-        """Power R_k² from each direction in view; each transmitter has its own footprints."""
+        """Power R_k² of what is accumulated from each direction in view; each transmitter has its own footprints."""
         num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
         projection, amplitude = self.deformed(tx_position_m)
         lists = bin_each(projection, num_maps, grid, self._support)

@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from xfreqbench.methods.learning.network import NetworkConfig
-from xfreqbench.methods.learning.training import ChannelField, LearnedMethod, Positive, TrainingConfig
-from xfreqbench.methods.splatting.field import SplatConfig, SplatField
+from pydantic import Field as Limits
+
+from xfreqbench.methods.learning.low_rank import LowRankConfig
+from xfreqbench.methods.learning.training import (
+    ChannelField,
+    Count,
+    Fraction,
+    LearnedMethod,
+    Positive,
+)
+from xfreqbench.methods.splatting.field import SplatConfig, SplatField, SplatTrainingConfig
 
 
 @dataclass(frozen=True)
-class XFreqGSConfig(SplatConfig, NetworkConfig, TrainingConfig):
-    """Options. Sizes are smaller than the paper's, to train on a processor in minutes."""
+class XFreqGSConfig(SplatConfig, LowRankConfig, SplatTrainingConfig):
+    """Options. Few, wide Gaussians that stand on a lattice, so that a step sees many maps."""
 
-    learning_rate: Positive = 5e-3
+    num_gaussians: Count = 128
+    densify_every: Annotated[int, Limits(ge=0)] = 0
+    move_from: Fraction = 1.0
+    position_rate: Positive = 0.4
 
 
 class XFreqGS(LearnedMethod):
-    """WideFreqNetwork and Adaptive Orthographic Splatting (Eqs. 4–12)."""
+    """WideFreqNetwork of low rank and Adaptive Orthographic Splatting within the array's band (Eqs. 4–12)."""
 
     Config = XFreqGSConfig
 

@@ -12,7 +12,7 @@ from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.training import LearnedMethod
 
 TINY = {"width": 8, "layers": 2, "num_gaussians": 30, "batch_size": 8, "stride": 15, "precision": "float32"}
-DIVIDING = {"densify_every": 4, "densify_until": 1.0, "growth": 0.3, "max_gaussians": 60}
+DIVIDING = {"densify_every": 4, "densify_until": 1.0, "growth": 0.3, "max_gaussians": 60, "move_from": 0.0}
 
 
 def trained(

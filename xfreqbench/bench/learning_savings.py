@@ -41,7 +41,7 @@ class Saving:
 
 
 def savings(train: PasDataset, settings: Sequence[str]) -> Iterator[Saving]:
-    """All savings of rendering and training, measured on and off, for settings of `xfreq-gs`."""
+    """All savings of rendering and training, measured on and off, for settings of `xfreq-gs-paper`."""
     step = Step(train, settings)
     yield compiled_kernels(step)
     yield finite_footprints(step)
@@ -147,7 +147,7 @@ def _footprints(step: Step) -> tuple[PixelLists, Float[Tensor, "P"]]:
 
 def narrow_layers(step: Step) -> Saving:
     """Hidden layers in bfloat16 where the processor multiplies it natively, against float32."""
-    mlp = step.field.network.mlp
+    mlp = step.network.mlp
     mlp.precision = "float32"
     exact, off_s = _rendered(step), least_s(lambda: _network_step(step))
     mlp.precision = "auto"
@@ -160,7 +160,7 @@ def narrow_layers(step: Step) -> Saving:
 
 def factorised_layer(step: Step) -> Saving:
     """The part of the query in the first layer computed once for all Gaussians, against all inputs of every pair."""
-    mlp = step.field.network.mlp
+    mlp = step.network.mlp
     query, gaussian, pair = _first_inputs(step)
     off_s = least_s(lambda: _mlp_step(mlp, lambda: concatenated(mlp, query, gaussian, pair)))
     on_s = least_s(lambda: _mlp_step(mlp, lambda: mlp(query, gaussian, pair)))
@@ -268,7 +268,7 @@ def _mlp_step(mlp: PairwiseMLP, outputs: Callable[[], Tensor]) -> None:
 def _first_inputs(step: Step) -> tuple[Tensor, Tensor, Tensor]:
     """Query, Gaussian and pair inputs that the field's network passes to its MLP."""
     caught: list[tuple[Any, ...]] = []
-    hook = step.field.network.mlp.register_forward_pre_hook(lambda _, inputs: caught.append(inputs))
+    hook = step.network.mlp.register_forward_pre_hook(lambda _, inputs: caught.append(inputs))
     with torch.no_grad():
         step.attributes(torch.ones(len(step.field.gaussians), dtype=torch.bool))
     hook.remove()

@@ -1,4 +1,4 @@
-"""Measures the training step of `xfreq-gs`: its time, and that of each of its parts."""
+"""Measures the training step of `xfreq-gs-paper`: its time, and that of each of its parts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.loss import map_loss
-from xfreqbench.methods.learning.network import Attributes, PairwiseMLP, is_narrow
+from xfreqbench.methods.learning.network import Attributes, PairwiseMLP, WideFreqNetwork, is_narrow
 from xfreqbench.methods.learning.targets import GridView, Targets, as_kind
 from xfreqbench.methods.learning.training import MAX_GRADIENT_NORM, LearnedMethod
 from xfreqbench.methods.registry import build_method
@@ -24,15 +24,7 @@ from xfreqbench.methods.splatting.field import SplatField, renumbered, seen_of
 from xfreqbench.methods.splatting.footprints import squared_distance
 from xfreqbench.methods.splatting.projection import Projection
 
-# the paper's width and depth, all directions, footprints of about 200 directions
-PAPER_NETWORK = (
-    "width=256",
-    "layers=6",
-    "stride=1",
-    "ssim_window=7",
-    "angular_size_deg=1.8",
-    "max_gaussians=16000",
-)
+METHOD = "xfreq-gs-paper"
 
 
 class LapTimer:
@@ -50,14 +42,16 @@ class LapTimer:
 
 
 class Step:
-    """The training step of `xfreq-gs` in parts: the calls that `SplatField.power` and the training loop make."""
+    """The training step of `xfreq-gs-paper` in parts: the calls that its field and the training loop make."""
 
     def __init__(self, train: PasDataset, settings: Sequence[str]) -> None:
-        method = build_method("xfreq-gs", settings)
+        method = build_method(METHOD, settings)
         self.config = method.config
         assert isinstance(method, LearnedMethod)
         training = method.started(train, seed=0)
         assert isinstance(training.field, SplatField)
+        assert isinstance(training.field.network, WideFreqNetwork)
+        self.network = training.field.network
         self.field, self.optimizer, self.beams = training.field, training.optimizer, training.beams
         self.kind = training.kind
         self.targets = Targets(train, self.beams)
@@ -162,13 +156,13 @@ def step_cost(train: PasDataset, settings: Sequence[str]) -> StepCost:
     parts = min((step.parts_s() for _ in range(REPEATS)), key=lambda seconds: sum(seconds.values()))
     config = step.config
     sizes = config.num_gaussians, config.batch_size, len(lists.gaussian)
-    products_s = _products_s(step.field.network.mlp, config.batch_size * int(seen_of(lists).sum()))
+    products_s = _products_s(step.network.mlp, config.batch_size * int(seen_of(lists).sum()))
     return StepCost(tuple(settings), *sizes, loop_s(train, settings), parts, products_s)
 
 
 def loop_s(train: PasDataset, settings: Sequence[str]) -> float:
     """Time of a step of `fit` in seconds, at half of the budget, where the loss has its final weights."""
-    fit = build_method("xfreq-gs", settings).fit(train, Budget(), 0)
+    fit = build_method(METHOD, settings).fit(train, Budget(), 0)
     assert isinstance(fit, Generator)
     next(fit)
     return least_s(lambda: fit.send(0.5))

@@ -69,11 +69,20 @@ VIRTUAL_SOURCE_ABLATIONS = tuple(
     )
 )
 BLIND_APERTURE = Setting("aperture-gs", ("sees_carrier=false", "latent=0"))
-ABLATIONS = (
+PAPER_ABLATIONS = (  # those that the paper has
     Setting("xfreq-gs", ("sees_carrier=false", "latent=0")),
     Setting("xfreq-gs", ("footprint=circular", "max_spread=1")),
     Setting("xfreq-gs", ("sees_carrier=false", "latent=0", "footprint=circular", "max_spread=1")),
-    BLIND_APERTURE,
+)
+ABLATIONS = (
+    *PAPER_ABLATIONS,
+    Setting("xfreq-gs", ("start=random",)),
+    Setting("xfreq-gs", ("network=pairwise", "width=64", "layers=4")),
+    Setting("xfreq-gs", ("direct_wave=false",)),
+    Setting("xfreq-gs", ("band=false",)),
+    Setting("xfreq-gs", ("transmittance=false",)),
+    Setting("xfreq-gs", ("max_spread=1",)),
+    Setting("xfreq-gs", ("sees_carrier=false",)),
 )
 BENCHES = ("generate", "plain", "render", "savings", "stress")
 _SCENES = ("office", "two_rooms")
@@ -125,7 +134,8 @@ STANDARD = Preset(
         Block("two_rooms", "held-out-tx", (VIRTUAL_SOURCE,), "1m"),
         Block("corridor", "lofo", (VIRTUAL_SOURCE,), "30s"),
         Block("corridor", "lofo", (Setting("aperture-gs"),), "30s"),
-        Block("office", "lofo", ABLATIONS, "30s", SEEDS, targets_ghz=(24.25,)),
+        Block("office", "lofo", (Setting("xfreq-gs"), *ABLATIONS), "400steps", SEEDS, targets_ghz=(24.25,)),
+        Block("office", "lofo", (BLIND_APERTURE,), "30s", SEEDS, targets_ghz=(24.25,)),
         Block("two_rooms", "lofo", LEARNED, "30s", SEEDS),
         Block("office", "lofo", LEARNED, "5m", targets_ghz=(24.25,)),
         Block("office", "sparse", LEARNED, "30s"),
@@ -149,7 +159,7 @@ FULL = Preset(
             Block(
                 scene,
                 protocol,
-                (VIRTUAL_SOURCE, *LEARNED, *NAMED, *ABLATIONS),
+                (VIRTUAL_SOURCE, *LEARNED, *NAMED, *ABLATIONS, BLIND_APERTURE),
                 "5m",
                 SEEDS,
                 _trivial(protocol, scene).targets_ghz,

@@ -71,3 +71,14 @@ def test_maps_of_zeros_have_a_finite_gradient(weight: float) -> None:
     for truth in (torch.zeros(2, *GRID.shape), smooth_maps(0, 2).float()):
         (gradient,) = torch.autograd.grad(map_loss(zeros, truth, weight, 7), zeros)
         assert bool(gradient.isfinite().all())
+
+
+def test_a_slope_costs_in_a_coarse_view_what_it_costs_in_the_score() -> None:
+    """Of two maps with other slopes, SSIM is the same on all directions in 7 × 7 as on every sixth in 2 × 2."""
+    rows, columns = torch.meshgrid(torch.arange(84.0), torch.arange(84.0), indexing="ij")
+    steep, flat = (0.5 + slope * (rows + columns - 83)[None].double() for slope in (2e-3, 1e-3))
+    whole = float(mean_ssim(steep, flat))
+    coarse = float(mean_ssim(steep[:, ::6, ::6], flat[:, ::6, ::6], 2, 6))
+    assert 0 < 1 - whole < 0.2
+    assert 1 - coarse == pytest.approx(1 - whole, rel=0.15)
+    assert 1 - float(mean_ssim(steep[:, ::6, ::6], flat[:, ::6, ::6], 2)) > 1.5 * (1 - whole)

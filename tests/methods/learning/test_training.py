@@ -22,6 +22,7 @@ from xfreqbench.baselines.aperture_gs import ApertureGS
 from xfreqbench.baselines.fixed_frequency_gs import FixedFrequencyGS
 from xfreqbench.baselines.frequency_embedded_gs import FrequencyEmbeddedGS
 from xfreqbench.baselines.xfreq_gs import XFreqGS
+from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
@@ -39,7 +40,7 @@ from xfreqbench.runs.run import Job, run_job
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-SPLATTING = [XFreqGS, FixedFrequencyGS, FrequencyEmbeddedGS]
+SPLATTING = [XFreqGS, XFreqGSPaper, FixedFrequencyGS, FrequencyEmbeddedGS]
 METHODS = [*SPLATTING, ApertureGS]
 NUM_KILLED_STEPS = 150
 every_method = pytest.mark.parametrize("method", METHODS)
@@ -51,7 +52,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def tiny(method: type[LearnedMethod], **options: Any) -> LearnedMethod:
-    return method(method.Config(**{**TINY, **options}))
+    of_method = {"ssim_window": 3, "angular_size_deg": 6.0} if method is XFreqGSPaper else {}
+    return method(method.Config(**{**TINY, **of_method, **options}))
 
 
 def field_of(method: LearnedMethod) -> SplatField:
@@ -160,26 +162,26 @@ def test_a_target_that_is_not_finite_ends_the_fit_before_it_spoils_parameters(
     model = tiny(XFreqGS)
     fit = model.fit(dataset, Budget(10), 0)
     next(fit)
-    before = {name: value.clone() for name, value in field_of(model).state_dict().items()}
+    before = {name: value.clone() for name, value in field_of(model).named_parameters()}
     monkeypatch.setattr(view.Targets, "maps", lambda self, nth, part: torch.full((8, 6, 24), torch.nan))
     with pytest.raises(DivergenceError, match="loss is not finite at step 2") as raised:
         fit.send(0.1)
     assert (raised.value.step, raised.value.tensor) == (2, "loss")
-    for name, value in field_of(model).state_dict().items():
+    for name, value in field_of(model).named_parameters():
         assert torch.equal(value, before[name]), name
 
 
 @pytest.mark.parametrize(
     ("parameter", "tensor"),
     [
-        ("network.mlp.head.bias", "loss"),  # every map is nan
+        ("network.head.bias", "loss"),  # every map is nan
         ("gaussians.position_m", "gradient of gaussians.position_m"),  # no direction sees that Gaussian
     ],
 )
 def test_a_parameter_that_is_not_finite_ends_the_fit_before_it_spoils_the_others(
     dataset: PasDataset, parameter: str, tensor: str
 ) -> None:
-    model = tiny(XFreqGS)
+    model = tiny(XFreqGS, move_from=0.0)
     fit = model.fit(dataset, Budget(10), 0)
     next(fit)
     field = field_of(model)
@@ -209,6 +211,11 @@ def test_a_device_that_torch_does_not_know_is_refused() -> None:
 def test_more_gaussians_than_there_may_be_are_refused(dataset: PasDataset) -> None:
     with pytest.raises(MethodError, match="num_gaussians=30 is more than max_gaussians=20"):
         next(tiny(XFreqGS, max_gaussians=20).fit(dataset, Budget(1), 0))
+
+
+def test_a_window_larger_than_what_is_in_view_is_refused(dataset: PasDataset) -> None:
+    with pytest.raises(MethodError, match="ssim_window=7 is more than the 6 rows"):
+        next(tiny(XFreqGS, ssim_window=7).fit(dataset, Budget(1), 0))
 
 
 def test_without_a_row_that_has_a_path_there_is_nothing_to_learn(tmp_path: Path) -> None:
@@ -250,7 +257,8 @@ def test_carriers_of_a_narrow_band_are_told_apart() -> None:
 def test_gaussians_out_of_view_never_reach_the_network(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = tiny(XFreqGS, angular_size_deg=2.0)
+    pairwise = {"network": "pairwise", "band": False, "move_from": 0.0, "averaging": 0.0}
+    model = tiny(XFreqGS, angular_size_deg=2.0, **pairwise)
     trained(model, dataset, 1)
     field, asked = field_of(model), []
     field.gaussians.position_m.data[:11, 2] = -5.0  # far below the horizon

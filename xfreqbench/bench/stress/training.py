@@ -25,7 +25,8 @@ from xfreqbench.maps.metrics import Maps, ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.loss import map_loss, mean_ssim
-from xfreqbench.methods.learning.network import NetworkConfig, PairwiseMLP
+from xfreqbench.methods.learning.low_rank import LowRankConfig
+from xfreqbench.methods.learning.network import PairwiseMLP, WideFreqNetwork
 from xfreqbench.methods.learning.targets import Beams, GridView, Targets, as_kind
 from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField
@@ -34,7 +35,10 @@ from xfreqbench.scene.array import planar_array
 Arguments = ParamSpec("Arguments")
 TRAINING = Area("training")
 TINY_FIT = ("width=8", "layers=2", "batch_size=4", "num_gaussians=20", "precision=float32")
-_TINY = NetworkConfig(width=8, layers=2, precision="float32")
+_TINY = LowRankConfig(width=8, layers=2, precision="float32")
+_PAIRWISE = SplatConfig(
+    network="pairwise", start="random", direct_wave=False, band=False, angular_size_deg=6.0
+)
 _LOSS_KINDS: tuple[PasKind, ...] = ("power", "amplitude")
 _SINGLE = 5e-6  # as of maps: sums of 136 pairs of elements in float32, of a peak of 1
 _CPU = torch.device("cpu")
@@ -162,8 +166,9 @@ def _faint_field(train: PasDataset, kind: PasKind) -> float:
     truth = torch.rand(2, 18, 72, generator=torch.Generator().manual_seed(0))
     faults = 0
     for response in (1e-12, 1e-17, 1e-22, 0.0):
-        field = SplatField(SplatConfig(num_gaussians=50), replace(_TINY, latent=0))
+        field = SplatField(replace(_PAIRWISE, num_gaussians=50), replace(_TINY, latent=0))
         field.adapt(train, torch.Generator().manual_seed(0))
+        assert isinstance(field.network, WideFreqNetwork)
         head = field.network.mlp.head
         with torch.no_grad():  # outputs 2 and 3 are the signal's real and imaginary part
             head.weight[2:4] *= response
@@ -222,7 +227,7 @@ def _divergence(train: PasDataset) -> float:
     field = method._training.field  # type: ignore[attr-defined]
     before = [parameter.detach().clone() for parameter in field.parameters()]
     with torch.no_grad():
-        field.network.mlp.head.bias[0] = torch.nan
+        field.network.head.bias[0] = torch.nan
     try:
         next(fit)
     except DivergenceError:
@@ -250,7 +255,7 @@ def _bfloat16() -> float:
 @on_random_channels
 def _behind_the_horizon(train: PasDataset) -> float:
     """Sum of power and gradients of a field of which no direction sees any Gaussian."""
-    field = SplatField(SplatConfig(num_gaussians=5), _TINY)
+    field = SplatField(replace(_PAIRWISE, num_gaussians=5), _TINY)
     field.adapt(train, torch.Generator().manual_seed(0))
     with torch.no_grad():
         field.gaussians.position_m.copy_(torch.tensor([0.1, 0.1, -3.0]).expand(5, 3))
@@ -265,7 +270,7 @@ def _behind_the_horizon(train: PasDataset) -> float:
 def _gaussian_at_the_receiver(train: PasDataset) -> float:
     """Number of powers and gradients that are not finite where a Gaussian stands at the array's centre."""
     faults = 0
-    for field in (SplatField(SplatConfig(num_gaussians=4), _TINY), ApertureField(4, 2, _TINY)):
+    for field in (SplatField(replace(_PAIRWISE, num_gaussians=4), _TINY), ApertureField(4, 2, _TINY)):
         field.adapt(train, torch.Generator().manual_seed(0))
         position_m = field.gaussians.position_m if isinstance(field, SplatField) else field.position_m
         with torch.no_grad():
@@ -281,7 +286,7 @@ def _gaussian_at_the_receiver(train: PasDataset) -> float:
 @on_random_channels
 def _unseen_carriers(train: PasDataset) -> float:
     """Number of powers that are not finite at carriers far outside the training band."""
-    field = SplatField(SplatConfig(num_gaussians=50), _TINY)
+    field = SplatField(replace(_PAIRWISE, num_gaussians=50), _TINY)
     field.adapt(train, torch.Generator().manual_seed(0))
     with torch.no_grad():
         return float((~torch.isfinite(_field_power(field, (1e6, 1e12)))).sum())

@@ -81,6 +81,15 @@ class Scaling(nn.Module):
         width = torch.where(high > low, high - low, 1.0)
         return ((2 * carrier_hz.log() - low - high) / width)[:, None].float()
 
+    def root_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
+        """Square roots of carriers, scaled so that the training band is [−1, 1]; for a band of one carrier, it is 0.
+
+        Carriers stand more evenly on this axis than on a logarithm, where the lowest have most to say.
+        """
+        low, high = (self.log_band / 2).exp()
+        width = torch.where(high > low, high - low, high)
+        return ((2 * carrier_hz.sqrt() - low - high) / width)[:, None].float()
+
 
 class FeatureGrid(nn.Module):
     """Learned features of places, interpolated from grids of 4, 8, 16, … points an axis and fewer in height.
@@ -102,7 +111,8 @@ class FeatureGrid(nn.Module):
     def forward(self, unit_position: Float[Tensor, "B 3"]) -> Float[Tensor, "B C"]:
         """Features at positions in [−1, 1]; positions outside have the features of the border."""
         points = unit_position[None, None, None]
-        features = [
+        features = [unit_position[:, :0]]
+        features += [
             grid_sample(level, points, padding_mode="border", align_corners=True)[0, :, 0, 0].T
             for level in self.levels
         ]

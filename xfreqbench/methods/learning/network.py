@@ -121,11 +121,15 @@ class NetworkConfig:
 
 @dataclass(frozen=True, eq=False)
 class Attributes:
-    """Attributes of V Gaussians for B queries: Q signals that do not interfere, attenuation δ, and 1/λ."""
+    """Attributes of V Gaussians for B queries: Q signals that do not interfere, attenuation δ, and 1/λ.
+
+    `direct` is the strength of the direct wave, None where the network leaves it at 1.
+    """
 
     signal: Complex[Tensor, "Q V B"]
     attenuation: Complex[Tensor, "V B"]
     inverse_spread: Float[Tensor, "V B"]
+    direct: Float[Tensor, "B"] | None = None
 
 
 class WideFreqNetwork(nn.Module):

@@ -19,6 +19,8 @@ from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.types import FloatArray
 
+_RIDGE = 1e-6  # of the largest mean square of a lag function
+_DIRECTIONS_PER_LAG = 4
 _MIN_PEAK = 1e-30  # so that the gradient of a square root at zero, divided by the peak, is a finite float32
 
 
@@ -78,18 +80,47 @@ class Beams:
         self._waves = torch.as_tensor(waves, dtype=torch.float32, device=device).movedim(-1, 1).flatten(0, 1)
         self._num_lags = len(unique)
         self._in_view: dict[GridView, Tensor] = {}
+        self._projections: dict[GridView, Tensor] = {}
 
     def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power |a(d)ᴴ h|² / M² in view, summed over the leading axes of `cfr`: channels that do not interfere."""
-        if view not in self._in_view:
-            self._in_view[view] = view.of_maps(self._waves).contiguous()
-        waves = self._in_view[view]
         channels = cfr.reshape(-1, *cfr.shape[-2:])
         covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
         lags = covariance.new_zeros(len(covariance), self._num_lags)
         lags = lags.index_add(1, self._lag_of_pair, covariance.index_select(1, self._pairs))
-        power = torch.cat([lags.real, lags.imag], dim=1) @ waves.flatten(1)
-        return power.clamp_min(0).reshape(-1, *waves.shape[1:])
+        return self.power_of_lags(torch.cat([lags.real, lags.imag], dim=1), view)
+
+    def power_of_lags(self, lags: Float[Tensor, "B L"], view: GridView) -> Float[Tensor, "B E A"]:
+        """Power in view of maps that are given by their sums over lags, real parts first; never below 0."""
+        waves = self._waves_in(view)
+        return (lags @ waves.flatten(1)).clamp_min(0).reshape(-1, *waves.shape[1:])
+
+    def lags_of(self, power: Float[Tensor, "B E A"], view: GridView) -> Float[Tensor, "B L"]:
+        """The sums over lags of the map that the array can give nearest to the power in view, by least squares.
+
+        Its sums are those of `power_of_lags`. Some lag functions almost vanish on the visible half of the sphere, and
+        a ridge of `_RIDGE` holds their sums down.
+        """
+        if view not in self._projections:
+            waves = self._waves_in(view).flatten(1).double()
+            gram = waves @ waves.T
+            gram += _RIDGE * gram.diagonal().max() * torch.eye(len(gram)).to(gram)
+            self._projections[view] = torch.linalg.solve(gram, waves).T.float().contiguous()
+        return power.flatten(1) @ self._projections[view]
+
+    def coarse_view(self, stride: int) -> GridView:
+        """Every `stride`-th row and column, or more of them, so that directions are four times as many as lags."""
+        rows, columns = self.grid.shape
+        enough = _DIRECTIONS_PER_LAG * len(self._waves)
+        return GridView(
+            next((n for n in range(stride, 1, -1) if -(-rows // n) * -(-columns // n) >= enough), 1)
+        )
+
+    def _waves_in(self, view: GridView) -> Float[Tensor, "L E A"]:
+        """The real functions of the lags in view."""
+        if view not in self._in_view:
+            self._in_view[view] = view.of_maps(self._waves).contiguous()
+        return self._in_view[view]
 
 
 class Targets:
@@ -149,8 +180,20 @@ class Targets:
         return torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
 
 
+def of_peak(power: Float[Tensor, "B E A"], *others: Float[Tensor, "B E2 A2"]) -> Float[Tensor, "B E A"]:
+    """Power of any scale, divided by its peak, or by that of the same maps in other views where it is higher there.
+
+    A zero map remains zero.
+    """
+    peak = torch.stack([maps.amax(dim=(1, 2), keepdim=True) for maps in (power, *others)]).amax(0)
+    return power / peak.clamp_min(_MIN_PEAK)
+
+
+def in_kind(unit_power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:
+    """Maps of a kind from power of peak 1; a zero map remains zero, or 1e-6 as amplitude."""
+    return (unit_power + 1e-12).sqrt() if kind == "amplitude" else unit_power
+
+
 def as_kind(power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:
-    """Maps of a kind, scaled to peak 1, from power of any scale; a zero map remains zero, or 1e-6 as amplitude."""
-    peak = power.amax(dim=(1, 2), keepdim=True).clamp_min(_MIN_PEAK)
-    unit = power / peak
-    return (unit + 1e-12).sqrt() if kind == "amplitude" else unit
+    """Maps of a kind, scaled to peak 1, from power of any scale."""
+    return in_kind(of_peak(power), kind)

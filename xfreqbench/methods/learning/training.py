@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
@@ -23,8 +24,9 @@ from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.learning.averaging import averaged, mean_weights
 from xfreqbench.methods.learning.loss import map_loss
-from xfreqbench.methods.learning.targets import Beams, GridView, Targets, as_kind
+from xfreqbench.methods.learning.targets import Beams, GridView, Targets, in_kind, of_peak
 from xfreqbench.types import FloatArray
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
@@ -44,6 +46,8 @@ class TrainingConfig:
     Carriers are moved at random, with a standard deviation of `carrier_blur` on a logarithmic axis where the
     training band is 2 wide, so that a network also holds between them. A fading channel changes between two of so
     few carriers in ways that their maps do not show, and a network that follows them closely errs between them.
+
+    Where `averaging` is above 0, maps are predicted with a running mean of the weights.
     """
 
     steps: Count = 200_000  # the paper's
@@ -57,6 +61,9 @@ class TrainingConfig:
     stride: Count = 5  # training uses every fifth row and column, from a new offset at each step
     ssim_window: Annotated[int, Limits(ge=2)] = 3  # rows and columns in view
     derive_targets: bool = True  # from the channels, where they are stored, instead of reading maps from disk
+    averaging: Annotated[float, Limits(ge=0, lt=1)] = (
+        0.0  # what the mean of the weights keeps of itself at a step
+    )
     device: str = "cpu"
 
 
@@ -79,6 +86,16 @@ class ChannelField(nn.Module):
         Positions are world positions in metres.
         """
         raise NotImplementedError
+
+    def unit_power(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """Power from the directions in view, divided by its peak there, or by a better estimate of the map's peak."""
+        return of_peak(self.power(tx_position_m, carrier_hz, view, beams))
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates, in the form that an optimiser of torch takes."""
@@ -104,8 +121,17 @@ class Training:
     generator: torch.Generator
     beams: Beams
     kind: PasKind
+    mean: AveragedModel | None = None  # of the field's weights over steps
     step: int = 0
     share: float = 0.0  # of the budget spent, as last told
+
+    @property
+    def predictor(self) -> ChannelField:
+        """The field that predicts: with the mean weights, where they are averaged."""
+        if self.mean is None:
+            return self.field
+        assert isinstance(self.mean.module, ChannelField)
+        return self.mean.module
 
 
 class SavedState(BaseModel):
@@ -167,7 +193,7 @@ class LearnedMethod:
         carrier = torch.as_tensor(carrier_hz).to(self._device)
         with torch.no_grad():
             maps = [
-                as_kind(training.field.power(*query, GridView(), training.beams), training.kind)
+                in_kind(training.predictor.unit_power(*query, GridView(), training.beams), training.kind)
                 for query in zip(position_m.split(_PREDICT_BATCH), carrier.split(_PREDICT_BATCH), strict=True)
             ]
         return torch.cat(maps).cpu().numpy()
@@ -176,6 +202,8 @@ class LearnedMethod:
         """Store field, optimiser and random state as safetensors and the rest as JSON; loading runs no stored code."""
         training = self._trained()
         tensors = {f"field.{name}": tensor.clone() for name, tensor in training.field.state_dict().items()}
+        if training.mean is not None:
+            tensors |= {f"mean.{name}": tensor.clone() for name, tensor in training.mean.state_dict().items()}
         tensors |= _moments(training)
         tensors["generator"] = training.generator.get_state()
         tensors |= {
@@ -216,6 +244,12 @@ class LearnedMethod:
 
     def started(self, train: PasDataset, seed: int) -> Training:
         """Field, optimiser and beams as `fit` has them before its first step."""
+        smallest = min(train.grid.shape) // self.config.stride
+        if self.config.ssim_window > smallest:
+            raise MethodError(
+                f"ssim_window={self.config.ssim_window} is more than the {smallest} rows or columns in view at "
+                f"stride={self.config.stride}; lower one of them."
+            )
         generator = torch.Generator().manual_seed(seed)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
@@ -239,11 +273,14 @@ class LearnedMethod:
 
     def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
         """The training that stored tensors hold."""
-        of_field = {name[6:]: tensor for name, tensor in tensors.items() if name.startswith("field.")}
         field = self.field()
+        of_field = _named(tensors, "field.")
         field.match(of_field)
         field.load_state_dict(of_field)
         training = self._assembled(field, torch.Generator(), beam, kind)
+        if of_mean := _named(tensors, "mean."):
+            training.mean = mean_weights(field, self.config.averaging)
+            training.mean.load_state_dict(of_mean)
         for name, parameter in field.named_parameters():
             stored = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM if f"adam.{key}.{name}" in tensors}
             if stored:
@@ -257,16 +294,17 @@ class LearnedMethod:
         nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
         view = GridView.draw(config.stride, training.generator)
         position_m, carrier_hz = targets.queries(nth, config.carrier_blur, training.generator)
-        power = training.field.power(position_m, carrier_hz, view, training.beams)
+        power = training.field.unit_power(position_m, carrier_hz, view, training.beams)
         return self.loss_of(power, targets.maps(nth, view), training)
 
     def loss_of(
-        self, power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training
+        self, unit_power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training
     ) -> Tensor:
-        """Eq. 12 for predicted power; the weight of SSIM follows from the share of the budget spent."""
+        """Eq. 12 for predicted power of peak 1; the weight of SSIM follows from the share of the budget spent."""
         config, share = self.config, training.share
         weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
-        return map_loss(as_kind(power, training.kind), truth, weight, config.ssim_window)
+        maps = in_kind(unit_power, training.kind)
+        return map_loss(maps, truth, weight, config.ssim_window, config.stride)
 
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
@@ -281,10 +319,19 @@ class LearnedMethod:
             group["lr"] = group["initial_lr"] * rate
         training.optimizer.step()
         training.field.after_step(training.optimizer, training.step, share)
+        if self.config.averaging:
+            training.mean = averaged(training.mean, training.field, self.config.averaging)
         return float(loss.detach())
 
 
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+def _named(tensors: Mapping[str, Tensor], beginning: str) -> dict[str, Tensor]:
+    """The tensors whose names begin so, by the rest of their names."""
+    return {
+        name.removeprefix(beginning): value for name, value in tensors.items() if name.startswith(beginning)
+    }
 
 
 def _stored_state(path: Path) -> SavedState:

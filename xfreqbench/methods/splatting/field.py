@@ -4,44 +4,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.encoding import Scaling
-from xfreqbench.methods.learning.network import Attributes, NetworkConfig, WideFreqNetwork
-from xfreqbench.methods.learning.targets import Beams, GridView
-from xfreqbench.methods.learning.training import ChannelField, Count
+from xfreqbench.methods.learning.low_rank import LowRankConfig, LowRankNetwork
+from xfreqbench.methods.learning.network import Attributes, WideFreqNetwork
+from xfreqbench.methods.learning.targets import Beams, GridView, of_peak
+from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, Positive, TrainingConfig
 from xfreqbench.methods.splatting.composite import PixelLists, composite
 from xfreqbench.methods.splatting.density import DensityConfig, DensityControl
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
-from xfreqbench.methods.splatting.gaussians import RFGaussians
+from xfreqbench.methods.splatting.gaussians import CODES, CodedGaussians, RFGaussians
 from xfreqbench.methods.splatting.projection import Projection, project
 
 SUPPORT = 9.0  # squared Mahalanobis distance at which a footprint ends: three deviations
-_GAUSSIAN_RATE = 10.0  # of the learning rate: positions in metres may change faster than weights
+_CODE_RATE = 2.0  # of the learning rate
+_PEAK_VIEW = GridView(6, 3, 3)  # with the loss's own directions, fine enough to find a beam's peak
 
 
 @dataclass(frozen=True)
 class GaussianConfig(DensityConfig):
-    """Options of Gaussians: their number at the start, and how it changes."""
+    """Options of Gaussians: their number at the start, how it changes, and where they are accumulated.
+
+    With `band`, they are accumulated on every `splat_stride`-th row and column alone, and the power there is
+    projected on the maps that the array can give: a map is a combination of the array's few lag functions.
+    """
 
     num_gaussians: Count = 256
+    band: bool = True
+    splat_stride: Count = 8
+    position_rate: Positive = 10.0  # of the learning rate: positions in metres may change faster than weights
+    move_from: Fraction = 0.0  # share of the budget from which Gaussians move; 1: never
 
 
 @dataclass(frozen=True)
-class SplatConfig(GaussianConfig):
-    """Options of the Gaussians' footprints."""
+class SplatTrainingConfig(TrainingConfig):
+    """Options of training with which splatting sees many maps a second."""
 
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # of one deviation, at the start
-    footprint: Literal["projected", "circular"] = "projected"  # circular: fixed at the starting size
+    batch_size: Count = 128
+    learning_rate: Positive = 5e-3
+    ssim_ramp: Fraction = 0.1
+    carrier_blur: Annotated[float, Limits(ge=0)] = 0.0
+    stride: Count = 6
+    ssim_window: Annotated[int, Limits(ge=2)] = 2
+    averaging: Annotated[float, Limits(ge=0, lt=1)] = 0.995
 
 
 class GaussianField(ChannelField):
@@ -49,6 +65,8 @@ class GaussianField(ChannelField):
 
     `network` is what `attributes` uses; it belongs to the parameters. `max_spread` is the upper bound of λ.
     """
+
+    moves: Tensor
 
     def __init__(
         self, config: GaussianConfig, scaling: Scaling, network: nn.Module, max_spread: float = 1.0
@@ -64,7 +82,11 @@ class GaussianField(ChannelField):
         self.network = network
         self.gaussians = self.new_gaussians(config.num_gaussians)
         self.density = DensityControl(config)
+        self.register_buffer("moves", torch.tensor(config.move_from == 0))
         self._support = SUPPORT * max_spread
+        self._standing: dict[
+            GridView, tuple[PixelLists, Tensor]
+        ] = {}  # footprints of Gaussians that do not move
 
     def attributes(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
@@ -80,10 +102,10 @@ class GaussianField(ChannelField):
         return RFGaussians(number)
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
-        """Parameters with their learning rates: the network, and the Gaussians, which learn faster."""
+        """Parameters with their learning rates: the network, and the Gaussians."""
         network = {"params": list(self.network.parameters()), "lr": learning_rate}
-        gaussians = {"params": list(self.gaussians.parameters()), "lr": _GAUSSIAN_RATE * learning_rate}
-        return [network, gaussians]
+        rate = self.config.position_rate * learning_rate
+        return [network, {"params": list(self.gaussians.parameters()), "lr": rate}]
 
     def power(
         self,
@@ -92,17 +114,69 @@ class GaussianField(ChannelField):
         view: GridView,
         beams: Beams,
     ) -> Float[Tensor, "B E A"]:
-        """Power |R_k|² from each direction in view."""
-        grid = view.of_grid(beams.grid)
-        projection = self.projection()
-        lists = self.lists(projection, grid)
-        distance = squared_distance(projection, lists, grid)
+        """Power |R_k|² from each direction in view, within the array's band where the options say so."""
+        if not self.config.band:
+            return self.splatted(tx_position_m, carrier_hz, view, beams)
+        return beams.power_of_lags(self._lags(tx_position_m, carrier_hz, beams), view)
+
+    def unit_power(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """The power divided by its peak, which is looked for in more directions where that costs little."""
+        if not self.config.band:
+            return super().unit_power(tx_position_m, carrier_hz, view, beams)
+        lags = self._lags(tx_position_m, carrier_hz, beams)
+        return of_peak(beams.power_of_lags(lags, view), beams.power_of_lags(lags, _PEAK_VIEW))
+
+    def _lags(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], beams: Beams
+    ) -> Float[Tensor, "B L"]:
+        """Power on few directions, projected on the array's lag functions."""
+        coarse = beams.coarse_view(self.config.splat_stride)
+        return beams.lags_of(self.splatted(tx_position_m, carrier_hz, coarse, beams), coarse)
+
+    def splatted(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """Power |R_k|² of what is accumulated from each direction in view (Eq. 11)."""
+        lists, distance = self._footprints(view, beams)
         seen = seen_of(lists)
         attributes = self.attributes(tx_position_m, carrier_hz, seen)
         self.density.watch(seen, attributes.signal)
-        spread, signal, attenuation = attributes.inverse_spread, attributes.signal[0], attributes.attenuation
+        signal = self.signal_of(attributes, tx_position_m, beams, seen)
+        spread, attenuation = attributes.inverse_spread, attributes.attenuation
         response = composite(renumbered(lists, seen), distance, spread, signal, attenuation)
-        return torch.view_as_real(response).square().sum(-1).reshape(-1, *grid.shape)
+        return torch.view_as_real(response).square().sum(-1).reshape(-1, *view.of_grid(beams.grid).shape)
+
+    def signal_of(
+        self,
+        attributes: Attributes,
+        tx_position_m: Float[Tensor, "B 3"],
+        beams: Beams,
+        seen: Bool[Tensor, "N"],
+    ) -> Complex[Tensor, "V B"]:
+        """The signals that are accumulated."""
+        return attributes.signal[0]
+
+    def _footprints(self, view: GridView, beams: Beams) -> tuple[PixelLists, Float[Tensor, "P"]]:
+        """Which directions see which Gaussians, and their distances; computed once while no Gaussian moves."""
+        if not self.moves and view in self._standing:
+            return self._standing[view]
+        grid, projection = view.of_grid(beams.grid), self.projection()
+        lists = self.lists(projection, grid)
+        distance = squared_distance(projection, lists, grid)
+        if not self.moves:
+            distance = distance.detach()
+            self._standing[view] = lists, distance
+        return lists, distance
 
     def projection(self) -> Projection:
         """The footprints before the frequency spread λ."""
@@ -113,7 +187,8 @@ class GaussianField(ChannelField):
         return bin_footprints(projection, grid, self._support)
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
-        """Divide and drop Gaussians when it is time."""
+        """Divide and drop Gaussians, and let them move, when it is time."""
+        self.moves.logical_or_(torch.tensor(share >= self.config.move_from and self.config.move_from < 1))
         self.density.after_step(self.gaussians, optimizer, step, share)
 
     def counts(self) -> dict[str, float]:
@@ -126,20 +201,47 @@ class GaussianField(ChannelField):
         self.density.resize(len(tensors["density.contribution"]))  # zero where nothing was summed yet
 
 
+@dataclass(frozen=True)
+class SplatConfig(GaussianConfig):
+    """Options of the Gaussians' start and footprints, and of what is accumulated.
+
+    Gaussians start at random points of the box, or on a lattice of directions. `direct_wave` adds to their signals
+    what the array hears of a plane wave from the transmitter. `network` is `WideFreqNetwork`, a network of all pairs
+    of a transmitter and a Gaussian, or one of low rank.
+    """
+
+    network: Literal["low-rank", "pairwise"] = "low-rank"
+    start: Literal["lattice", "random"] = "lattice"
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 8.0  # of one deviation, at the start
+    footprint: Literal["projected", "circular"] = "projected"  # circular: fixed at the starting size
+    direct_wave: bool = True
+    transmittance: bool = True  # without: no Gaussian hides another
+
+
 class SplatField(GaussianField):
-    """Gaussians whose attributes come from the paper's network."""
+    """Gaussians whose attributes come from a network, after Eqs. 4–11."""
 
     config: SplatConfig
-    network: WideFreqNetwork
+    network: WideFreqNetwork | LowRankNetwork
 
-    def __init__(self, config: SplatConfig, network: NetworkConfig) -> None:
+    def __init__(self, config: SplatConfig, network: LowRankConfig) -> None:
+        self._rank = network.rank if config.network == "low-rank" and network.latent else 0
         scaling = Scaling()
-        super().__init__(config, scaling, WideFreqNetwork(network, scaling), network.max_spread)
+        kind = LowRankNetwork if config.network == "low-rank" else WideFreqNetwork
+        super().__init__(config, scaling, kind(network, scaling), network.max_spread)
+
+    def new_gaussians(self, number: int) -> RFGaussians:
+        """New Gaussians, with codes where these are learned."""
+        return CodedGaussians(number, self._rank) if self._rank else RFGaussians(number)
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
-        """Place the Gaussians at random points in the box of the training data."""
+        """Place the Gaussians at their start."""
         self.scaling.adapt(train)
-        self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
+        size_rad = math.radians(self.config.angular_size_deg)
+        if self.config.start == "lattice":
+            self.gaussians.spread_out(self.scaling, size_rad, train.grid, generator)
+        else:
+            self.gaussians.scatter(self.scaling, size_rad, generator)
 
     def projection(self) -> Projection:
         """The footprints before the frequency spread λ, or circles of fixed size, as the options say."""
@@ -148,24 +250,57 @@ class SplatField(GaussianField):
             return projection
         size = math.radians(self.config.angular_size_deg) ** 2
         circle = size * torch.eye(2).to(projection.covariance)
-        return Projection(
-            projection.azimuth_rad,
-            projection.elevation_rad,
-            circle.expand_as(projection.covariance),
-            projection.range_m,
-        )
+        return replace(projection, covariance=circle.expand_as(projection.covariance))
 
     def attributes(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
     ) -> Attributes:
         """The network's outputs for the Gaussians `seen`."""
-        position_m = self.gaussians.position_m.detach()[seen]
-        return self.network(self.scaling.in_frame(tx_position_m), carrier_hz, position_m)
+        query = self.scaling.in_frame(tx_position_m), carrier_hz, self.gaussians.position_m.detach()[seen]
+        if isinstance(self.network, WideFreqNetwork):
+            attributes = self.network(*query)
+        else:
+            codes = self.gaussians.codes(seen) if isinstance(self.gaussians, CodedGaussians) else None
+            attributes = self.network(*query, codes)
+        if self.config.transmittance:
+            return attributes
+        return replace(attributes, attenuation=torch.ones_like(attributes.attenuation))
+
+    def signal_of(
+        self,
+        attributes: Attributes,
+        tx_position_m: Float[Tensor, "B 3"],
+        beams: Beams,
+        seen: Bool[Tensor, "N"],
+    ) -> Complex[Tensor, "V B"]:
+        """The signals, with the direct wave where the options say so."""
+        signal = attributes.signal[0]
+        if not self.config.direct_wave:
+            return signal
+        heard = self._direct_wave(self.scaling.in_frame(tx_position_m), beams, seen)
+        return signal + (heard if attributes.direct is None else attributes.direct * heard)
+
+    def _direct_wave(
+        self, tx_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
+    ) -> Complex[Tensor, "V B"]:
+        """What the array, steered at each Gaussian, hears of a plane wave from the transmitter: aᴴ(d_i) a(d_tx) / M."""
+        element = 2 * math.pi * torch.as_tensor(beams.element_position_wavelengths).to(tx_m)
+        wave, beam = (
+            normalize(point_m, dim=-1) @ element.T
+            for point_m in (tx_m, self.gaussians.position_m.detach()[seen])
+        )
+        steered, arriving = (torch.polar(torch.ones_like(phase), phase) for phase in (-beam, wave))
+        return steered @ arriving.T / len(element)
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
-        """Parameters with their learning rates: those of the network as it says, and the Gaussians."""
-        *_, gaussians = super().parameter_groups(learning_rate)
-        return [*self.network.parameter_groups(learning_rate), gaussians]
+        """Parameters with their learning rates: those of the network as it says, the Gaussians, and their codes."""
+        codes = [value for name, value in self.gaussians.named_parameters() if name in CODES]
+        geometry = [value for name, value in self.gaussians.named_parameters() if name not in CODES]
+        return [
+            *self.network.parameter_groups(learning_rate),
+            {"params": geometry, "lr": self.config.position_rate * learning_rate},
+            *([{"params": codes, "lr": _CODE_RATE * learning_rate}] if codes else []),
+        ]
 
 
 def seen_of(lists: PixelLists) -> Bool[Tensor, "N"]:

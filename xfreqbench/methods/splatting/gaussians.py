@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
+from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.encoding import Scaling
+from xfreqbench.methods.learning.low_rank import NUM_SHAPES, Codes
+
+CODES = ("signal_code", "shape_code", "shape_start", "shape_trend")
+_GOLDEN_ANGLE_RAD = math.pi * (3 - math.sqrt(5))
+_SIGNAL_CODE = 0.5  # standard deviation of the codes of signals at the start
 
 
 def covariance(quaternion: Float[Tensor, "N 4"], log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3 3"]:
@@ -54,3 +62,37 @@ class RFGaussians(nn.Module):
         self.quaternion.copy_(torch.randn(len(self), 4, generator=generator))
         size_m = self.position_m.norm(dim=-1, keepdim=True).clamp_min(0.1) * angular_size_rad
         self.log_scale.copy_(size_m.log().expand(-1, 3))
+
+    @torch.no_grad()
+    def spread_out(
+        self, scaling: Scaling, angular_size_rad: float, grid: AngularGrid, generator: torch.Generator
+    ) -> None:
+        """Scatter the Gaussians, then turn them to a Fibonacci lattice of directions over the elevations of a grid.
+
+        So no direction is left without a Gaussian. Their ranges remain as they were drawn.
+        """
+        self.scatter(scaling, angular_size_rad, generator)
+        lowest, highest = (
+            math.sin(float(end)) for end in (grid.elevation_rad.min(), grid.elevation_rad.max())
+        )
+        nth = torch.arange(len(self)) + 0.5
+        z = highest - (highest - lowest) * nth / len(self)
+        azimuth_rad, across = nth * _GOLDEN_ANGLE_RAD, (1 - z * z).clamp_min(0).sqrt()
+        direction = torch.stack([across * azimuth_rad.cos(), across * azimuth_rad.sin(), z], dim=-1)
+        self.position_m.copy_(direction.to(self.position_m) * self.position_m.norm(dim=-1, keepdim=True))
+
+
+class CodedGaussians(RFGaussians):
+    """Gaussians with a learned code each: the latent z_i of Eq. 4, from which `LowRankNetwork` has S, δ and λ."""
+
+    def __init__(self, num_gaussians: int, rank: int) -> None:
+        super().__init__(num_gaussians)
+        self.signal_code = nn.Parameter(_SIGNAL_CODE * torch.randn(num_gaussians, 2, rank))
+        self.shape_code = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES, rank))
+        self.shape_start = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
+        self.shape_trend = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
+
+    def codes(self, seen: Bool[Tensor, "N"]) -> Codes:
+        """The codes of the Gaussians `seen`."""
+        every = bool(seen.all())
+        return Codes(*(getattr(self, name) if every else getattr(self, name)[seen] for name in CODES))
