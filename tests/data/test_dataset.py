@@ -133,6 +133,21 @@ def test_a_sample_without_any_path_is_flagged(tmp_path: Path) -> None:
     assert not dataset.pas([5]).any()
 
 
+def test_xarray_knows_positions_flags_and_numbers(tmp_path: Path) -> None:
+    written = write_dataset(tmp_path / "data.h5")
+    with xarray.open_dataset(written.path, engine="h5netcdf") as shown:
+        assert shown.attrs["Conventions"] == "CF-1.11"
+        assert shown.attrs["num_tx"] == 4
+        assert {"tx_position_m", "line_of_sight"} <= set(shown.coords)
+        assert shown.line_of_sight.attrs["flag_meanings"] == "blocked visible"
+        assert shown.line_of_sight.attrs["flag_values"].tolist() == [0, 1]
+        assert shown.axis.attrs["flag_meanings"] == "x y z"
+        height_m = shown.tx_position_m.sel(axis=2)
+        np.testing.assert_array_equal(height_m, transmitters(4)[:, 2])
+        in_sight = shown.peak_power.where(shown.peak_power.line_of_sight == 1, drop=True)
+        assert in_sight.tx.values.tolist() == [0, 2]
+
+
 def test_xarray_shows_names_coordinates_and_units(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "data.h5").path
     with xarray.open_dataset(path, engine="h5netcdf") as shown:

@@ -2,17 +2,21 @@
 
 `sh` blocks are given to bash, `python` blocks share one namespace, `toml` blocks are parsed. A block below a
 line that holds only `` `name`: `` becomes that file instead of being run. An `output` block is what the block
-before it has printed, `...` standing for anything. Blocks of other languages are not run; the paragraph above
-them says so, in the words of `NOT_RUN`.
+before it has printed, `...` standing for anything. Blocks of `INTERPRETERS` are run where the interpreter is
+installed, and the paragraph above them says so, in the words of `RUN_SOMEWHERE`. Blocks of other languages are not
+run; the paragraph above them says that, in the words of `NOT_RUN`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import doctest
+import functools
 import io
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -24,7 +28,11 @@ from markdown_it import MarkdownIt
 from places import ROOT
 
 RUNNABLE = ("sh", "python", "toml", "output")
-NOT_RUN = "not run by our tests"
+NOT_RUN, RUN_SOMEWHERE = "not run by our tests", "run by our tests where"
+INTERPRETERS = {  # by language: how a text is run, and a text that runs only where all that is needed is there
+    "r": (["Rscript", "-e"], "library(rhdf5)"),
+    "matlab": (["matlab", "-batch"], "version"),
+}
 _FILE_NAME = re.compile(r"^`([\w./-]+)`:$", re.MULTILINE)
 _LENIENT = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 _OFFLINE_PIP = {  # pip as the documents call it, but without a network and into a folder beside the document
@@ -54,12 +62,26 @@ class Block:
     @property
     def is_followed(self) -> bool:
         """Whether a reader does something with it."""
-        return self.language in RUNNABLE or self.file_name is not None
+        return self.language in RUNNABLE or self.file_name is not None or is_installed(self.language)
+
+    @property
+    def says_why_not(self) -> bool:
+        """Whether the text above tells the reader that our tests do not run it, or not everywhere."""
+        return (RUN_SOMEWHERE if self.language in INTERPRETERS else NOT_RUN) in self.above
 
     @property
     def place(self) -> str:
         """As an editor opens it."""
         return f"{self.document}:{self.line}"
+
+
+@functools.cache
+def is_installed(language: str) -> bool:
+    """Whether there is an interpreter of a language here, and the library that the documents use."""
+    command, probe = INTERPRETERS.get(language, ([""], ""))
+    if not shutil.which(command[0]):
+        return False
+    return subprocess.run([*command, probe], capture_output=True).returncode == 0
 
 
 def blocks(document: Path) -> list[Block]:
@@ -99,6 +121,9 @@ class Reader:
                 self.shell(block.text, block.place) if block.language == "sh" else self._python(block)
             )
             self.printed[block.text] = self._last
+        elif block.language in INTERPRETERS:
+            command, _ = INTERPRETERS[block.language]
+            self._last = self.shell(shlex.join([*command, block.text]), block.place)
 
     def said(self, part: str) -> str:
         """What the first block that contains a text has printed."""

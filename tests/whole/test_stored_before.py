@@ -12,6 +12,7 @@ from places import ROOT
 
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.splits import lofo
+from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.methods.registry import build_method
 from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.runs.checkpoints import CheckpointFolder
@@ -31,6 +32,19 @@ def test_a_data_set_has_its_channels_its_scene_and_the_hash_that_its_record_name
     assert dataset.pas([0]).shape == (1, 90, 360)
     (record,) = read(STORED / "records.jsonl").records
     assert record.dataset_sha256 == dataset.sha256
+
+
+def test_the_same_samples_have_the_same_hash_today(tmp_path: Path) -> None:
+    """What other programs are told beside them is not part of it."""
+    stored = open_dataset(STORED / "data.h5")
+    num_tx, shape = stored.header.num_tx, (stored.header.num_tx, stored.num_carriers)
+    cfr, num_paths = stored.cfr.reshape(*shape, -1), stored.num_paths.reshape(shape)
+    maps = stored.pas().reshape(*shape, *stored.grid.shape)
+    samples = SampleBlock(maps, stored.peak_power.reshape(shape), num_paths, cfr)
+    first = np.arange(num_tx) * stored.num_carriers
+    with PasWriter(tmp_path / "data.h5", stored.header) as writer:
+        writer.append(stored.tx_position_m[first], stored.line_of_sight[first], samples)
+    assert open_dataset(tmp_path / "data.h5").sha256 == stored.sha256
 
 
 def test_a_split_file_names_the_rows_of_the_split_of_today() -> None:

@@ -27,6 +27,9 @@ from xfreqbench.system.files import atomic_path, storage_errors
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25
 _SEAL = "data_sha256"
+_CONVENTIONS = {
+    "Conventions": "CF-1.11"
+}  # for other programs; not hashed by the seal, so that equal data keep theirs
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
@@ -39,7 +42,8 @@ class Variable:
 
     Chunks may be `compressed`, by shuffling bytes and deflate. A variable whose only axis has its own name is the
     coordinate of that axis. A name may begin with a group, as in `lofo-77GHz/train_row`; the names of axes in the
-    group then begin with it too.
+    group then begin with it too. `flags` are the values that a variable may have, with the word for each, and
+    `coordinates` the variables that say more of its rows; other programs read both, by the CF conventions.
     """
 
     name: str
@@ -50,6 +54,8 @@ class Variable:
     long_name: str
     chunk: tuple[int, ...] | None = None
     compressed: bool = False
+    flags: tuple[tuple[int, str], ...] = ()
+    coordinates: tuple[str, ...] = ()
 
     @property
     def num_bytes(self) -> int:
@@ -99,7 +105,7 @@ class SealedWriter:
 def create_sealed(
     path: Path,
     variables: Sequence[Variable],
-    attributes: Mapping[str, str],
+    attributes: Mapping[str, str | int],
     groups: Mapping[str, Mapping[str, str]] | None = None,
     prove: Callable[[Path], None] | None = None,
 ) -> Iterator[SealedWriter]:
@@ -114,7 +120,7 @@ def create_sealed(
             file = h5py.File(temporary, "w", libver=("v110", "v110"))
         try:
             with storage_errors(path, num_bytes):
-                _set_texts(file, attributes)
+                _set_texts(file, {**_CONVENTIONS, **attributes})
                 for group, texts in (groups or {}).items():
                     _set_texts(file.create_group(group), texts)
                 writer = SealedWriter(file, path, variables)
@@ -224,8 +230,8 @@ def sealed_sha256(file: Any) -> str:
 
 
 def text_attributes(file: Any) -> dict[str, str]:
-    """The text attributes of a file or group, without the hash over all data."""
-    return {name: _text(file, name) for name in file.attrs if name != _SEAL}
+    """The attributes of a file or group as texts, without the hash over all data and what that leaves out."""
+    return {name: _text(file, name) for name in file.attrs if name != _SEAL and name not in _CONVENTIONS}
 
 
 def verify_sealed(path: Path, schema: str) -> None:
@@ -263,8 +269,12 @@ def _is_whole(path: Path) -> bool:
         return file.read() == _TRAILER + digest.hexdigest().encode()
 
 
-def _set_texts(owner: Any, texts: Mapping[str, str]) -> None:
+def _set_texts(owner: Any, texts: Mapping[str, str | int]) -> None:
+    """Store attributes; a number is stored as one, and read as its digits by `_text`."""
     for name, text in texts.items():
+        if isinstance(text, int):
+            owner.attrs.create(name, text, dtype="<i8")
+            continue
         content = text.encode()
         owner.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
 
@@ -288,6 +298,12 @@ def _create(file: Any, variable: Variable) -> None:
         **filters,
     )
     _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
+    if variable.flags:
+        values, words = zip(*variable.flags, strict=True)
+        dataset.attrs.create("flag_values", np.array(values, variable.dtype))
+        _set_texts(dataset, {"flag_meanings": " ".join(words)})
+    if variable.coordinates:
+        _set_texts(dataset, {"coordinates": " ".join(variable.coordinates)})
     if variable.axes == (variable.name,):
         dataset.make_scale(variable.name.rpartition("/")[2])
 

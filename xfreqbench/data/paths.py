@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -186,13 +186,17 @@ def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[V
     size = {_PATH: P, _POINT: N, "carrier_hz": num_carriers, "axis": 3}
     first_path = "first path of each transmitter, then the number of all paths"
     first_point = "first interaction of each path, then the number of all interactions"
+    codes = tuple((code, name) for name, code in INTERACTION_CODES.items())
     return [
         Variable(OFFSET, "<i8", (num_tx + 1,), (OFFSET,), "1", first_path),
         _rows(INTERACTION_OFFSET, "<i8", (P + 1,), (INTERACTION_OFFSET,), "1", first_point),
         _rows(_PATH, "<i8", (P,), (_PATH,), "1", "path index"),
         _rows(_POINT, "<i8", (N,), (_POINT,), "1", "interaction index"),
         *(
-            _rows(f"{GROUP}/{name}", dtype, tuple(size[axis] for axis in axes), axes, units, long_name)
+            replace(
+                _rows(f"{GROUP}/{name}", dtype, tuple(size[axis] for axis in axes), axes, units, long_name),
+                flags=codes if name == "interaction" else (),
+            )
             for name, dtype, axes, units, long_name in of_paths
         ),
     ]

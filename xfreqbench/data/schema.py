@@ -89,7 +89,7 @@ class DatasetHeader:
         return sum(variable.num_bytes for variable in variables(self, AngularGrid.hemisphere()))
 
     def attributes(self) -> dict[str, str]:
-        """The header as HDF5 text attributes; `channels` and `paths` stay out where they are as in older files."""
+        """The header as texts of HDF5 attributes; `channels` and `paths` stay out where they are as in older files."""
         stored = TypeAdapter(DatasetHeader).dump_python(
             self, by_alias=True, exclude={"carrier_hz"}, exclude_defaults=True
         )
@@ -130,7 +130,7 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
         Variable(TX, "<i4", (T,), (TX,), "1", "transmitter index"),
         Variable(CARRIER, "<f8", (F,), (CARRIER,), "Hz", "carrier frequency"),
         Variable(ELEMENT, "<i4", (M,), (ELEMENT,), "1", "array element index, row by row"),
-        Variable(AXIS, "<i4", (3,), (AXIS,), "1", "world axis: 0 x, 1 y, 2 z"),
+        Variable(AXIS, "<i4", (3,), (AXIS,), "1", "world axis: 0 x, 1 y, 2 z", flags=_words("x", "y", "z")),
         Variable(RECEIVER_AXIS, "<i4", (3,), (RECEIVER_AXIS,), "1", receiver_axis),
         Variable(ELEVATION, "<f8", (E,), (ELEVATION,), "degree", "elevation above the frame's equator"),
         Variable(AZIMUTH, "<f8", (A,), (AZIMUTH,), "degree", "azimuth in the frame, periodic"),
@@ -145,7 +145,11 @@ def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable
     """Channels, maps, and what is known of each transmitter or sample (transmitter, carrier)."""
     T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
     sample, channel, angles = (TX, CARRIER), (TX, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
-    cfr = Variable("cfr", "<c8", (T, F, M), channel, "1", "channel frequency response, exp(+j2πft)")
+    response, peak = "channel frequency response, exp(+j2πft)", "peak of the map before it was divided out"
+    in_sight, traced = _words("blocked", "visible"), _words("missing", "traced")
+    where = ("tx_position_m", "line_of_sight")
+    cfr = Variable("cfr", "<c8", (T, F, M), channel, "1", response, coordinates=where)
+    num_paths = "paths that reach at least one element"
     pas = Variable(
         "pas",
         "<f2",
@@ -154,15 +158,23 @@ def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable
         "1",
         f"power angular spectrum ({header.pas_kind}), peak 1",
         chunk=(1, 1, *grid.shape),
+        coordinates=where,
     )
     return [
         *([cfr] if header.channels else []),
-        Variable("peak_power", "<f8", (T, F), sample, "1", "peak of the map before it was divided out"),
-        Variable("line_of_sight", "u1", (T,), (TX,), "1", "1 where nothing blocks the direct path"),
-        Variable("num_paths", "<i4", (T, F), sample, "1", "paths that reach at least one element"),
-        Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced"),
+        Variable("peak_power", "<f8", (T, F), sample, "1", peak, coordinates=where),
+        Variable(
+            "line_of_sight", "u1", (T,), (TX,), "1", "1 where nothing blocks the direct path", flags=in_sight
+        ),
+        Variable("num_paths", "<i4", (T, F), sample, "1", num_paths, coordinates=where),
+        Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced", flags=traced),
         *([pas] if header.maps else []),
     ]
+
+
+def _words(*meanings: str) -> tuple[tuple[int, str], ...]:
+    """The flags of a variable whose values 0, 1, … have these meanings."""
+    return tuple(enumerate(meanings))
 
 
 def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any]]:

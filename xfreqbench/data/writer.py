@@ -89,7 +89,11 @@ class PasWriter:
             totals = paths or PathTotals(0, 0, ())
             stored += path_variables(header.num_tx, len(header.carrier_hz), totals)
             groups[GROUP] = totals.attributes
-        self._context = create_sealed(path, stored, header.attributes(), groups, prove)
+        attributes: dict[str, str | int] = {
+            **header.attributes(),
+            "num_tx": header.num_tx,
+        }  # a number as such
+        self._context = create_sealed(path, stored, attributes, groups, prove)
 
     def __enter__(self) -> PasWriter:
         self._file = self._context.__enter__()
