@@ -66,7 +66,7 @@ def sound_files() -> dict[str, bytes]:
         _write_scenes()
         for line in (
             f"generate room.toml -o {DATA} --freqs 1,10 -q",
-            "generate mesh.toml -o mesh.h5 --freqs 1,10 --solver image --tx 2 -q",
+            "generate mesh.toml -o mesh.h5 --freqs 1,10 --solver image --tx 2 --paths -q",
             f"split --data {DATA} -o split.h5 --targets 10 --maps -q",
             f"run --data {DATA} --results results --method nearest --targets 10 --budget 3steps -q",
         ):

@@ -35,7 +35,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "view": {"data_or_scene": ("data set", *SCENE), "output": WRITTEN},
     "generate": {"scene": SCENE, "tx_positions": ("positions",), "output": WRITTEN},
     "import": {"folder": ("PNG folder",), "output": WRITTEN},
-    "export": {"data": ("data set",), "output": WRITTEN},
+    "export": {"data": ("data set", "mesh"), "output": WRITTEN},
     "split": {"data": ("data set",), "output": ("split file",)},
     "score": {
         "predictions": ("predictions made elsewhere",),
@@ -119,6 +119,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
         "view": ("view mesh.toml -o new -q", "view mesh.h5 -o new -q"),
         "info": ("info mesh.h5 --retrace 1",),
+        "export": ("export mesh.h5 -o new --to deepmimo -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
     },

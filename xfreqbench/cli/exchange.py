@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -16,6 +16,7 @@ from xfreqbench.cli.options import (
     say_written,
     target_carriers_hz,
 )
+from xfreqbench.errors import XFreqBenchError
 
 Convention = Annotated[
     str, Parameter(help="Whose angles, values and array: a name from `xfreqbench conventions`.")
@@ -74,24 +75,59 @@ def export(
     data: Path,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
-    convention: Convention,
+    to: Annotated[
+        Literal["png", "deepmimo", "sionna-npz"],
+        Parameter(
+            help="png: maps, as --convention draws them; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: "
+            "paths, in arrays named as in Sionna RT."
+        ),
+    ] = "png",
+    convention: Annotated[
+        str | None,
+        Parameter(help="For PNG maps: whose angles and values, a name from `xfreqbench conventions`."),
+    ] = None,
     set_: Changed = (),
     quiet: Quiet = False,
 ) -> None:
-    """Write a data set as a folder of PNG maps, in the layout that other groups read.
+    """Write a data set in a layout that others read: its maps as a folder of PNGs, or its paths.
 
     Parameters
     ----------
     data
-        A data set, generated or imported.
+        A data set, generated or imported; for paths, one that was generated with --paths.
     """
+    if (to == "png") != (convention is not None):
+        raise XFreqBenchError(
+            "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench conventions`."
+            if to == "png"
+            else f"--to {to} writes paths, which no convention of maps changes: leave out --convention."
+        )
+    if to != "png":
+        _export_paths(data, output, to, set_, quiet)
+        return
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import export_png_folder
     from xfreqbench.system.bars import progress_bars
 
     with progress_bars("maps", ["exporting"], quiet) as (progress,):
-        dataset = export_png_folder(data, output, convention_named(convention, set_), progress)
+        dataset = export_png_folder(data, output, convention_named(str(convention), set_), progress)
     say(f"wrote {output} ({len(dataset)} maps)", quiet)
+
+
+def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], quiet: bool) -> None:
+    from xfreqbench.exchange.deepmimo import export_deepmimo
+    from xfreqbench.exchange.sionna_npz import export_sionna_npz
+    from xfreqbench.system.bars import progress_bars
+
+    if changed:
+        raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
+    write = export_deepmimo if to == "deepmimo" else export_sionna_npz
+    with progress_bars("carriers", ["exporting"], quiet) as (progress,):
+        dataset = write(data, output, progress)
+    say(
+        f"wrote {output} (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)",
+        quiet,
+    )
 
 
 @app.command

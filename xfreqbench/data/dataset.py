@@ -35,7 +35,7 @@ from xfreqbench.data.paths import (
     ImpulseResponse,
     SamplePaths,
     path_variables,
-    read_transmitter,
+    read_paths,
     stored_offsets,
     stored_totals,
 )
@@ -243,10 +243,9 @@ class PasDataset:
                 if self.header.paths
                 else f"{self.path} holds no paths. Generate it with --paths."
             )
-        start, stop = self.tables[OFFSET][tx : tx + 2].tolist()
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
-            stored = read_transmitter(file, totals, start, stop)
+            stored = read_paths(file, totals, self.tables[OFFSET][tx : tx + 2])
             return SamplePaths.of(
                 stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names
             )

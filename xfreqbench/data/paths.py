@@ -222,8 +222,12 @@ def stored_offsets(file: Any, num_paths: int) -> Int[IntArray, "T1"]:
     return offset
 
 
-def read_transmitter(file: Any, totals: PathTotals, start: int, stop: int) -> RaggedPaths:
-    """Paths `start` to `stop` of an open data set, those of one transmitter; raises `ValueError` for nonsense."""
+def read_paths(file: Any, totals: PathTotals, tx_offset: Int[IntArray, "T1"]) -> RaggedPaths:
+    """Paths of some transmitters, one behind the other, of an open data set; raises `ValueError` for nonsense.
+
+    `tx_offset` is a part of `stored_offsets`: that of T transmitters, and the next.
+    """
+    start, stop = int(tx_offset[0]), int(tx_offset[-1])
     offset = file[INTERACTION_OFFSET][start : stop + 1]
     first, last = int(offset[0]), int(offset[-1])
     _require_ascending(INTERACTION_OFFSET, offset, max(0, first), min(last, totals.num_points))
@@ -238,7 +242,7 @@ def read_transmitter(file: Any, totals: PathTotals, start: int, stop: int) -> Ra
         raise ValueError(f"dataset '{GROUP}/surface' names surfaces that are not there")
     if not np.isin(values["interaction"], list(INTERACTION_CODES.values())).all():
         raise ValueError(f"dataset '{GROUP}/interaction' holds codes that stand for no interaction")
-    return RaggedPaths(np.array([stop - start]), num_interactions=np.diff(offset), **values)
+    return RaggedPaths(np.diff(tx_offset), num_interactions=np.diff(offset), **values)
 
 
 def _require_ascending(name: str, offset: IntArray, first: int, last: int) -> None:

@@ -1,0 +1,85 @@
+"""The paths of a data set as rectangular arrays, as other projects keep them: every list padded to the longest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Shaped
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.hdf5 import open_sealed, read_errors
+from xfreqbench.data.paths import GROUP, OFFSET, read_paths, stored_totals
+from xfreqbench.data.schema import SCHEMA
+from xfreqbench.errors import DataError
+from xfreqbench.tracing.paths import RaggedPaths
+from xfreqbench.types import FloatArray, IntArray
+
+
+class PaddedPaths:
+    """The paths of T transmitters as arrays of T × L, L the longest list, and of T × L × D for their interactions.
+
+    `gain` (P,) are the gains of all P paths at one carrier, by which paths are ordered, the strongest of a transmitter
+    first, where `strongest_first`; else the earliest is first.
+    """
+
+    def __init__(self, paths: RaggedPaths, carrier: int, strongest_first: bool = False) -> None:
+        self.paths = paths
+        self.gain: Complex[NDArray[np.complex128], "P"] = paths.gain[:, carrier].astype(np.complex128)
+        tx = np.repeat(np.arange(len(paths.num_paths)), paths.num_paths)
+        first = np.cumsum(paths.num_paths) - paths.num_paths
+        place = np.arange(len(tx)) - first[tx]
+        if strongest_first:
+            order = np.lexsort((place, -np.abs(self.gain), tx))
+            place[order] = np.arange(len(tx)) - first[tx]
+        self._place: tuple[IntArray, IntArray] = (tx, place)
+        self.shape = len(paths.num_paths), int(paths.num_paths.max(initial=0))
+        self.depth = int(paths.num_interactions.max(initial=0))
+
+    def of_paths(self, values: Shaped[NDArray[Any], "P"], padding: complex) -> Shaped[NDArray[Any], "T L"]:
+        """A number of each path, in its transmitter's row."""
+        table = np.full(self.shape, padding, values.dtype)
+        table[self._place] = values
+        return table
+
+    @property
+    def is_path(self) -> Bool[NDArray[np.bool_], "T L"]:
+        """Where the tables hold a path."""
+        return self.of_paths(np.ones(len(self.gain), bool), False)
+
+    def of_interactions(
+        self, values: Shaped[NDArray[Any], "I *S"], padding: complex, backwards: bool = False
+    ) -> Shaped[NDArray[Any], "T L D *S"]:
+        """What belongs to each interaction, along its path from the transmitter, or from the receiver, `backwards`."""
+        count = self.paths.num_interactions
+        path = np.repeat(np.arange(len(count)), count)
+        step = np.arange(len(path)) - (np.cumsum(count) - count)[path]
+        step = count[path] - 1 - step if backwards else step
+        table = np.full((*self.shape, self.depth, *values.shape[1:]), padding, values.dtype)
+        table[self._place[0][path], self._place[1][path], step] = values
+        return table
+
+    def zenith_rad(
+        self, elevation_rad: Float[NDArray[np.float32], "P"], padding: float
+    ) -> Float[FloatArray, "T L"]:
+        """Angles from the world's z axis, from elevations above its xy plane."""
+        return self.of_paths(np.pi / 2 - elevation_rad.astype(np.float64), padding)
+
+
+def stored_paths(dataset: PasDataset) -> tuple[RaggedPaths, tuple[str, ...]]:
+    """All paths of a whole data set, and the names of the surfaces; raises `DataError` where none are stored."""
+    if OFFSET not in dataset.tables:
+        raise DataError(f"{dataset.path} holds no paths. Generate it with --paths.")
+    with open_sealed(dataset.path, SCHEMA) as file, read_errors(dataset.path, f"group {GROUP!r}"):
+        totals = stored_totals(file)
+        return read_paths(file, totals, dataset.tables[OFFSET]), totals.surface_names
+
+
+def carrier_names(dataset: PasDataset) -> Iterator[tuple[int, float, str]]:
+    """Number and frequency of each carrier, and a name for what is written of it, such as `office_24.25ghz`."""
+    letters = (letter if letter.isalnum() else "_" for letter in dataset.header.scene_name.lower())
+    scene = "".join(letters)
+    for carrier, carrier_hz in enumerate(dataset.header.carrier_hz.tolist()):
+        yield carrier, carrier_hz, f"{scene}_{carrier_hz / 1e9:.9g}ghz"
