@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from typing_extensions import Doc
 
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.network import NetworkConfig
@@ -13,8 +16,8 @@ from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMet
 class ApertureGSConfig(NetworkConfig, TrainingConfig):
     """Options. There are fewer Gaussians than a renderer of pixels needs."""
 
-    num_gaussians: Count = 128
-    modes: Count = 4  # channels whose powers add up
+    num_gaussians: Annotated[Count, Doc("Gaussians, which add up at the array's elements")] = 128
+    modes: Annotated[Count, Doc("channels whose powers add up")] = 4
 
 
 class ApertureGS(LearnedMethod):

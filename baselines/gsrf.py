@@ -12,6 +12,7 @@ from numpy.polynomial import Legendre, Polynomial
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import normalize
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling
@@ -33,11 +34,11 @@ _COEFFICIENT = 0.1  # standard deviation of real and imaginary parts at the star
 class GSRFConfig(GaussianConfig, SplatTrainingConfig):
     """Options. The paper has at most 10,000 Gaussians at the start, and degree 3."""
 
-    num_gaussians: Count = 512  # at most; as many as a regular grid in the box has
+    num_gaussians: Annotated[Count, Doc("most Gaussians at the start, on a grid in the box")] = 512
     max_gaussians: Count = 768
     batch_size: Count = 64
-    degree: Annotated[int, Limits(ge=0, le=8)] = 3
-    degree_until: Fraction = 0.5  # share of the budget until which degrees are added one by one
+    degree: Annotated[int, Limits(ge=0, le=8), Doc("of the Fourier–Legendre series")] = 3
+    degree_until: Annotated[Fraction, Doc("share of the budget in which degrees are added")] = 0.5
 
 
 class FourierLegendre(nn.Module):

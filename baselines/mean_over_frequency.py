@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 from pydantic import Field
+from typing_extensions import Doc
 
 from xfreqbench.methods.lookup import TransmitterLookup
 from xfreqbench.types import FloatArray
@@ -18,7 +19,7 @@ from xfreqbench.types import FloatArray
 class MeanOverFrequencyConfig:
     """Options: the number of nearest transmitters that replace one that is not in the training rows."""
 
-    num_nearest: Annotated[int, Field(ge=1)] = 6
+    num_nearest: Annotated[int, Field(ge=1), Doc("transmitters that replace an untrained one")] = 6
 
 
 class MeanOverFrequency(TransmitterLookup):

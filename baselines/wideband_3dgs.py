@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
@@ -29,12 +30,12 @@ _OPACITY = 0.1  # of each Gaussian at the start
 class Wideband3DGSConfig(GaussianConfig, SplatTrainingConfig):
     """Options. The paper has 8 layers of 128 for the attenuation, 128 and 64 for the signal, and 10 octaves."""
 
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 6.0  # of one deviation, at the start
-    width: Annotated[int, Limits(ge=2)] = 64
-    layers: Count = 4
-    octaves: Annotated[int, Limits(ge=0)] = 4
-    carrier_octaves: Annotated[int, Limits(ge=0)] = 10
-    precision: Precision = "auto"
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90), Doc("one deviation at the start")] = 6.0
+    width: Annotated[int, Limits(ge=2), Doc("features of each hidden layer")] = 64
+    layers: Annotated[Count, Doc("hidden layers")] = 4
+    octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of places")] = 4
+    carrier_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the carrier")] = 10
+    precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
     batch_size: Count = 64
 
 

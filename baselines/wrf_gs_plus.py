@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
@@ -33,12 +34,12 @@ class WRFGSPlusConfig(GaussianConfig, SplatTrainingConfig):
     It has tens of thousands of Gaussians.
     """
 
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 4.0  # of one deviation, at the start
-    width: Count = 64
-    layers: Count = 4
-    position_octaves: Annotated[int, Limits(ge=0)] = 4
-    tx_octaves: Annotated[int, Limits(ge=0)] = 6
-    precision: Precision = "auto"
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90), Doc("one deviation at the start")] = 4.0
+    width: Annotated[Count, Doc("features of each hidden layer")] = 64
+    layers: Annotated[Count, Doc("hidden layers")] = 4
+    position_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of a Gaussian's place")] = 4
+    tx_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the transmitter's place")] = 6
+    precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
     batch_size: Count = 32  # each map has its own footprints
 
 

@@ -7,10 +7,11 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import pytest
 from pydantic import Field
+from typing_extensions import Doc
 
 from xfreqbench.cli.runs import run
 from xfreqbench.errors import MethodError, UnknownNameError
-from xfreqbench.methods.config import as_json, override
+from xfreqbench.methods.config import as_json, option_rows, override
 from xfreqbench.methods.lookup import NoOptions
 from xfreqbench.methods.registry import build_method
 
@@ -43,6 +44,41 @@ class OfAClass:
 @dataclass(frozen=True)
 class OfAnything:
     part: Any = Opaque()  # noqa: RUF009
+
+
+@dataclass(frozen=True)
+class Explained(Config):
+    hidden: Annotated[int, Doc("features")] = 64
+    kernel: Annotated[Path, Field(description="where it is")] = Path("k.pt")
+    share: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+
+@dataclass(frozen=True)
+class Narrower(Explained):
+    hidden: Annotated[int, Field(ge=2, lt=9)] = 8
+
+
+def test_options_say_what_they_take_and_mean() -> None:
+    rows = {row.name: row[1:] for row in option_rows(Explained())}
+    assert rows == {
+        "hidden": ("64", "whole number", "features"),
+        "rate": ("0.001", "number", ""),
+        "spread": ("true", "true, false", ""),
+        "scale": ("log", "log, linear", ""),
+        "carriers": ("(1.0,)", "list", ""),
+        "limit": ("None", "whole number or nothing", ""),
+        "depth": ("6", "whole number from 1", ""),
+        "kernel": ("k.pt", "path", "where it is"),
+        "share": ("0.5", "number above 0 to 1", ""),
+    }
+
+
+def test_an_option_that_is_changed_in_a_subclass_keeps_its_meaning() -> None:
+    assert option_rows(Narrower())[0] == ("hidden", "8", "whole number from 2 to below 9", "features")
+
+
+def test_an_option_that_no_text_can_give_says_so() -> None:
+    assert option_rows(OfAClass())[0].allowed == "what no text can give"
 
 
 def test_values_are_typed_from_the_fields() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import fields
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -89,8 +90,16 @@ def test_a_method_is_described_with_its_options_and_no_other_is_imported(
     found.append(EntryPoint("endless", "stub_methods:Endless", "xfreqbench.methods"))
     monkeypatch.setattr("xfreqbench.methods.registry.entry_points", lambda group: found)
     assert method_summaries() == {"absent": "plug-in", "endless": "plug-in"}
-    told = method_description("endless")
-    assert told == "Trains for ever and predicts `answer`.\n\noptions of --set:\n  pause_s=0.0"
+    told, options = method_description("endless")
+    assert told == "Trains for ever and predicts `answer`."
+    assert options == [("pause_s", "0.0", "number", "")]
+
+
+@pytest.mark.parametrize("name", method_names())
+def test_every_option_of_a_built_in_method_has_a_meaning(name: str) -> None:
+    _, options = method_description(name)
+    assert [option.name for option in options] == [each.name for each in fields(build_method(name).config)]
+    assert not [option.name for option in options if not option.meaning]
 
 
 @pytest.mark.parametrize(

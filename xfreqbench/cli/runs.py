@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Executor, Output, Quiet, app, say, target_carriers_hz
+from xfreqbench.cli.options import Executor, Output, Quiet, app, print_table, say, target_carriers_hz
 from xfreqbench.errors import XFreqBenchError
 
 
 @app.command
 def methods(method: str | None = None) -> None:
-    """List the installed methods, or describe one with its options.
+    """List the installed methods, or describe one with its options: default, what each takes, and what it means.
 
     Parameters
     ----------
@@ -23,7 +23,11 @@ def methods(method: str | None = None) -> None:
     from xfreqbench.methods.registry import method_description, method_summaries
 
     if method is not None:
-        print(method_description(method))
+        said, options = method_description(method)
+        print(said)
+        if options:
+            print()
+            print_table("options of --set", ("option", "default", "takes", "meaning"), list(options))
         return
     for name, summary in method_summaries().items():
         print(f"{name:22} {summary}")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic.errors import PydanticUserError
@@ -13,6 +14,14 @@ from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.guard import plain_json, readable
 
 Config = TypeVar("Config")
+_KINDS = {
+    "integer": "whole number",
+    "boolean": "true, false",
+    "string": "text",
+    "array": "list",
+    "null": "nothing",
+}
+_ENDS = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "to below", "maximum": "to"}
 
 
 def override(config: Config, assignments: Iterable[str]) -> Config:
@@ -38,6 +47,60 @@ def as_json(config: Any) -> dict[str, Any]:
         raise MethodError(
             f"{type(config).__name__} cannot be written as JSON: {readable(str(error))}. Give it fields that can."
         ) from error
+
+
+class OptionRow(NamedTuple):
+    """One field of a configuration, in words: its name, its default, what it may be, and what it means."""
+
+    name: str
+    default: str
+    allowed: str
+    meaning: str
+
+
+def option_rows(config: Any) -> list[OptionRow]:
+    """Every field of a configuration. Its meaning is the `Doc` of its annotation, or that of the class it overrides.
+
+    A description of a Pydantic `Field` does too; a field without either has an empty meaning.
+    """
+    kinds = _types(config)
+    return [
+        OptionRow(
+            field.name,
+            json.dumps(value) if isinstance(value := getattr(config, field.name), bool) else str(value),
+            _allowed_values(config, kinds[field.name]),
+            _meaning(config, field.name),
+        )
+        for field in fields(config)
+    ]
+
+
+def _meaning(config: Any, name: str) -> str:
+    for base in type(config).__mro__:
+        hint = get_type_hints(base, include_extras=True).get(name)
+        for said in getattr(hint, "__metadata__", ()):
+            told = getattr(said, "documentation", None) or getattr(said, "description", None)
+            if told:
+                return str(told)
+    return ""
+
+
+def _allowed_values(config: Any, kind: Any) -> str:
+    try:
+        return _allowed(_adapter(config, kind).json_schema())
+    except (MethodError, PydanticUserError):
+        return "what no text can give"
+
+
+def _allowed(schema: Mapping[str, Any]) -> str:
+    """What a JSON schema lets a value be, in words: `whole number from 0 to 8`."""
+    if "enum" in schema or "const" in schema:
+        return ", ".join(map(str, schema.get("enum", [schema.get("const")])))
+    if "anyOf" in schema:
+        return " or ".join(map(_allowed, schema["anyOf"]))
+    kind = str(schema.get("format", schema.get("type", "anything")))
+    ends = [f"{word} {schema[key]:g}" for key, word in _ENDS.items() if key in schema]
+    return " ".join([_KINDS.get(kind, kind), *ends])
 
 
 def _typed(config: Any, key: str, text: str) -> Any:

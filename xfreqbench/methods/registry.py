@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from xfreqbench.errors import MethodError, UnknownNameError
-from xfreqbench.methods.config import override
+from xfreqbench.methods.config import OptionRow, option_rows, override
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.guard import method_code, readable
 from xfreqbench.methods.moved import new_places
@@ -43,21 +43,20 @@ def _summary(entry: Any) -> str:
     return f"plug-in, from {entry.dist.name}" if entry.dist else "plug-in"
 
 
-def method_description(name: str) -> str:
-    """What the docstring of one method says, and its options with their defaults; imports no other method.
+def method_description(name: str) -> tuple[str, list[OptionRow]]:
+    """What the docstrings of one method and of its options say, and every option; imports no other method.
 
     Raises as `build_method` does.
     """
     config = build_method(name).config
     with method_code(f"Method {name!r} cannot be described:", "Mend its docstring or its config."):
-        options = [f"  {each.name}={getattr(config, each.name)}" for each in fields(config)]
-        return "\n".join(
-            [_docstring(resolve_method(name)), "", "options of --set:", *(options or ["  none"])]
-        )
+        own, generated = _docstring(type(config)), f"{type(config).__name__}("  # as dataclasses write theirs
+        told = [_docstring(resolve_method(name)), "" if own.startswith(generated) else own]
+        return "\n\n".join(filter(None, told)), option_rows(config)
 
 
-def _docstring(method_class: Callable[..., Method]) -> str:
-    return readable(getdoc(method_class) or "")
+def _docstring(named: Any) -> str:
+    return readable(getdoc(named) or "")
 
 
 def resolve_method(name: str) -> Callable[..., Method]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import silu
+from typing_extensions import Doc
 
 from xfreqbench.methods.learning.encoding import FeatureGrid, Scaling, encoded_size, positional_encoding
 from xfreqbench.methods.learning.network import Attributes, NetworkConfig
@@ -30,12 +31,12 @@ class LowRankConfig(NetworkConfig):
     a trend, which starts at nothing; without a `trend` it is one more input of the network.
     """
 
-    rank: Annotated[int, Limits(ge=1)] = 64
+    rank: Annotated[int, Limits(ge=1), Doc("numbers of a Gaussian's code")] = 64
     width: Annotated[int, Limits(ge=1)] = 192
     layers: Annotated[int, Limits(ge=1)] = 1
     max_spread: Annotated[float, Limits(ge=1)] = 1.3
-    trend: bool = True
-    dropout: Annotated[float, Limits(ge=0, lt=1)] = 0.2
+    trend: Annotated[bool, Doc("whether the carrier scales a trend, and is no input")] = True
+    dropout: Annotated[float, Limits(ge=0, lt=1), Doc("share of the features that a step leaves out")] = 0.2
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from jaxtyping import Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import normalize, relu
+from typing_extensions import Doc
 
 from xfreqbench.methods.learning.encoding import FeatureGrid, Scaling, encoded_size, positional_encoding
 
@@ -104,19 +105,17 @@ def _cpu_capabilities() -> dict[str, object]:
 class NetworkConfig:
     """Inputs and size of the network. The paper has width 256, 10 octaves and no bearing."""
 
-    width: Annotated[int, Limits(ge=1)] = 64
-    layers: Annotated[int, Limits(ge=1)] = 4
-    tx_octaves: Annotated[int, Limits(ge=0)] = 6
-    tx_levels: Annotated[int, Limits(ge=0, le=8)] = (
-        4  # of a grid of learned features of the transmitter's place
-    )
-    position_octaves: Annotated[int, Limits(ge=0)] = 4
-    carrier_octaves: Annotated[int, Limits(ge=0)] = 0
-    sees_carrier: bool = True
-    bearing: bool = True  # whether the angle at the receiver between transmitter and Gaussian is an input
-    latent: Annotated[int, Limits(ge=0)] = 4
-    max_spread: Annotated[float, Limits(ge=1)] = 2.0  # the spread lies between 1/max_spread and max_spread
-    precision: Precision = "auto"
+    width: Annotated[int, Limits(ge=1), Doc("features of each hidden layer")] = 64
+    layers: Annotated[int, Limits(ge=1), Doc("hidden layers")] = 4
+    tx_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the transmitter's place")] = 6
+    tx_levels: Annotated[int, Limits(ge=0, le=8), Doc("levels of learned features of places")] = 4
+    position_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of a Gaussian's place")] = 4
+    carrier_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the carrier")] = 0
+    sees_carrier: Annotated[bool, Doc("whether the carrier is an input")] = True
+    bearing: Annotated[bool, Doc("whether the angle between transmitter and Gaussian is an input")] = True
+    latent: Annotated[int, Limits(ge=0), Doc("numbers of a Gaussian's latent; 0: none")] = 4
+    max_spread: Annotated[float, Limits(ge=1), Doc("largest spread of footprints by the carrier")] = 2.0
+    precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from pydantic import Field as Limits
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
@@ -50,21 +51,17 @@ class TrainingConfig:
     Where `averaging` is above 0, maps are predicted with a running mean of the weights.
     """
 
-    steps: Count = 200_000  # the paper's
-    batch_size: Count = 32
-    learning_rate: Positive = 2e-3
-    ssim_weight: Fraction = (
-        0.8  # w of Eq. 12, reached after the share `ssim_ramp` of the budget; the paper has 0.4
-    )
-    ssim_ramp: Fraction = 0.25
-    carrier_blur: Annotated[float, Limits(ge=0)] = 0.5
-    stride: Count = 5  # training uses every fifth row and column, from a new offset at each step
-    ssim_window: Annotated[int, Limits(ge=2)] = 3  # rows and columns in view
-    derive_targets: bool = True  # from the channels, where they are stored, instead of reading maps from disk
-    averaging: Annotated[float, Limits(ge=0, lt=1)] = (
-        0.0  # what the mean of the weights keeps of itself at a step
-    )
-    device: str = "cpu"
+    steps: Annotated[Count, Doc("most steps of a fit; the default is the paper's")] = 200_000
+    batch_size: Annotated[Count, Doc("maps of a step")] = 32
+    learning_rate: Annotated[Positive, Doc("of Adam, for the weights")] = 2e-3
+    ssim_weight: Annotated[Fraction, Doc("w of Eq. 12 at the end; the paper has 0.4")] = 0.8
+    ssim_ramp: Annotated[Fraction, Doc("share of the budget after which w is reached")] = 0.25
+    carrier_blur: Annotated[float, Limits(ge=0), Doc("random shift of log carriers, of a band 2 wide")] = 0.5
+    stride: Annotated[Count, Doc("a step uses every so many rows and columns of a map")] = 5
+    ssim_window: Annotated[int, Limits(ge=2), Doc("rows and columns in view of the loss's SSIM")] = 3
+    derive_targets: Annotated[bool, Doc("maps come from stored channels, not from disk")] = True
+    averaging: Annotated[float, Limits(ge=0, lt=1), Doc("what a running mean of weights keeps")] = 0.0
+    device: Annotated[str, Doc("where it computes: cpu, cuda or cuda:0")] = "cpu"
 
 
 class ChannelField(nn.Module):

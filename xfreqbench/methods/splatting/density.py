@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Complex, Int
 from pydantic import Field as Limits
 from torch import Tensor, nn
+from typing_extensions import Doc
 
 from xfreqbench.methods.splatting.gaussians import RFGaussians
 
@@ -19,11 +20,11 @@ _SHRINK = 0.5  # log of 1.65, by which the size of a divided Gaussian shrinks, a
 class DensityConfig:
     """Options: when Gaussians are divided and dropped, and how many there may be."""
 
-    max_gaussians: Annotated[int, Limits(ge=1)] = 384
-    densify_every: Annotated[int, Limits(ge=0)] = 200  # steps; 0: never
-    densify_until: Annotated[float, Limits(ge=0, le=1)] = 0.5  # share of the budget
-    growth: Annotated[float, Limits(ge=0)] = 0.1  # share of the Gaussians that are added each time
-    prune_below: Annotated[float, Limits(ge=0)] = 0.01  # of the mean contribution
+    max_gaussians: Annotated[int, Limits(ge=1), Doc("most Gaussians that there may be")] = 384
+    densify_every: Annotated[int, Limits(ge=0), Doc("steps between divisions of Gaussians; 0: never")] = 200
+    densify_until: Annotated[float, Limits(ge=0, le=1), Doc("share of budget until which they divide")] = 0.5
+    growth: Annotated[float, Limits(ge=0), Doc("share of the Gaussians that is added each time")] = 0.1
+    prune_below: Annotated[float, Limits(ge=0), Doc("contribution of those dropped, of the mean")] = 0.01
 
 
 class DensityControl(nn.Module):

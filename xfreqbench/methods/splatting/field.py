@@ -12,6 +12,7 @@ from jaxtyping import Bool, Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import normalize
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
@@ -40,11 +41,11 @@ class GaussianConfig(DensityConfig):
     projected on the maps that the array can give: a map is a combination of the array's few lag functions.
     """
 
-    num_gaussians: Count = 256
-    band: bool = True
-    splat_stride: Count = 8
-    position_rate: Positive = 10.0  # of the learning rate: positions in metres may change faster than weights
-    move_from: Fraction = 0.0  # share of the budget from which Gaussians move; 1: never
+    num_gaussians: Annotated[Count, Doc("Gaussians at the start")] = 256
+    band: Annotated[bool, Doc("whether power is projected on the maps that the array can give")] = True
+    splat_stride: Annotated[Count, Doc("with band, power is computed on every so many rows and columns")] = 8
+    position_rate: Annotated[Positive, Doc("rate of the Gaussians' places, of the learning rate")] = 10.0
+    move_from: Annotated[Fraction, Doc("share of the budget from which Gaussians move; 1: never")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -210,12 +211,12 @@ class SplatConfig(GaussianConfig):
     of a transmitter and a Gaussian, or one of low rank.
     """
 
-    network: Literal["low-rank", "pairwise"] = "low-rank"
-    start: Literal["lattice", "random"] = "lattice"
-    angular_size_deg: Annotated[float, Limits(gt=0, le=90)] = 8.0  # of one deviation, at the start
-    footprint: Literal["projected", "circular"] = "projected"  # circular: fixed at the starting size
-    direct_wave: bool = True
-    transmittance: bool = True  # without: no Gaussian hides another
+    network: Annotated[Literal["low-rank", "pairwise"], Doc("products with codes, or all pairs")] = "low-rank"
+    start: Annotated[Literal["lattice", "random"], Doc("where Gaussians stand at first")] = "lattice"
+    angular_size_deg: Annotated[float, Limits(gt=0, le=90), Doc("one deviation at the start")] = 8.0
+    footprint: Annotated[Literal["projected", "circular"], Doc("circular: all of one size")] = "projected"
+    direct_wave: Annotated[bool, Doc("whether a plane wave from the transmitter is added")] = True
+    transmittance: Annotated[bool, Doc("whether Gaussians hide others behind them")] = True
 
 
 class SplatField(GaussianField):

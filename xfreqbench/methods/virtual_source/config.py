@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field as Limits
+from typing_extensions import Doc
 
 LOOK_SHARES = (0.08, 0.16, 0.3)  # of the budget, after which planes are searched again
 
@@ -18,23 +19,21 @@ class SourceConfig:
     field has not explained until then.
     """
 
-    max_planes: Annotated[int, Limits(ge=0, le=64)] = 32  # of which sequences are formed
-    max_order: Annotated[int, Limits(ge=0, le=3)] = 3
-    max_images: Annotated[int, Limits(ge=1)] = 160
-    planes: Literal["search", "random"] = "search"
-    looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES))] = len(LOOK_SHARES)
-    phase: bool = True  # of path lengths; false is an ablation
-    lengths: Literal["float64", "float32"] = "float64"
-    cell_m: Annotated[float, Limits(ge=0.05, le=10)] = 0.3
-    gain_width: Annotated[int, Limits(ge=1)] = 64
-    gain_octaves: Annotated[int, Limits(ge=0)] = 2
-    sparsity: Annotated[float, Limits(ge=0)] = 0.02  # weight of the cells' contents in the loss
-    max_gain: Annotated[float, Limits(ge=0, le=1)] = (
-        0.0  # by which a network may change the gain of a path; 0: no network
+    max_planes: Annotated[int, Limits(ge=0, le=64), Doc("most planes, of which sequences are formed")] = 32
+    max_order: Annotated[int, Limits(ge=0, le=3), Doc("most reflections of a path")] = 3
+    max_images: Annotated[int, Limits(ge=1), Doc("most paths that are kept")] = 160
+    planes: Annotated[Literal["search", "random"], Doc("random: an ablation")] = "search"
+    looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES)), Doc("searches during training")] = len(
+        LOOK_SHARES
     )
-    free_sources: Annotated[int, Limits(ge=0)] = 32
-    free_modes: Annotated[int, Limits(ge=1)] = 2
-    lone_sources: Annotated[int, Limits(ge=1)] = (
-        128  # free sources where fewer than three planes are found, as in aperture-gs
-    )
-    lone_modes: Annotated[int, Limits(ge=1)] = 4
+    phase: Annotated[bool, Doc("whether path lengths give phases; false is an ablation")] = True
+    lengths: Annotated[Literal["float64", "float32"], Doc("precision of path lengths")] = "float64"
+    cell_m: Annotated[float, Limits(ge=0.05, le=10), Doc("side of a plane's cells")] = 0.3
+    gain_width: Annotated[int, Limits(ge=1), Doc("features of the layers of the network for gains")] = 64
+    gain_octaves: Annotated[int, Limits(ge=0), Doc("octaves of its inputs")] = 2
+    sparsity: Annotated[float, Limits(ge=0), Doc("weight of the cells' contents in the loss")] = 0.02
+    max_gain: Annotated[float, Limits(ge=0, le=1), Doc("by which a network may change gains; 0: none")] = 0.0
+    free_sources: Annotated[int, Limits(ge=0), Doc("sources beside the images, as in aperture-gs")] = 32
+    free_modes: Annotated[int, Limits(ge=1), Doc("channels of theirs whose powers add up")] = 2
+    lone_sources: Annotated[int, Limits(ge=1), Doc("free sources where few planes are found")] = 128
+    lone_modes: Annotated[int, Limits(ge=1), Doc("channels of theirs whose powers add up")] = 4

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
+from typing_extensions import Doc
 
 from xfreqbench import LearnedMethod, PasDataset
 from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
@@ -21,10 +22,10 @@ from xfreqbench.methods.learning.training import ChannelField, Count, TrainingCo
 class PlaneWavesConfig(TrainingConfig):
     """Options that `--set` can change: these, and all fields of `TrainingConfig`."""
 
-    waves: Count = 24  # directions that all transmitters and carriers share
-    modes: Count = 4  # channels whose powers add up, because the phases at an unseen carrier are unknown
-    width: Count = 64
-    octaves: Count = 3
+    waves: Annotated[Count, Doc("directions that all transmitters and carriers share")] = 24
+    modes: Annotated[Count, Doc("channels whose powers add up, as phases are unknown")] = 4
+    width: Annotated[Count, Doc("features of the hidden layer")] = 64
+    octaves: Annotated[Count, Doc("octaves of sines of the inputs")] = 3
 
 
 class PlaneWaveField(ChannelField):
