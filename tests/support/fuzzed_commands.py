@@ -16,7 +16,7 @@ RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
 WRITTEN: tuple[str, ...] = ()  # an output, of which is read only whether it is the command's own
 
-_SLOW = ("view", "findings", "residual", "benchmark")  # they draw, trace or run for a second
+_SLOW = ("view", "findings", "residual", "benchmark", "bench ceiling")  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
@@ -55,12 +55,13 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench scale-out": {"output": ("records",)},
     "bench load": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
+    "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
     *(
         (f"bench {name}", "records")
-        for name in ("generate", "render", "savings", "scale-out", "load", "peers")
+        for name in ("generate", "render", "savings", "scale-out", "load", "peers", "ceiling")
     ),
     ("stress", "records"),
 }
@@ -85,6 +86,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "report": (_REPORT,),
         "findings": (f"findings results --data {DATA} -o new -q",),
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
+        "bench ceiling": (f"bench ceiling {DATA} --freqs 10 --transmitters 1 -q",),
     },
     "stored predictions": {
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
@@ -120,6 +122,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "view": ("view mesh.toml -o new -q", "view mesh.h5 -o new -q"),
         "info": ("info mesh.h5 --retrace 1",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
+        "bench ceiling": ("bench ceiling mesh.h5 --freqs 10 --transmitters 1 -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
     },

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Output, Quiet, app, bench, say
+from xfreqbench.cli.options import Output, Quiet, app, bench, parse_carriers_hz, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -165,6 +165,45 @@ def bench_peers(
     names = [name.strip() for name in solvers.split(",")]
     bench = _bench("peers", output, solvers=",".join(names), orders=orders, seconds=seconds)
     run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds)
+
+
+@bench.command(name="ceiling")
+def bench_ceiling(
+    data: Path,
+    *,
+    freqs: Annotated[
+        str | None,
+        Parameter(help="Carriers in GHz, comma-separated; of 2.4,24.25,77 those in the data if absent."),
+    ] = None,
+    transmitters: Annotated[
+        int, Parameter(help="Transmitters, drawn at random; all where there are fewer.")
+    ] = 192,
+    seed: Annotated[int, Parameter(help="Which transmitters are drawn, and which phases.")] = 0,
+    output: BenchOutput = None,
+    quiet: Quiet = False,
+) -> None:
+    """Print the SSIM of maps made of the true paths, with unknown phases or few reflections: what is left to win.
+
+    Parameters
+    ----------
+    data
+        A data set of `generate`; its paths are traced again.
+    """
+    from dataclasses import replace
+    from functools import partial
+
+    from xfreqbench.bench import ceiling
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.system.bars import progress_bars
+
+    bench = _bench("ceiling", output, str(data), freqs=freqs, transmitters=transmitters, seed=seed)
+    carriers_hz = None if freqs is None else parse_carriers_hz(freqs)
+    bench = replace(bench, say=partial(say, quiet=quiet))
+    plan = ceiling.plan_ceiling(open_dataset(data), carriers_hz, transmitters, seed)
+    bench.introduce()
+    with progress_bars("transmitters", ["ceiling"], quiet) as (progress,):
+        scores = ceiling.compute_ceiling(plan, progress)
+    ceiling.bench_ceiling(bench, plan, scores)
 
 
 def _counts(option: str, text: str, most: int) -> list[int]:

@@ -7,7 +7,7 @@ import pytest
 from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, findings_of, plane
 
 from xfreqbench.report.findings.model import StoredFindings
-from xfreqbench.report.findings.true_paths import HELD_MARGIN_M, PathKinds, path_kinds, spherical_waves
+from xfreqbench.report.findings.true_paths import HELD_MARGIN_M, PathKinds, path_kinds
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import Paths
 
@@ -82,12 +82,3 @@ def test_refraction_before_a_reflection_does_not_hide_its_plane() -> None:
     kinds = path_kinds(paths, tx_m, StoredFindings.model_validate(ALL_PLANES))
     assert (kinds.num_transmissions[kinds.num_reflections > 0] > 0).any()
     assert kinds.is_found.all()
-
-
-def test_a_spherical_wave_reaches_each_element_after_its_own_distance(tracer: ImageTracer) -> None:
-    direct = spherical_waves(tracer.paths(TX_M), 0, SCENE.receiver)[0]
-    wavelength_m = 299_792_458.0 / 2.4e9
-    distance_m = np.linalg.norm(TX_M - SCENE.receiver.element_position_m(wavelength_m), axis=1)
-    turned_back = direct * np.exp(2j * np.pi * distance_m / wavelength_m)
-    assert np.abs(np.angle(turned_back / turned_back[0])).max() < 1e-9  # some 20 turns in double precision
-    np.testing.assert_allclose(np.abs(direct), np.abs(direct[0]))

@@ -9,7 +9,8 @@ import numpy as np
 
 from xfreqbench.bench.stress.case import Area
 from xfreqbench.bench.stress.channels import CARRIERS_GHZ
-from xfreqbench.bench.stress.training import TINY_FIT, on_random_channels, one_thread
+from xfreqbench.bench.stress.training import TINY_FIT, on_random_channels
+from xfreqbench.bench.threads import one_thread
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation

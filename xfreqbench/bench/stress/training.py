@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -44,17 +43,6 @@ _SINGLE = 5e-6  # as of maps: sums of 136 pairs of elements in float32, of a pea
 _CPU = torch.device("cpu")
 _GRID = AngularGrid.hemisphere()
 _ELEMENTS = planar_array(4, 4, 0.5)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch use one thread, so that sums have the same order in every run."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def on_random_channels(

@@ -18,7 +18,7 @@ from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.metrics import psnr, ssim
 from xfreqbench.methods.contract import TRIVIAL
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.true_paths import SELECTIONS, path_kinds, spherical_waves
+from xfreqbench.report.findings.true_paths import SELECTIONS, path_kinds
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import RunRecord
@@ -27,6 +27,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.tracing.image.furnished import image_tracer
 from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.waves import spherical_waves
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback
 
 DRAW_SEED = 0

@@ -1,4 +1,4 @@
-"""The true paths of a transmitter: which of them reflect at found planes alone, and the channel of each.
+"""The true paths of a transmitter, and which of them reflect at found planes alone.
 
 A reflection counts as found where a plane of the findings runs through its point, is parallel to the surface there,
 and holds something.
@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.report.findings.model import FoundPlane, StoredFindings
-from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths, element_delays_s
+from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
 from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 FOUND_DISTANCE_M = 0.005  # added to three standard deviations of the plane's distance
 FOUND_TILT_RAD = 0.002
@@ -82,20 +80,6 @@ def path_kinds(paths: Paths, tx_position_m: Float[FloatArray, "3"], findings: St
         (paths.interactions == REFRACTION).sum(axis=1),
         np.asarray((is_found | ~is_reflection).all(axis=1)),
     )
-
-
-def spherical_waves(
-    paths: Paths, carrier: int, receiver: ReceiverArray
-) -> Complex[NDArray[np.complex128], "P M"]:
-    """Channel of each path at the array's elements, as one spherical wave.
-
-    The wave comes from the path's source as the array centre sees it; power and polarisation are those at the
-    centre for all elements. `carrier` is an index into the paths' carriers.
-    """
-    carrier_hz = float(paths.carrier_hz[carrier])
-    element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz) - np.asarray(receiver.position_m)
-    turns = carrier_hz * element_delays_s(paths.delay_s, paths.arrival, element_m)
-    return paths.gain[carrier][:, None] * np.exp(-2j * np.pi * turns)
 
 
 def _reflections(
