@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing import xfreqbench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from places import ROOT
 from scipy.spatial.transform import Rotation
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, MethodError, UnknownNameError
-from xfreqbench.exchange.conventions import CONVENTIONS, convention_named
+from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_named
 from xfreqbench.exchange.png_dataset import import_png_folder
 from xfreqbench.exchange.png_folder import read_png_folder
 from xfreqbench.maps.grid import unit_vector
@@ -195,10 +197,19 @@ def test_an_unknown_convention_is_answered_with_the_nearest() -> None:
         convention_named("wideband-3dgs")
 
 
+@pytest.mark.parametrize("name", NO_CONVENTIONS)
+def test_what_cannot_come_in_is_answered_with_the_reason(name: str, tmp_path: Path) -> None:
+    told = xfreqbench("import", tmp_path, "-o", tmp_path / "out.h5", "--convention", name)
+    assert told.code == 2
+    assert f"There is no convention {name!r}. {NO_CONVENTIONS[name]}" in told.stderr
+    assert f"{name}: none. {NO_CONVENTIONS[name]}" in xfreqbench("conventions").stdout
+    assert f"`{name}`" in (ROOT / "docs" / "data-format.md").read_text("utf-8")
+
+
 def test_only_the_numbering_and_the_source_differ_among_those_who_draw_nerf2_s_maps() -> None:
     nerf2 = CONVENTIONS["nerf2"]
-    for name in ("wrf-gs", "gsrf"):
-        same = replace(CONVENTIONS[name], index=nerf2.index, read_in=nerf2.read_in)
+    for name in ("wrf-gs", "gsrf", "swiftwrf"):
+        same = replace(CONVENTIONS[name], index=nerf2.index, read_in=nerf2.read_in, caveat="")
         assert same == nerf2
     assert not nerf2.last_column_repeats_the_first
     assert CONVENTIONS["xfreq-gs"].last_column_repeats_the_first

@@ -29,11 +29,13 @@ Changed = Annotated[
 @app.command
 def conventions() -> None:
     """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
-    from xfreqbench.exchange.conventions import CONVENTIONS, convention_rows
+    from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_rows
 
     print_table("", ("field", *CONVENTIONS), convention_rows())
     for name, convention in CONVENTIONS.items():
         print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
+    for name, reason in NO_CONVENTIONS.items():
+        print(f"{name}: none. {reason}")
 
 
 @app.command(name="import")

@@ -171,15 +171,31 @@ CONVENTIONS = {
         read_in="nesl/GSRF, scene/dataset_readers.py: the maps are those of NeRF2, and were drawn by its generator. "
         "Its renderer takes the azimuths to be 1 to 360, its config the carrier to be 915 MHz",
     ),
+    "swiftwrf": replace(
+        _NERF2,
+        read_in="Evan-sudo/Swift_WRF, dataloader.py: files of NeRF2's layout, its maps among them",
+        caveat="It publishes sets of its own too, but not their generator: that their pixels mean what NeRF2's do is "
+        "an assumption. Sets in which the receiver moves and the transmitter stands have no place in a data set.",
+    ),
 }
+NO_CONVENTIONS = {
+    "newrf": "LuHaofan/NeWRF publishes channels between single antennas, which have no map of angles, as pickles of "
+    "Python, which are never loaded here, for they may run code. Its rooms are STL files: name one in a Mitsuba XML as "
+    "a shape of type stl, with a material, and generate data in it.",
+    "rf-3dgs": "SunLab-UGA/RF-3DGS publishes pictures by pinhole cameras at many places of the receiver, for one place "
+    "of the transmitter, with poses in COLMAP's format. Maps here are hemispheres seen from one receiver, for many "
+    "places of the transmitter: neither can be made from the other.",
+}  # projects whose data cannot come in as folders of maps, and why
 
 
 def convention_named(name: str, assignments: Iterable[str] = ()) -> Convention:
     """The convention of that name, with fields changed by texts `field=value`.
 
     Raises `UnknownNameError`, `MethodError` for a value that is not of its field's type, and `DataError` for
-    angles that are not on a hemisphere.
+    angles that are not on a hemisphere, and for a project of `NO_CONVENTIONS`.
     """
+    if name in NO_CONVENTIONS:
+        raise DataError(f"There is no convention {name!r}. {NO_CONVENTIONS[name]}")
     if name not in CONVENTIONS:
         raise UnknownNameError("convention", name, CONVENTIONS)
     convention = override(CONVENTIONS[name], assignments)
