@@ -68,10 +68,43 @@ def test_names_and_subsets_are_refused_before_the_first_fit(dataset: PasDataset,
     assert not list(tmp_path.iterdir())
 
 
-def test_bars_are_drawn_where_they_are_asked_for(
+def test_runs_are_told_of_where_that_is_asked_for(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     xb.run(dataset, "nearest", results=tmp_path, **TARGET)  # type: ignore[arg-type]
     assert not capsys.readouterr().err
-    xb.run(dataset, "nearest", results=tmp_path / "shown", progress=True, **TARGET)  # type: ignore[arg-type]
-    assert "1/1 runs" in capsys.readouterr().err
+    (record,) = xb.run(dataset, "nearest", results=tmp_path / "shown", progress=True, **TARGET)  # type: ignore[arg-type]
+    told = f"1/1 nearest on lofo-77GHz, seed 0: median SSIM {record.scores['ssim'].median:.4f}, 0.0 s of fitting\n"
+    assert capsys.readouterr().err == told
+
+
+def test_runs_on_workers_are_told_of_too(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xb.run(dataset, "nearest", results=tmp_path, executor=1, progress=True, **TARGET)  # type: ignore[arg-type]
+    assert capsys.readouterr().err == "1/1 nearest on lofo-77GHz, seed 0\n"
+
+
+def test_what_may_take_more_than_ten_minutes_is_said_before_the_first_run(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A fit that ends after its only step takes no time, but its budget is twelve minutes."""
+    methods = {"aperture-gs": {"num_gaussians": 4, "steps": 1}}
+    asked = {"results": tmp_path, "progress": True, "budget": "12m", **TARGET}
+    xb.run(dataset, methods, **asked)  # type: ignore[arg-type]
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "1 runs: 1 to run, up to 12 min, one at a time"
+    assert second.startswith("1/1 aperture-gs")
+    xb.run(dataset, methods, **asked)  # type: ignore[arg-type]
+    (again,) = capsys.readouterr().err.splitlines()
+    assert again.startswith("1/1 aperture-gs")
+
+
+def test_nothing_is_told_before_an_error(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(UnknownNameError):
+        xb.run(
+            dataset, ["nearest", "neares"], results=tmp_path, progress=True, budget="2h", targets_ghz="all"
+        )
+    assert not capsys.readouterr().err

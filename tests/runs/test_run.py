@@ -24,6 +24,8 @@ from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.run import Job, run_job, run_jobs
 from xfreqbench.system import machine
 
+ON_A_TERMINAL = {"FORCE_COLOR": "1", "TTY_INTERACTIVE": "1", "COLUMNS": "200"}  # as Rich is told
+
 
 @dataclass(frozen=True)
 class WeightsConfig:
@@ -262,8 +264,13 @@ def test_a_device_is_an_option_of_the_methods_that_have_one(dataset: PasDataset,
 
 
 def test_a_running_fit_is_shown(
-    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    dataset: PasDataset,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    for name, value in ON_A_TERMINAL.items():
+        monkeypatch.setenv(name, value)
     options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
     runs.run(data=Path(dataset.path), results=tmp_path, **options)
     shown = " ".join(capsys.readouterr().err.split())

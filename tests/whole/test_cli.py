@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import functools
 import json
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -126,6 +128,33 @@ def command_names(commands: App, *before: str) -> list[tuple[str, ...]]:
         if not name.startswith("-"):
             found += command_names(commands[name], *before, name)
     return found
+
+
+def command_named(names: tuple[str, ...]) -> App:
+    return functools.reduce(lambda within, name: within[name], names, app)
+
+
+COMMANDS = [names for names in command_names(app) if command_named(names).default_command is not None]
+
+
+@pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
+def test_the_help_of_every_command_ends_with_an_example_that_can_be_given(names: tuple[str, ...]) -> None:
+    told = command_named(names).help_epilogue
+    assert told is not None and told.startswith(f"Example: xfreqbench {' '.join(names)}")
+    words = shlex.split(told.removeprefix("Example: xfreqbench "))
+    command, _, _ = app.parse_args(words, exit_on_error=False, print_error=False, help_on_error=False)
+    assert command is command_named(names).default_command
+
+
+def test_help_shows_commands_in_groups() -> None:
+    groups = {group.name: group.sort_key for name in app for group in app[name].group}
+    assert sorted(groups, key=groups.get) == [  # type: ignore[arg-type]
+        *("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Options")
+    ]
+    shown = xfreqbench("--help").stdout
+    assert (
+        shown.index("Data") < shown.index("generate") < shown.index("Run methods") < shown.index("Advanced")
+    )
 
 
 @pytest.mark.parametrize("columns", ["0", "1", "2", "-1", "²", "9" * 5000, "1000000000"])

@@ -8,11 +8,13 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
+    DATA,
     Executor,
     Freqs,
     Output,
     Quiet,
     app,
+    example,
     parse_carriers_hz,
     say,
     say_written,
@@ -32,7 +34,7 @@ Interactions = Annotated[
 DEFAULT_INTERACTIONS = "specular,refraction"
 
 
-@app.command
+@app.command(group=DATA, help_epilogue=example("scenes"))
 def scenes(
     *,
     schema: Annotated[
@@ -51,7 +53,7 @@ def scenes(
         print(f"{name:12} {description}")
 
 
-@app.command
+@app.command(group=DATA, help_epilogue=example("generate office --freqs 2.4,10,24.25 --tx 24 -o office.h5"))
 def generate(
     scene: str = "office",
     *,
@@ -165,7 +167,7 @@ def _read_positions(path: Path | None) -> Any:
         ) from error
 
 
-@app.command
+@app.command(group=DATA, help_epilogue=example("info office.h5 --retrace 4"))
 def info(
     file: Path,
     *,
@@ -205,7 +207,7 @@ def info(
         print(left_out(open_dataset(file), glints, seed))
 
 
-@app.command
+@app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 -o maps.png"))
 def plot(
     file: Path,
     *,
@@ -234,7 +236,7 @@ def plot(
     say(f"wrote {output}")
 
 
-@app.command
+@app.command(group=DATA, help_epilogue=example("view office.h5 --tx 7 -o office_view"))
 def view(
     data_or_scene: str,
     *,

@@ -8,9 +8,11 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
+    EXCHANGE,
     Output,
     Quiet,
     app,
+    example,
     print_table,
     say,
     say_written,
@@ -26,7 +28,7 @@ Changed = Annotated[
 ]
 
 
-@app.command
+@app.command(group=EXCHANGE, help_epilogue=example("conventions"))
 def conventions() -> None:
     """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
     from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_rows
@@ -38,7 +40,11 @@ def conventions() -> None:
         print(f"{name}: none. {reason}")
 
 
-@app.command(name="import")
+@app.command(
+    name="import",
+    group=EXCHANGE,
+    help_epilogue=example("import wideband-example1 --convention wideband3dgs -o other.h5"),
+)
 def import_(
     folder: Path,
     *,
@@ -72,7 +78,7 @@ def import_(
     say_written(output, is_new, quiet)
 
 
-@app.command
+@app.command(group=EXCHANGE, help_epilogue=example("export office.h5 --convention nerf2 -o office_png"))
 def export(
     data: Path,
     *,
@@ -132,7 +138,9 @@ def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], q
     )
 
 
-@app.command
+@app.command(
+    group=EXCHANGE, help_epilogue=example("split --data office.h5 --targets 24.25 --maps -o split.h5")
+)
 def split(
     *,
     data: Annotated[Path, Parameter(help="Data set written by `generate` or `import`.")],
@@ -167,7 +175,7 @@ def split(
     say(f"wrote {output} ({size}): {names}" if is_new else f"{output} already holds these splits", quiet)
 
 
-@app.command
+@app.command(group=EXCHANGE, help_epilogue=example("score predictions.h5 --data office.h5 --results results"))
 def score(
     predictions: Path,
     *,

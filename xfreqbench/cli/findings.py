@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Output, Quiet, app, print_table, say
+from xfreqbench.cli.options import RESULTS, Output, Quiet, app, example, print_table, say
 
 RunData = Annotated[Path, Parameter(name="--data", help="The data set that the run was on.")]
 
@@ -30,7 +30,7 @@ class RecordChoice:
 NEWEST = RecordChoice()
 
 
-@app.command
+@app.command(group=RESULTS, help_epilogue=example("findings results --data office.h5 -o findings"))
 def findings(
     results: Path,
     *,
@@ -66,7 +66,7 @@ def findings(
         say(f"wrote {path}", quiet)
 
 
-@app.command
+@app.command(group=RESULTS, help_epilogue=example("residual results --data office.h5 -o residual.md"))
 def residual(
     results: Path,
     *,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Output, Quiet, app, bench, parse_carriers_hz, say
+from xfreqbench.cli.options import ADVANCED, Output, Quiet, app, bench, example, parse_carriers_hz, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -40,7 +40,7 @@ def _bench(
     return Bench(kind or name, shlex.join(words), say, output)
 
 
-@app.command
+@app.command(group=ADVANCED, help_epilogue=example("stress --only scores"))
 def stress(
     *,
     only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
@@ -70,7 +70,7 @@ def stress(
         sys.exit(1)
 
 
-@bench.command(name="generate")
+@bench.command(name="generate", help_epilogue=example("bench generate office --solvers image"))
 def bench_generate(
     scene: str = "office",
     *,
@@ -100,7 +100,7 @@ def bench_generate(
         convergence.bench_generate(bench, scene, names)
 
 
-@bench.command(name="render")
+@bench.command(name="render", help_epilogue=example("bench render --gaussians 1000,4000 --batch 8"))
 def bench_render(
     *,
     gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, up to 1000000.")] = "1000,4000,16000",
@@ -116,7 +116,7 @@ def bench_render(
     rendering.bench_render(bench, *numbers, step)
 
 
-@bench.command(name="savings")
+@bench.command(name="savings", help_epilogue=example("bench savings -o records.jsonl"))
 def bench_savings(*, output: BenchOutput = None) -> None:
     """Print the time of every saving of generator, renderer and training, off and on, and what it changes."""
     from xfreqbench.bench import savings as efficiency
@@ -124,7 +124,7 @@ def bench_savings(*, output: BenchOutput = None) -> None:
     efficiency.bench_savings(_bench("savings", output))
 
 
-@bench.command(name="scale-out")
+@bench.command(name="scale-out", help_epilogue=example("bench scale-out --tx 64"))
 def bench_scale_out(
     *,
     tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64,
@@ -136,7 +136,7 @@ def bench_scale_out(
     scale_out.bench_scale_out(_bench("scale-out", output, tx=tx), tx)
 
 
-@bench.command(name="load")
+@bench.command(name="load", help_epilogue=example("bench load --methods aperture-gs"))
 def bench_load(
     *,
     methods: Annotated[str, Parameter(help="Methods to fit, comma-separated.")] = "xfreq-gs,aperture-gs",
@@ -149,7 +149,7 @@ def bench_load(
     load.bench_load(_bench("load", output, methods=",".join(names)), names)
 
 
-@bench.command(name="peers")
+@bench.command(name="peers", help_epilogue=example("bench peers --solvers sionna,PathSolver --orders 1,2"))
 def bench_peers(
     *,
     solvers: Annotated[
@@ -167,7 +167,7 @@ def bench_peers(
     run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds)
 
 
-@bench.command(name="ceiling")
+@bench.command(name="ceiling", help_epilogue=example("bench ceiling office.h5 --freqs 24.25"))
 def bench_ceiling(
     data: Path,
     *,
@@ -215,7 +215,7 @@ def _counts(option: str, text: str, most: int) -> list[int]:
     return [int(part) for part in parts]
 
 
-@bench.command(name="reference")
+@bench.command(name="reference", help_epilogue=example("bench reference empty -o reference.npz"))
 def bench_reference(scene: str = "office", *, output: Output | None = None, quiet: Quiet = False) -> None:
     """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run goes on where it was."""
     from xfreqbench.bench.reference import make_reference, reference_path

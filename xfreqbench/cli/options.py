@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -16,8 +16,18 @@ app = App(
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
     suppress_keyboard_interrupt=False,
 )
-bench = App(name="bench", help="Measure accuracy against time; every table names its machine.")
+DATA, RUN, RESULTS, EXCHANGE, ADVANCED, _OTHERS = (  # of the commands in --help, in this order
+    Group(name, sort_key=place)
+    for place, name in enumerate(
+        ("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Options")
+    )
+)
+bench = App(
+    name="bench", help="Measure accuracy against time; every table names its machine.", group=ADVANCED
+)
 app.command(bench)
+for flag in ("--help", "--version"):
+    app[flag].group = _OTHERS
 
 Freqs = Annotated[
     str, Parameter(help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.")
@@ -31,6 +41,11 @@ Executor = Annotated[
     ),
 ]
 _PIPED_WIDTH = 160  # columns of text for a table that goes to a file or another program
+
+
+def example(words: str) -> str:
+    """What stands at the end of a command's help: a whole command line, of these words behind `xfreqbench`."""
+    return f"Example: xfreqbench {words}"
 
 
 def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:

@@ -7,11 +7,22 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Executor, Output, Quiet, app, print_table, say, target_carriers_hz
+from xfreqbench.cli.options import (
+    RESULTS,
+    RUN,
+    Executor,
+    Output,
+    Quiet,
+    app,
+    example,
+    print_table,
+    say,
+    target_carriers_hz,
+)
 from xfreqbench.errors import XFreqBenchError
 
 
-@app.command
+@app.command(group=RUN, help_epilogue=example("methods xfreq-gs"))
 def methods(method: str | None = None) -> None:
     """List the installed methods, or describe one with its options: default, what each takes, and what it means.
 
@@ -33,7 +44,11 @@ def methods(method: str | None = None) -> None:
         print(f"{name:22} {summary}")
 
 
-@app.command(name="check-method")
+@app.command(
+    name="check-method",
+    group=RUN,
+    help_epilogue=example("check-method your_module:YourMethod --set width=32"),
+)
 def check_method(
     method: str,
     *,
@@ -63,7 +78,12 @@ def check_method(
         raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
 
 
-@app.command
+@app.command(
+    group=RUN,
+    help_epilogue=example(
+        "run --data office.h5 --method nearest,aperture-gs --targets 24.25 --budget 60s --results results"
+    ),
+)
 def run(
     *,
     data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
@@ -98,6 +118,9 @@ def run(
         ),
     ] = (),
     executor: Executor = "serial",
+    dry_run: Annotated[
+        bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit methods on a protocol's training rows, store their predictions and score them.
@@ -108,12 +131,16 @@ def run(
     from xfreqbench.methods.registry import device_option, method_names
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
+    from xfreqbench.runs.outlook import outlook
     from xfreqbench.runs.protocol import protocol_jobs, run_shown
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     overrides = {name: (*set_, *device_option(name, device)) for name in names}
     targets_hz = target_carriers_hz(targets)
     jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget))
+    if dry_run:
+        print(f"{protocol} on {data.name}: {outlook(jobs, results, executor)}; nothing was run")
+        return
     records = run_shown(jobs, results, executor, not quiet)
     say(
         f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
@@ -137,7 +164,7 @@ def _seeds(text: str) -> list[int]:
     return list(dict.fromkeys(map(int, parts)))
 
 
-@app.command
+@app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))
 def benchmark(
     *,
     preset: Annotated[
@@ -167,6 +194,7 @@ def benchmark(
     It prints what it takes before it starts; interrupted or killed, the same command goes on.
     """
     from xfreqbench.runs import benchmark as benchmarks
+    from xfreqbench.runs.progress import worker_bar
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers
 
@@ -175,13 +203,14 @@ def benchmark(
         say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:
         return
-    with progress_bars("done", [*planned.scenes, "runs"], quiet) as (*tracing, runs):
+    with (
+        progress_bars("transmitters", planned.scenes, quiet) as tracing,
+        open_workers(executor or "serial") as workers,
+    ):
         by_scene = dict(zip(planned.scenes, tracing, strict=True))
-        with open_workers(executor or "serial") as workers:
-            benchmarks.generate_data(
-                planned, lambda scene, done, total: by_scene[scene](done, total), workers
-            )
-        failures = benchmarks.run_benchmark(planned, lambda done, total, job: runs(done, total), executor)
+        benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total), workers)
+    with worker_bar(quiet) as finished:
+        failures = benchmarks.run_benchmark(planned, finished, executor)
     for name in planned.missing_benches():
         failures += benchmarks.measure(planned, name)
     if not failures:
@@ -191,7 +220,7 @@ def benchmark(
     _raise_failures(failures, "parts")
 
 
-@app.command
+@app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))
 def report(
     results: Path,
     *,

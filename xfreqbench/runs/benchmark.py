@@ -20,6 +20,7 @@ from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.on_workers import run_on
+from xfreqbench.runs.outlook import OVERHEAD_S, in_hours
 from xfreqbench.runs.presets import PRESETS, Block, Preset
 from xfreqbench.runs.records import BenchRecord, Job, machine_and_time
 from xfreqbench.scene.model import load_scene
@@ -34,7 +35,6 @@ from xfreqbench.system.workers import (
 )
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
-OVERHEAD_S = 13  # what a run takes besides its fit: start, learning curve, predictions and scores
 BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it takes on two cores
     "generate": (("bench", "generate"), 4),
     "plain": (("bench", "generate", "--against-plain", "--plain-tx", "8"), 4),
@@ -143,7 +143,7 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
             f"left out: {preset.left_out}",
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
             f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
-            f"{len(preset.benches)} measurements: about {_in_hours(seconds_needed(benchmark, places))}; "
+            f"{len(preset.benches)} measurements: about {in_hours(seconds_needed(benchmark, places))}; "
             f"{_disk_gb(benchmark):.0f} GB of predictions",
         ]
     )
@@ -249,8 +249,3 @@ def _disk_gb(benchmark: Benchmark) -> float:
         _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 / 1e9
         for block in benchmark.preset.blocks
     )
-
-
-def _in_hours(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -15,11 +16,11 @@ from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget, parse_budget
 from xfreqbench.methods.registry import device_option, method_names
 from xfreqbench.runs.on_workers import run_on
-from xfreqbench.runs.progress import run_bars
+from xfreqbench.runs.outlook import may_be_long, outlook
+from xfreqbench.runs.progress import run_bars, worker_bar
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.arguments import FilePath, Numbers, Texts, WholeNumbers, Word, checked
-from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.workers import SERIAL, open_workers
 from xfreqbench.units import ghz_to_hz
 
@@ -69,7 +70,7 @@ def run(
     `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
     `budget` ends every fit, as in `300s`, `5m` or `2000steps`; None leaves the end to the method. `device` is where
     methods that have the choice compute. `executor` is `serial`, a number of processes, or `dask://host:port`.
-    `progress` draws bars on stderr.
+    `progress` draws bars on stderr, or prints a line for each run where that is no terminal.
 
     Records and predictions go to the folder `results`. What is finished there is not run again, and a fit that was
     killed goes on from its last checkpoint. Raises `XFreqBenchError`, before the first fit where that is possible;
@@ -85,18 +86,21 @@ def run(
 
 
 def run_shown(jobs: Sequence[Job], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
-    """The records of the jobs of a protocol, run where `executor` says, with bars on stderr if `progress` is true.
+    """The records of the jobs of a protocol, run where `executor` says.
 
-    Raises as `run` does; where workers run the jobs, the `XFreqBenchError` names those that failed.
+    If `progress` is true, bars or lines on stderr tell of it, and before the first run what the runs will take, where
+    that may be more than ten minutes. Raises as `run` does; where workers run the jobs, the `XFreqBenchError` names
+    those that failed.
     """
+    if progress and may_be_long(jobs, executor):
+        ahead = outlook(jobs, results_dir, executor)
+        if ahead.is_long:
+            print(ahead, file=sys.stderr, flush=True)
     if executor == SERIAL:
         with run_bars(not progress) as callbacks:
             return run_jobs(jobs, results_dir, *callbacks)
-    with (
-        open_workers(executor, is_fresh=True) as workers,
-        progress_bars("done", ["runs"], not progress) as (bar,),
-    ):
-        outcome = run_on(workers, jobs, results_dir, lambda done, total, job: bar(done, total))
+    with open_workers(executor, is_fresh=True) as workers, worker_bar(not progress) as finished:
+        outcome = run_on(workers, jobs, results_dir, finished)
     if outcome.failures:
         number = f"{len(outcome.failures)} of {len(jobs)} runs failed; run the same again, and they are tried again."
         raise XFreqBenchError("\n".join([number, *outcome.failures]))

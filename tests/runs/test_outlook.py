@@ -1,0 +1,83 @@
+"""What runs will take: counts and time, before anything is run or written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.cli import runs
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import ProtocolError, UnknownNameError, XFreqBenchError
+from xfreqbench.methods.contract import Budget
+from xfreqbench.runs.outlook import OVERHEAD_S, Outlook, in_hours, may_be_long, outlook
+from xfreqbench.runs.records import Job
+from xfreqbench.runs.run import run_jobs
+
+UNLIMITED = Budget()
+
+
+def job(dataset: PasDataset, method: str = "nearest", budget: Budget = UNLIMITED) -> Job:
+    return Job(str(dataset.path), method, "lofo", "lofo-77GHz", budget=budget)
+
+
+def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "results"
+    asked = {"data": dataset.path, "results": results, "targets": "2.4,77", "dry_run": True}
+    runs.run(method="nearest,aperture-gs", budget="10m", seed="0,1", executor="2", **asked)  # type: ignore[arg-type]
+    said = capsys.readouterr().out
+    assert said.startswith(
+        f"lofo on {dataset.path.name}: 8 runs: 8 to run, up to 21 min, 2 at a time; nothing"
+    )
+    assert not results.exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [
+        ({"method": "neares"}, UnknownNameError),
+        ({"targets": "3"}, ProtocolError),
+        ({"executor": "many"}, XFreqBenchError),
+        ({"set_": ("width=1",)}, XFreqBenchError),
+    ],
+)
+def test_a_dry_run_finds_the_mistakes_of_a_run(
+    dataset: PasDataset, tmp_path: Path, wrong: dict, kind: type[Exception]
+) -> None:
+    asked = {"data": dataset.path, "results": tmp_path, "method": "nearest", "targets": "77", "dry_run": True}
+    with pytest.raises(kind):
+        runs.run(**{**asked, **wrong})
+
+
+def test_finished_runs_take_no_time(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = [job(dataset), job(dataset, "line-of-sight")]
+    run_jobs(jobs[:1], tmp_path)
+    ahead = outlook(jobs, tmp_path)
+    assert ahead.left == (jobs[1],)
+    assert str(ahead) == "2 runs, 1 of them finished before: 1 to run, up to 1 min, one at a time"
+    run_jobs(jobs, tmp_path)
+    assert str(outlook(jobs, tmp_path)) == "2 runs, 2 of them finished before: nothing is left to run"
+
+
+def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
+    fits = [job(dataset, "aperture-gs", Budget(max_seconds=300.0)), job(dataset, "aperture-gs")]
+    steps, trivial = job(dataset, "aperture-gs", Budget(max_steps=9)), job(dataset, "nearest", fits[0].budget)
+    assert Outlook(1, (fits[0],)).seconds == 300 + OVERHEAD_S
+    assert Outlook(1, (trivial,)).seconds == Outlook(1, (steps,)).seconds == OVERHEAD_S
+    assert "2 fits without a budget in seconds come on top" in str(Outlook(3, (*fits, steps)))
+    assert "of run time, shared by the workers of the cluster" in str(Outlook(1, (fits[0],), None))
+
+
+def test_ten_minutes_are_long(dataset: PasDataset) -> None:
+    short, long = (job(dataset, "aperture-gs", Budget(max_seconds=seconds)) for seconds in (580.0, 590.0))
+    assert not may_be_long([short])
+    assert may_be_long([long])
+    assert may_be_long([short] * 3)
+    assert not may_be_long([short] * 3, "3")
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0, "1 min"), (420, "7 min"), (7500, "2 h 05 min")])
+def test_times_are_told_in_hours_and_minutes(seconds: float, words: str) -> None:
+    assert in_hours(seconds) == words

@@ -1,0 +1,95 @@
+"""What runs will take, told before the first of them starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.jobs import look_up
+from xfreqbench.runs.records import Job
+from xfreqbench.system.workers import SERIAL, require_executor
+
+OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
+LONG_S = 600.0
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """Runs that are asked for, and those of them that are left; `str` says it in a line.
+
+    `num_places` is the number of runs at a time, None where only a cluster knows.
+    """
+
+    num_asked: int
+    left: tuple[Job, ...]
+    num_places: int | None = 1
+
+    @property
+    def seconds(self) -> float:
+        """The most that the runs with a budget in seconds take, one after the other; other fits may take any time."""
+        return sum(OVERHEAD_S + _most_seconds(job) for job in self.left)
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it may take more than ten minutes, as far as that is known."""
+        return self.seconds / (self.num_places or 1) > LONG_S
+
+    def __str__(self) -> str:
+        num_finished, num_left = self.num_asked - len(self.left), len(self.left)
+        counted = f"{self.num_asked} runs" + (
+            f", {num_finished} of them finished before" if num_finished else ""
+        )
+        if not num_left:
+            return f"{counted}: nothing is left to run"
+        if self.num_places is None:
+            time = f"up to {in_hours(self.seconds)} of run time, shared by the workers of the cluster"
+        else:
+            at_a_time = self.num_places if self.num_places > 1 else "one"
+            time = f"up to {in_hours(self.seconds / self.num_places)}, {at_a_time} at a time"
+        unknown = sum(job.budget.max_seconds is None and not _is_trivial(job) for job in self.left)
+        rest = f"; {unknown} fits without a budget in seconds come on top" if unknown else ""
+        return f"{counted}: {num_left} to run, {time}{rest}"
+
+
+def outlook(jobs: Sequence[Job], results_dir: Path, executor: str = SERIAL) -> Outlook:
+    """What jobs will take with these workers, those that are finished in a folder left out; nothing is written.
+
+    Raises what looking up the jobs' data sets, splits and methods raises, and `XFreqBenchError` for an executor that
+    there is not.
+    """
+    require_executor(executor)
+    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
+    folder = ResultsFolder(results_dir)
+    tasks = [look_up(job, datasets[job.dataset]) for job in jobs]
+    left = tuple(task.job for task in tasks if folder.finished(task.id) is None)
+    return Outlook(len(jobs), left, _num_places(executor))
+
+
+def may_be_long(jobs: Iterable[Job], executor: str = SERIAL) -> bool:
+    """Whether jobs may take more than ten minutes if none is finished; nothing is looked up for that."""
+    every = tuple(jobs)
+    return Outlook(len(every), every, _num_places(executor)).is_long
+
+
+def in_hours(seconds: float) -> str:
+    """A time in minutes, or in hours and minutes: `7 min`, `2 h 05 min`."""
+    minutes = max(1, round(seconds / 60))
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+
+
+def _num_places(executor: str) -> int | None:
+    if executor == SERIAL:
+        return 1
+    return int(executor) if executor.isdecimal() else None
+
+
+def _is_trivial(job: Job) -> bool:
+    return job.method in TRIVIAL
+
+
+def _most_seconds(job: Job) -> float:
+    return 0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0
