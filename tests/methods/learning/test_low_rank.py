@@ -15,7 +15,7 @@ from xfreqbench.methods.learning.network import Attributes
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 NUM_GAUSSIANS, RANK = 7, 3
-SMALL = LowRankConfig(rank=RANK, width=5, tx_octaves=1, position_octaves=1, tx_levels=1, dropout=0.0)
+SMALL = LowRankConfig(rank=RANK, width=5, tx_octaves=1, position_octaves=1, tx_levels=1)
 BY_PLACE = replace(SMALL, latent=0)
 CARRIER_HZ = torch.tensor([1e9, 10e9, 37e9, 94e9], dtype=torch.float64)
 
@@ -115,15 +115,3 @@ def test_gradients_are_those_of_differences(config: LowRankConfig) -> None:
 
     # the carrier's axis is rounded to float32, but it does not depend on the weights
     assert torch.autograd.gradcheck(outputs, [value.requires_grad_() for value in start])
-
-
-def test_dropped_features_follow_from_the_number_of_masks_alone() -> None:
-    query = random(5, 3, seed=9), CARRIER_HZ[:1].expand(5), random(NUM_GAUSSIANS, 3)
-    first, second = (network_of(replace(SMALL, width=64, dropout=0.5)) for _ in range(2))
-    drawn = [first(*query, codes()).signal for _ in range(3)]
-    assert not torch.equal(drawn[0], drawn[1])
-    second.load_state_dict(first.state_dict())
-    assert torch.equal(first(*query, codes()).signal, second(*query, codes()).signal)
-    with torch.no_grad():  # nothing is dropped, and no mask is drawn
-        assert torch.equal(first(*query, codes()).signal, first(*query, codes()).signal)
-    assert int(first.next_mask) == int(second.next_mask)

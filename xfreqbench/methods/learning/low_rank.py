@@ -36,7 +36,6 @@ class LowRankConfig(NetworkConfig):
     layers: Annotated[int, Limits(ge=1)] = 1
     max_spread: Annotated[float, Limits(ge=1)] = 1.3
     trend: Annotated[bool, Doc("whether the carrier scales a trend, and is no input")] = True
-    dropout: Annotated[float, Limits(ge=0, lt=1), Doc("share of the features that a step leaves out")] = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +75,9 @@ class LowRankNetwork(nn.Module):
     narrow with the carrier. One more output is the strength of the direct wave, 1 at the start.
     """
 
-    next_mask: Tensor
-
     def __init__(self, config: LowRankConfig, scaling: Scaling) -> None:
         super().__init__()
         self.config, self.scaling = config, scaling
-        self.register_buffer("next_mask", torch.randint(1 << 62, ()))  # the seed of the next mask of features
         self.places = FeatureGrid(config.tx_levels)
         self._has_trend = config.trend and config.sees_carrier
         carrier_size = encoded_size(1, config.carrier_octaves) * (config.sees_carrier and not config.trend)
@@ -147,11 +143,4 @@ class LowRankNetwork(nn.Module):
         features = torch.cat(inputs, dim=-1)
         for layer in self.layers:
             features = silu(layer(features))
-        return self._thinned(features) if torch.is_grad_enabled() and self.config.dropout else features
-
-    def _thinned(self, features: Float[Tensor, "B W"]) -> Float[Tensor, "B W"]:
-        """Features of which a share is dropped. Which ones follows from the number of masks drawn so far alone."""
-        generator = torch.Generator().manual_seed(int(self.next_mask))
-        self.next_mask += 1
-        kept = torch.rand(features.shape, generator=generator) >= self.config.dropout
-        return features * (kept / (1 - self.config.dropout)).to(features)
+        return features
