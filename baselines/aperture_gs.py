@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typing_extensions import Doc
 
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.network import NetworkConfig
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, TrainingConfig
+
+from .trivial import TRIVIAL
 
 
 @dataclass(frozen=True)
@@ -18,12 +20,14 @@ class ApertureGSConfig(NetworkConfig, TrainingConfig):
 
     num_gaussians: Annotated[Count, Doc("Gaussians, which add up at the array's elements")] = 128
     modes: Annotated[Count, Doc("channels whose powers add up")] = 4
+    blend: Literal["auto", "none"] = "auto"
 
 
 class ApertureGS(LearnedMethod):
     """Array-domain Gaussians: the network of XFreq-GS, accumulated at the elements rather than on pixels."""
 
     Config = ApertureGSConfig
+    trivial = TRIVIAL
 
     def field(self) -> ChannelField:
         """The field for the options, before training."""

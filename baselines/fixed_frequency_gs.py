@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
@@ -14,6 +15,7 @@ class FixedFrequencyGSConfig(XFreqGSConfig):
     sees_carrier: bool = False
     latent: int = 0
     max_spread: float = 1.0
+    blend: Literal["auto", "none"] = "none"
 
 
 class FixedFrequencyGS(XFreqGS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
@@ -14,6 +15,7 @@ class FrequencyEmbeddedGSConfig(XFreqGSConfig):
     latent: int = 0
     trend: bool = False
     max_spread: float = 1.0
+    blend: Literal["auto", "none"] = "none"
 
 
 class FrequencyEmbeddedGS(XFreqGS):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field as Limits
 
@@ -17,6 +17,8 @@ from xfreqbench.methods.learning.training import (
 )
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField, SplatTrainingConfig
 
+from .trivial import TRIVIAL
+
 
 @dataclass(frozen=True)
 class XFreqGSConfig(SplatConfig, LowRankConfig, SplatTrainingConfig):
@@ -26,12 +28,14 @@ class XFreqGSConfig(SplatConfig, LowRankConfig, SplatTrainingConfig):
     densify_every: Annotated[int, Limits(ge=0)] = 0
     move_from: Fraction = 1.0
     position_rate: Positive = 0.4
+    blend: Literal["auto", "none"] = "auto"
 
 
 class XFreqGS(LearnedMethod):
     """WideFreqNetwork of low rank and Adaptive Orthographic Splatting within the array's band (Eqs. 4–12)."""
 
     Config = XFreqGSConfig
+    trivial = TRIVIAL
 
     def field(self) -> ChannelField:
         """The field for the options, before training."""

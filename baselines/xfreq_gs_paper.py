@@ -41,6 +41,7 @@ class XFreqGSPaperConfig(XFreqGSConfig):
     stride: Count = 1  # paper: all directions
     ssim_window: Annotated[int, Limits(ge=2)] = 7  # the score's; the released code has a Gaussian window
     averaging: Annotated[float, Limits(ge=0, lt=1)] = 0.0  # paper
+    blend: Literal["auto", "none"] = "none"  # paper
 
 
 class XFreqGSPaper(XFreqGS):

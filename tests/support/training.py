@@ -11,7 +11,15 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.training import LearnedMethod
 
-TINY = {"width": 8, "layers": 2, "num_gaussians": 30, "batch_size": 8, "stride": 15, "precision": "float32"}
+TINY = {
+    "width": 8,
+    "layers": 2,
+    "num_gaussians": 30,
+    "batch_size": 8,
+    "stride": 15,
+    "precision": "float32",
+    "blend": "none",
+}
 DIVIDING = {"densify_every": 4, "densify_until": 1.0, "growth": 0.3, "max_gaussians": 60, "move_from": 0.0}
 
 

@@ -83,6 +83,7 @@ ABLATIONS = (
     Setting("xfreq-gs", ("transmittance=false",)),
     Setting("xfreq-gs", ("max_spread=1",)),
     Setting("xfreq-gs", ("sees_carrier=false",)),
+    Setting("xfreq-gs", ("blend=none",)),
 )
 BENCHES = ("generate", "plain", "render", "savings", "stress")
 _SCENES = ("office", "two_rooms")

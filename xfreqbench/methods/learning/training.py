@@ -6,13 +6,12 @@ import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -26,8 +25,18 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.averaging import averaged, mean_weights
+from xfreqbench.methods.learning.blending import CHOOSE_AT, Blend, Holdout
 from xfreqbench.methods.learning.loss import map_loss
+from xfreqbench.methods.learning.stored import (
+    ADAM,
+    SavedState,
+    moments_of,
+    named,
+    require_moments,
+    stored_state,
+)
 from xfreqbench.methods.learning.targets import Beams, GridView, Targets, in_kind, of_peak
+from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
@@ -61,6 +70,9 @@ class TrainingConfig:
     ssim_window: Annotated[int, Limits(ge=2), Doc("rows and columns in view of the loss's SSIM")] = 3
     derive_targets: Annotated[bool, Doc("maps come from stored channels, not from disk")] = True
     averaging: Annotated[float, Limits(ge=0, lt=1), Doc("what a running mean of weights keeps")] = 0.0
+    blend: Annotated[
+        Literal["auto", "none"], Doc("with the best trivial predictor, by weights from validation rows")
+    ] = "none"
     device: Annotated[str, Doc("where it computes: cpu, cuda or cuda:0")] = "cpu"
 
 
@@ -131,27 +143,21 @@ class Training:
         return self.mean.module
 
 
-class SavedState(BaseModel):
-    """What a checkpoint holds beside tensors: the configuration, and how far the training is."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    config: dict[str, Any]
-    step: Annotated[int, Limits(ge=0, lt=2**63)]
-    share: Annotated[float, Limits(ge=0, allow_inf_nan=False)]
-    kind: PasKind
-
-
 class LearnedMethod:
-    """A method that trains a radiance field on maps; subclasses say which `field` and which `Config`."""
+    """A method that trains a radiance field on maps; subclasses say which `field` and which `Config`.
+
+    `trivial` are the predictors with which its maps may be blended.
+    """
 
     Config: ClassVar[type]
+    trivial: ClassVar[tuple[type, ...]] = ()
     position_kind: ClassVar[torch.dtype] = torch.float32  # of positions that `predict` hands to the field
 
     def __init__(self, config: Any = None) -> None:
         self.config = self.Config() if config is None else config
         self._device = _device(self.config.device)
         self._training: Training | None = None
+        self._blend: Blend | None = None
 
     def field(self) -> ChannelField:
         """The field for the options in `config`, before training."""
@@ -171,12 +177,17 @@ class LearnedMethod:
         if self._training is None:
             self._training = self.started(train, seed)
         training = self._training
-        targets = Targets(train, training.beams, self.config.derive_targets)
+        holdout = Holdout.draw(train, seed) if self.config.blend == "auto" and self._blend is None else None
+        shown = train.subset(holdout.left) if holdout else train
+        targets = Targets(shown, training.beams, self.config.derive_targets)
         if not len(targets):
             raise MethodError("No training row has a path; there is nothing to learn from.")
         own_share = training.step / self.config.steps
         training.share = max(training.share, own_share, budget.share(training.step, 0.0))
         while training.step < self.config.steps:
+            if holdout and training.share >= CHOOSE_AT:
+                self._blend = Blend.chosen(self.trivial, train, holdout, self._learned)
+                holdout, targets = None, Targets(train, training.beams, self.config.derive_targets)
             loss = self._step(training, targets)
             spent = yield Progress(training.step, loss, training.field.counts())
             training.share = max(spent or 0.0, training.step / self.config.steps)
@@ -184,7 +195,20 @@ class LearnedMethod:
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[NDArray[np.float32], "B E A"]:
-        """Maps with peak 1, on the grid of the training data and of their kind."""
+        """Maps with peak 1, on the grid of the training data and of their kind, blended where the options say so."""
+        learned = self._learned(tx_position_m, carrier_hz)
+        return self._blend.maps(learned, tx_position_m, carrier_hz) if self._blend else learned
+
+    def findings(self) -> dict[str, Any]:
+        """For each kind of query, with which trivial predictor maps are blended, and the weight of the learned maps."""
+        if self._blend is None:
+            return {}
+        return {"blend": {kind: choice.model_dump() for kind, choice in self._blend.choices.items()}}
+
+    def _learned(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """Maps of the field alone."""
         training = self._trained()
         position_m = torch.as_tensor(tx_position_m, dtype=self.position_kind).to(self._device)
         carrier = torch.as_tensor(carrier_hz).to(self._device)
@@ -201,7 +225,7 @@ class LearnedMethod:
         tensors = {f"field.{name}": tensor.clone() for name, tensor in training.field.state_dict().items()}
         if training.mean is not None:
             tensors |= {f"mean.{name}": tensor.clone() for name, tensor in training.mean.state_dict().items()}
-        tensors |= _moments(training)
+        tensors |= moments_of(training.field, training.optimizer)
         tensors["generator"] = training.generator.get_state()
         tensors |= {
             "beam.element_position_wavelengths": torch.as_tensor(training.beams.element_position_wavelengths),
@@ -210,14 +234,20 @@ class LearnedMethod:
         }
         save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, directory / TENSORS_FILE)
         state = SavedState(
-            config=as_json(self.config), step=training.step, share=training.share, kind=training.kind
+            config=as_json(self.config),
+            step=training.step,
+            share=training.share,
+            kind=training.kind,
+            blend=dict(self._blend.choices) if self._blend else None,
         )
+        if self._blend:
+            TrainingTransmitters(self._blend.train).save(directory)
         (directory / STATE_FILE).write_text(state.model_dump_json(), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> LearnedMethod:
         """The method as it was saved; its `fit` continues from there."""
-        state = _stored_state(directory / STATE_FILE)
+        state = stored_state(directory / STATE_FILE)
         method = cls(cls.Config(**state.config))
         tensors = load_file(directory / TENSORS_FILE, device=str(method._device))
         faults = [name for name, tensor in tensors.items() if not bool(torch.isfinite(tensor).all())]
@@ -231,6 +261,8 @@ class LearnedMethod:
         training.step, training.share = state.step, state.share
         training.generator.set_state(tensors["generator"].cpu())
         method._training = training
+        if state.blend is not None:
+            method._blend = Blend(cls.trivial, TrainingTransmitters.load(directory).train, state.blend)
         return method
 
     def _trained(self) -> Training:
@@ -271,17 +303,17 @@ class LearnedMethod:
     def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
         """The training that stored tensors hold."""
         field = self.field()
-        of_field = _named(tensors, "field.")
+        of_field = named(tensors, "field.")
         field.match(of_field)
         field.load_state_dict(of_field)
         training = self._assembled(field, torch.Generator(), beam, kind)
-        if of_mean := _named(tensors, "mean."):
+        if of_mean := named(tensors, "mean."):
             training.mean = mean_weights(field, self.config.averaging)
             training.mean.load_state_dict(of_mean)
         for name, parameter in field.named_parameters():
-            stored = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM if f"adam.{key}.{name}" in tensors}
+            stored = {key: tensors[f"adam.{key}.{name}"] for key in ADAM if f"adam.{key}.{name}" in tensors}
             if stored:
-                _require_moments(name, parameter, stored)
+                require_moments(name, parameter, stored)
                 training.optimizer.state[parameter] = stored
         return training
 
@@ -319,47 +351,6 @@ class LearnedMethod:
         if self.config.averaging:
             training.mean = averaged(training.mean, training.field, self.config.averaging)
         return float(loss.detach())
-
-
-_ADAM = ("step", "exp_avg", "exp_avg_sq")
-
-
-def _named(tensors: Mapping[str, Tensor], beginning: str) -> dict[str, Tensor]:
-    """The tensors whose names begin so, by the rest of their names."""
-    return {
-        name.removeprefix(beginning): value for name, value in tensors.items() if name.startswith(beginning)
-    }
-
-
-def _stored_state(path: Path) -> SavedState:
-    """The state in a file; raises `MethodError` where a field of it is missing, or is no such value."""
-    try:
-        return SavedState.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(map(str, fault["loc"])) or "all"
-        raise MethodError(f"{path} is no state of a training: {place}: {fault['msg']}.") from error
-
-
-def _require_moments(name: str, parameter: nn.Parameter, stored: Mapping[str, Tensor]) -> None:
-    """Raise `MethodError` unless all of Adam's state is there, its moments of the type and shape of a parameter."""
-    moments = [stored[key] for key in ("exp_avg", "exp_avg_sq") if key in stored]
-    fit = [moment.shape == parameter.shape and moment.dtype == parameter.dtype for moment in moments]
-    if stored.keys() != set(_ADAM) or not all(fit) or stored["step"].shape != ():
-        raise MethodError(
-            f"The moments of {name} are not those of a parameter of shape {tuple(parameter.shape)}."
-        )
-
-
-def _moments(training: Training) -> dict[str, Tensor]:
-    """State of Adam by names of tensors in a checkpoint."""
-    state = training.optimizer.state
-    return {
-        f"adam.{key}.{name}": state[parameter][key]
-        for name, parameter in training.field.named_parameters()
-        if parameter in state
-        for key in _ADAM
-    }
 
 
 def _require_finite(training: Training, loss: Tensor) -> None:

@@ -43,7 +43,7 @@ def choose_record(
     path, records = folder.records_path, folder.records
     if not records:
         raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or mend the path.")
-    told = [record for record in records if record.findings]
+    told = [record for record in records if "planes" in record.findings]
     if not told:
         methods = ", ".join(sorted({record.job.method for record in records}))
         raise DataError(

@@ -1,0 +1,129 @@
+"""Learned maps blended with those of trivial predictors, by weights that are chosen on held-out training rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import write_dataset
+from training import TINY, predicted, reloaded, trained
+from xfreqbench.baselines.trivial import TRIVIAL
+from xfreqbench.baselines.xfreq_gs import XFreqGS, XFreqGSConfig
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.learning.blending import KINDS, Blend, Choice, Holdout
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+CARRIERS_GHZ = (1.0, 5.0, 10.0, 37.0)
+NEW_M = np.array([[4.0, 1.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", 40, CARRIERS_GHZ, silent=((0, 1),))
+
+
+@pytest.fixture(scope="module")
+def holdout(train: PasDataset) -> Holdout:
+    return Holdout.draw(train, 0)
+
+
+def told(maps: np.ndarray) -> Callable[..., np.ndarray]:
+    return lambda tx_position_m, carrier_hz: maps[: len(carrier_hz)]
+
+
+def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
+    """A learned method that knows everything."""
+
+    def predict(tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+        asked = np.column_stack([tx_position_m, carrier_hz])
+        known = np.column_stack([train.tx_position_m, train.carrier_hz])
+        return train.pas(np.array([np.flatnonzero((known == one).all(axis=1))[0] for one in asked]))
+
+    return predict
+
+
+def test_one_carrier_inside_the_band_and_a_tenth_of_the_transmitters_are_held_out(
+    train: PasDataset, holdout: Holdout
+) -> None:
+    carriers = {kind: set(train.carrier_hz[rows] / 1e9) for kind, rows in holdout.rows.items()}
+    transmitters = {kind: set(train.tx_index[rows]) for kind, rows in holdout.rows.items()}
+    (held_out,) = carriers[KINDS[0]]
+    assert held_out in {5.0, 10.0}
+    assert carriers[KINDS[1]] == set(CARRIERS_GHZ) - {held_out}
+    assert carriers[KINDS[2]] == {held_out}
+    assert len(transmitters[KINDS[1]]) == 4
+    assert transmitters[KINDS[2]] <= transmitters[KINDS[1]]
+    assert not transmitters[KINDS[0]] & transmitters[KINDS[1]]
+    assert not set(train.tx_index[holdout.left]) & transmitters[KINDS[1]]
+    assert set(train.carrier_hz[holdout.left] / 1e9) == carriers[KINDS[1]]
+    assert all(train.has_path[rows].all() for rows in holdout.rows.values())
+
+
+def test_the_same_seed_holds_out_the_same_rows(train: PasDataset, holdout: Holdout) -> None:
+    again, other = (Holdout.draw(train, seed) for seed in (0, 1))
+    assert all(np.array_equal(again.rows[kind], holdout.rows[kind]) for kind in KINDS)
+    assert any(not np.array_equal(other.rows[kind], holdout.rows[kind]) for kind in KINDS)
+
+
+def test_of_few_transmitters_or_carriers_none_is_held_out(tmp_path: Path) -> None:
+    few = write_dataset(tmp_path / "few.h5", 6, (1.0, 10.0))
+    drawn = Holdout.draw(few, 0)
+    assert len(drawn.left) == len(few)
+    assert not Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices
+
+
+def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout: Holdout) -> None:
+    blend = Blend.chosen(TRIVIAL, train, holdout, truth_of(train))
+    assert [blend.choices[kind].weight for kind in KINDS] == [1.0, 1.0, 1.0]
+
+
+def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
+    train: PasDataset, holdout: Holdout
+) -> None:
+    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
+    blend = Blend.chosen(TRIVIAL, train, holdout, told(noise))
+    assert all(blend.choices[kind].weight == 0 for kind in KINDS)
+    query = train.tx_position_m[:1], np.array([80e9])
+    name = blend.choices[KINDS[0]].predictor
+    (alone,) = [each() for each in TRIVIAL if each.__name__ == name]
+    next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
+    np.testing.assert_allclose(blend.maps(noise[:1], *query), alone.predict(*query), atol=1e-6)
+
+
+def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:
+    weights = dict(zip(KINDS, (0.25, 0.5, 0.75), strict=True))
+    choices = {kind: Choice(predictor="LineOfSight", weight=weight) for kind, weight in weights.items()}
+    blend, learned = Blend(TRIVIAL, train, choices), np.ones((1, *train.grid.shape), np.float32)
+    los = TRIVIAL[0]()
+    next(iter(los.fit(train, Budget(), 0)))
+    seen_m = train.tx_position_m[:1]
+    for tx_m, carrier_ghz, kind in (
+        (seen_m, 80.0, KINDS[0]),
+        (seen_m, 10.0, KINDS[0]),  # both are seen, though perhaps not together
+        (NEW_M, 10.0, KINDS[1]),
+        (NEW_M, 80.0, KINDS[2]),
+    ):
+        query = tx_m, np.array([carrier_ghz * 1e9])
+        mixed = weights[kind] + (1 - weights[kind]) * los.predict(*query)
+        np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
+
+
+def test_a_blended_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
+    train: PasDataset, tmp_path: Path
+) -> None:
+    options = {**TINY, "blend": "auto"}
+    unbroken, before, after = (XFreqGS(XFreqGSConfig(**options)) for _ in range(3))
+    losses = trained(unbroken, train, 12)
+    early, late = trained(before, train, 4, end=12), trained(after, train, 9, end=12)
+    assert (before.findings(), list(after.findings())) == ({}, ["blend"])
+    assert after.findings() == unbroken.findings()
+    for nth, (broken, seen) in enumerate([(before, early), (after, late)]):
+        resumed = reloaded(broken, tmp_path / f"saved{nth}")
+        assert np.array_equal(predicted(resumed, train), predicted(broken, train))
+        assert [*seen, *trained(resumed, train, 12)] == losses
+        assert np.array_equal(predicted(resumed, train), predicted(unbroken, train))
