@@ -222,17 +222,24 @@ def benchmark(
 
 @app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))
 def report(
-    results: Path,
-    *,
+    *results: Path,
     output: Output = Path("BENCHMARK.md"),
     html: Annotated[
         Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Rebuild the leaderboard from the records of a results folder, offline."""
+    """Rebuild the leaderboard from the records of results folders, offline.
+
+    Parameters
+    ----------
+    results
+        Results folder, or file of records; those of several are ranked together.
+    """
     from xfreqbench.report.leaderboard.report import write_report
 
+    if not results:
+        raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
     written = write_report(results, output)
     for path in written.paths:
         say(f"wrote {path}", quiet)
@@ -242,3 +249,21 @@ def report(
         from xfreqbench.report.leaderboard.page import write_page
 
         say(f"wrote {write_page(results, html)}", quiet)
+
+
+@app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))
+def compare(a: Path, b: Path) -> None:
+    """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
+
+    Rows of the same method, options and budget are paired; the only rows of both, whatever they are.
+
+    Parameters
+    ----------
+    a
+        Results folder, file of records, or FOLDER/ID for one record.
+    b
+        The same, to be compared with A.
+    """
+    from xfreqbench.report.leaderboard.side_by_side import compare_results
+
+    print(compare_results(a, b))

@@ -72,6 +72,12 @@ def html(results: Path) -> str:
     return write_page(results, results.parent / "page.html").read_text()
 
 
+def test_pictures_are_found_in_whichever_folder_they_are(results: Path, html: str, tmp_path: Path) -> None:
+    (tmp_path / "records.jsonl").write_bytes((results / "records.jsonl").read_bytes())
+    assert write_page([tmp_path, results], tmp_path / "page.html").read_text() == html
+    assert write_page(tmp_path, tmp_path / "without.html").read_text() != html
+
+
 def content_of(html: str):
     return json.loads(CONTENT.search(html).group(1))
 

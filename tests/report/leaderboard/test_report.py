@@ -63,6 +63,21 @@ def test_a_report_is_made_from_one_file_of_records_too(tmp_path: Path) -> None:
     assert write_report(path, tmp_path / "out" / "BENCHMARK.md").paths[0].exists()
 
 
+def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: Path) -> None:
+    store_all(tmp_path / "all")
+    lines = (tmp_path / "all" / "records.jsonl").read_text().splitlines(keepends=True)
+    for name, part in (("one", lines[:8]), ("other", lines[5:])):  # some runs are in both
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "records.jsonl").write_text("".join(part))
+    (together, *_), (alone, *_) = (
+        write_report(given, tmp_path / f"{name}.md").paths
+        for name, given in (("two", [tmp_path / "one", tmp_path / "other"]), ("all", tmp_path / "all"))
+    )
+    assert together.read_text() == alone.read_text()
+    with pytest.raises(DataError, match=r"empty.* holds no records"):
+        write_report([tmp_path / "one", tmp_path / "empty"], tmp_path / "none.md")
+
+
 def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
     store_all(tmp_path)
     output = tmp_path / "BENCHMARK.md"

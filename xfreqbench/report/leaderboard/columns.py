@@ -77,6 +77,7 @@ TABLE = (
     *("best rank", "worst rank", "method", "budget", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seed spread", "seeds", *COSTS, "published"),
 )
+PAIR = (*_OTHER_METRICS, *COSTS)
 PAGE = (
     *("rank", "method", "splits", "average", "p10", "skill", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
@@ -85,7 +86,7 @@ PAGE = (
 
 
 def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name: those of `RANKING`, `BRIEF`, `ONE_SPLIT`, `TABLE` or `PAGE`, in that order.
+    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `ONE_SPLIT`, `TABLE`, `PAIR` or `PAGE`.
 
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
     number for, and published numbers where no row has any, are left out.

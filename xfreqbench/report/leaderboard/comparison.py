@@ -70,6 +70,15 @@ class Comparison:
             return UNKNOWN
         return self._differences[row.label, other.label]
 
+    def paired_difference(self, row: BoardRow, other: BoardRow) -> Interval:
+        """As `difference`, but for rows of few seeds too: of one seed it is the interval of transmitters alone.
+
+        nan where samples are missing.
+        """
+        if not (self._has_samples(row) and self._has_samples(other)):
+            return UNKNOWN
+        return _interval(self._average(row) - self._average(other))
+
     def beats(self, row: BoardRow, other: BoardRow) -> bool:
         """Whether the whole interval of the difference lies above zero."""
         return self.difference(row, other)[0] > 0

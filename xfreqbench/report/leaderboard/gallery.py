@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -64,8 +64,8 @@ class Gallery:
         return asdict(self) | {"split": short_name(self.split)}
 
 
-def gallery(board: Board, folder: ResultsFolder) -> Gallery:
-    """Pictures of all rows but ablations, for the first seed of each, from the predictions in `folder`."""
+def gallery(board: Board, folders: Sequence[ResultsFolder]) -> Gallery:
+    """Pictures of all rows but ablations, for the first seed of each, from the predictions in one of `folders`."""
     split = shown_split(board)
     dataset = _open(board)
     if dataset is None:
@@ -77,7 +77,7 @@ def gallery(board: Board, folder: ResultsFolder) -> Gallery:
         if split not in row.by_split or row.family == "ablation":
             continue
         record = row.by_split[split][0]
-        predictions = _predictions(folder, record, dataset)
+        predictions = _predictions(folders, record, dataset)
         if predictions is None or sum(map(len, record.ssim_by_tx)) != len(predictions.rows):
             absent.append(row.label)
         else:
@@ -111,14 +111,18 @@ def _open(board: Board) -> PasDataset | None:
     return None
 
 
-def _predictions(folder: ResultsFolder, record: RunRecord, dataset: PasDataset) -> Predictions | None:
-    """The predictions of a record; None where they are absent, damaged or of another split."""
-    try:
-        predictions = folder.predictions(record)
-        predictions.require_of(dataset)
-    except DataError:
-        return None
-    return predictions
+def _predictions(
+    folders: Sequence[ResultsFolder], record: RunRecord, dataset: PasDataset
+) -> Predictions | None:
+    """The predictions of a record; None where they are absent, damaged or of another split in every folder."""
+    for folder in folders:
+        try:
+            predictions = folder.predictions(record)
+            predictions.require_of(dataset)
+        except DataError:
+            continue
+        return predictions
+    return None
 
 
 def _cases(

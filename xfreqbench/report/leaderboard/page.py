@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ from xfreqbench.system.files import require_own, require_space, write_text
 _TITLE = "xfreqbench results"  # by which a page is known that may be written over
 
 
-def write_page(results: Path, output_html: Path) -> Path:
-    """Write the page of `results`, a results folder or one file of records, and return the file written.
+def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
+    """Write the page of `results`, results folders or files of records, and return the file written.
 
     Pictures of predicted maps are drawn where the predictions are stored beside the records and the data set is
     found. Raises `DataError` where there are no runs and as `boards` does, `OutputExistsError` where
@@ -33,7 +34,8 @@ def write_page(results: Path, output_html: Path) -> Path:
     found = read_results(results)
     if not found.boards:
         raise DataError(
-            f"{found.folder.records_path} holds no runs. Run `xfreqbench run` first, or mend the path."
+            f"{', '.join(str(folder.records_path) for folder in found.folders)} holds no runs. Run `xfreqbench run` "
+            "first, or mend the path."
         )
     write_text(output_html, _page(found))
     return output_html
@@ -41,7 +43,7 @@ def write_page(results: Path, output_html: Path) -> Path:
 
 def _page(found: RankedResults) -> str:
     comparisons = [comparisons_of(board) for board in found.boards]
-    galleries = [gallery(board, found.folder) for board in found.boards]
+    galleries = [gallery(board, found.folders) for board in found.boards]
     content = {
         "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
         "benches": [figure_content(bench) for bench in found.benches],

@@ -70,8 +70,8 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     )
 
 
-def write_report(results: Path, output_md: Path) -> WrittenReport:
-    """Write a Markdown report and its figures from `results`: a results folder, or one file of records.
+def write_report(results: Path | Sequence[Path], output_md: Path) -> WrittenReport:
+    """Write a Markdown report and its figures from `results`: results folders or files of records, one or several.
 
     In an existing report only the text between the two marker comments is replaced. Raises `DataError` where there
     are no records and as `boards` does, `OutputExistsError` where `output_md` or a figure is another file, and

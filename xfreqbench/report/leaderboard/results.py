@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,31 +15,38 @@ from xfreqbench.runs.records import BenchRecord, RunRecord
 
 @dataclass(frozen=True)
 class RankedResults:
-    """All run records in a folder and the boards they make, and its measurements, of each the latest.
+    """All run records of some folders and the boards they make, and their measurements, of each the latest.
 
     `num_truncated` counts records of which only a part of the line was written; they are left out.
     """
 
-    folder: ResultsFolder
+    folders: tuple[ResultsFolder, ...]
     records: tuple[RunRecord, ...]
     boards: list[Board]
     benches: list[BenchRecord]
     num_truncated: int
 
 
-def read_results(results: Path) -> RankedResults:
-    """Read a results folder, or one file of records.
+def read_results(results: Path | Sequence[Path]) -> RankedResults:
+    """Read results folders, or files of records: one of them, or several, whose records are ranked together.
 
-    Raises `DataError` where there are no records, where one cannot be read or lacks a metric, and as `boards` does.
+    Raises `DataError` where one holds no records, where a record cannot be read or lacks a metric, and as `boards`
+    does.
     """
-    folder = ResultsFolder.holding(results)
-    stored = folder.stored
-    path, records = folder.records_path, stored.records
-    if not (records or stored.benches):
-        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
-    _require_scores(path, records)
-    benches = latest_benches(stored.benches)
-    return RankedResults(folder, records, boards(records), benches, stored.num_truncated)
+    paths = [results] if isinstance(results, Path) else results
+    folders = tuple(map(ResultsFolder.holding, paths))
+    for folder in folders:
+        if not (folder.records or folder.stored.benches):
+            raise DataError(
+                f"{folder.records_path} holds no records. Run `xfreqbench run` first, or mend the path."
+            )
+        _require_scores(folder.records_path, folder.records)
+    found = (record for folder in folders for record in folder.records)
+    records = {(record.id, record.job, record.time_utc): record for record in found}
+    benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
+    num_truncated = sum(folder.stored.num_truncated for folder in folders)
+    every = tuple(records.values())  # each once, though several folders may hold it
+    return RankedResults(folders, every, boards(every), benches, num_truncated)
 
 
 def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord]:

@@ -59,16 +59,20 @@ class Leaderboard:
 
 
 @checked
-def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] = "results") -> Leaderboard:
-    """The leaderboard of a results folder, of one file of records, or of records that `run` returned, to be shown.
+def leaderboard(
+    results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results",
+) -> Leaderboard:
+    """The leaderboard of results folders, of files of records, or of records that `run` returned, to be shown.
 
-    Raises `DataError` where there are no records, or one cannot be read.
+    The records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be
+    read.
     """
-    if not isinstance(results, str | Path):
-        if not results:
-            raise DataError("A leaderboard has records, but none are given.")
-        return Leaderboard(tuple(results))
-    return Leaderboard(read_results(Path(results)).records)
+    given = [results] if isinstance(results, str | Path) else results
+    if not given:
+        raise DataError("A leaderboard has records, but none are given.")
+    records = [each for each in given if isinstance(each, RunRecord)]
+    paths = [Path(each) for each in given if not isinstance(each, RunRecord)]
+    return Leaderboard(tuple(records) or read_results(paths).records)
 
 
 def _rows(comparison: Comparison) -> list[dict[str, Any]]:

@@ -1,0 +1,134 @@
+"""Two results side by side: which rows are paired, and what is said of their difference."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
+from stored_records import SPLITS, make_record
+
+from xfreqbench.cli.runs import compare
+from xfreqbench.errors import DataError
+from xfreqbench.report.leaderboard.side_by_side import compare_results, records_at
+from xfreqbench.runs.records import RunRecord, append
+
+SHIFT = 0.05
+
+
+def stored(folder: Path, records: Iterable[RunRecord]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for record in records:
+        append(folder / "records.jsonl", record)
+    return folder
+
+
+def numbers(cell: str) -> list[float]:
+    return [float(number) for number in re.findall(r"[-+]?\d+\.\d+", cell)]
+
+
+def first_row(tables: str, method: str) -> dict[str, str]:
+    return rows_of(tables, method)[0]
+
+
+def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
+    b = stored(tmp_path / "b", of_three_seeds("ours", SHIFT, 11))
+    row = first_row(compare_results(a, b), "ours")
+    difference, low, high = numbers(row["B − A, 95 % interval"])
+    assert low < SHIFT < high
+    assert low < difference < high
+    assert high - low < SHIFT / 5  # transmitters differ by 0.02, but alike in both
+    assert difference == pytest.approx(float(row["B"]) - float(row["A"]), abs=2e-4)
+    assert (row["splits"], row["seeds"], row["B is"]) == ("24.25GHz", "3 and 3", "better")
+    assert first_row(compare_results(b, a), "ours")["B is"] == "worse"
+
+
+def test_what_is_compared_with_itself_is_equal(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
+    tables = compare_results(a, a)
+    assert first_row(tables, "ours")["B is"] == "="
+    assert "Only in" not in tables
+
+
+def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", [make_record("ours", 0.9, fit_seconds=2.0)])
+    b = stored(tmp_path / "b", [make_record("ours", 0.8, fit_seconds=4.0)])
+    scores, costs = rows_of(compare_results(a, b), "ours")
+    assert scores["B − A, 95 % interval"] == "-0.1000"  # without samples there is no interval
+    assert scores["B is"] == "–"
+    assert costs["fit s"] == "2.00 → 4.00"
+    assert costs["wrapped SSIM"] == "0.9000 → 0.8000"
+
+
+def test_averages_are_over_the_splits_of_both(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", [make_record("ours", 0.5, split) for split in SPLITS])
+    b = stored(tmp_path / "b", [make_record("ours", 0.7, split) for split in SPLITS[1:]])
+    row = first_row(compare_results(a, b), "ours")
+    assert row["splits"] == "24.25GHz, 77GHz"
+    assert numbers(row["B − A, 95 % interval"]) == [0.2]
+
+
+def test_rows_without_a_partner_are_named(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", [make_record(name) for name in ("line-of-sight", "log-frequency", "nearest")])
+    b = stored(tmp_path / "b", [make_record("nearest"), make_record("theirs", 0.8), make_record("more", 0.7)])
+    tables = compare_results(a, b)
+    assert "Only in A: line-of-sight, log-frequency." in tables
+    assert "Only in B: theirs, more." in tables
+
+
+def test_changed_options_are_paired_where_a_method_has_one_row_in_either(tmp_path: Path) -> None:
+    changed = with_job(make_record("ours", 0.8), overrides=("width=8",))
+    a = stored(tmp_path / "a", [make_record("ours"), make_record("nearest")])
+    b = stored(tmp_path / "b", [changed, make_record("nearest")])
+    tables = compare_results(a, b)
+    assert rows_of(tables, "ours and ours (width=8)")
+    assert rows_of(tables, "nearest")
+    assert "Only in" not in tables
+
+
+def test_the_only_rows_of_both_are_compared_whatever_they_are(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", [make_record("ours")])
+    b = stored(tmp_path / "b", [make_record("theirs", 0.8)])
+    assert rows_of(compare_results(a, b), "ours and theirs")
+
+
+def test_few_seeds_are_said_to_be_few(tmp_path: Path) -> None:
+    several = of_three_seeds("ours", 0.0, 1)
+    a, b = stored(tmp_path / "a", several[:1]), stored(tmp_path / "b", several)
+    assert "Of fewer than 3 seeds: ours." in compare_results(a, b)
+    assert "fewer than" not in compare_results(b, b)
+
+
+def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: Path) -> None:
+    folder = stored(tmp_path / "results", make_records())
+    (record,) = records_at(folder / "ours-lofo-77")
+    assert (record.job.method, record.job.split) == ("ours", "lofo-77GHz")
+    tables = compare_results(folder / "nearest-lofo-77", folder / "ours-lofo-77")
+    assert numbers(first_row(tables, "nearest and ours")["B − A, 95 % interval"]) == [0.1]
+    with pytest.raises(DataError, match=r"begins the ids of 3 records .* ours-lofo-2\.4GHz, ours-lofo-24"):
+        records_at(folder / "ours")
+    with pytest.raises(DataError, match=r"begins the ids of 0 records .* and 9 more"):
+        records_at(folder / "absent")
+
+
+def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
+    a = stored(tmp_path / "a", [make_record("ours")])
+    b = stored(tmp_path / "b", [make_record("ours", dataset_sha256="c" * 64)])
+    with pytest.raises(DataError, match=r"data aaaaaaaa, versions 1 and 1 .*\(ours\).* data cccccccc"):
+        compare_results(a, b)
+    later = stored(tmp_path / "later", [make_record("ours", metrics_version="9")])
+    with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):
+        compare_results(a, later)
+    with pytest.raises(DataError, match="holds no records"):
+        compare_results(a, tmp_path / "nowhere")
+
+
+def test_the_command_prints_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a = stored(tmp_path / "a", [make_record("ours")])
+    compare(a, a / "records.jsonl")
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"A: {a}, B: {a / 'records.jsonl'}")
+    assert "office · lofo" in printed

@@ -1,0 +1,167 @@
+"""Two sets of results side by side: the same rows of both, paired by transmitters, with intervals of the difference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isnan
+from pathlib import Path
+
+from xfreqbench.errors import DataError
+from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, boards, comparable, median_ssim, short_name
+from xfreqbench.report.leaderboard.captions import leak_statement
+from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
+from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
+from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.records import RunRecord
+
+_SHOWN_IDS = 6
+_Boards = Mapping[tuple[object, ...], Board]  # by what records have to have in common to be compared
+
+
+@dataclass(frozen=True)
+class RowPair:
+    """A row of A and a row of B, with a comparison of the two on the splits that both were run on."""
+
+    a: BoardRow
+    b: BoardRow
+    comparison: Comparison
+
+    @classmethod
+    def of(cls, board: Board, a: BoardRow, b: BoardRow) -> RowPair:
+        """The pair; its rows are called by their sets in the comparison, where each needs a label of its own."""
+        splits = tuple(split for split in board.splits if split in a.by_split and split in b.by_split)
+        rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
+        return cls(*rows, Comparison(replace(board, splits=splits, rows=rows), splits))
+
+    @property
+    def label(self) -> str:
+        """What the rows are called, once where both are called the same."""
+        names = (row.label.partition(" ")[2] for row in (self.a, self.b))
+        return " and ".join(dict.fromkeys(names))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of B − A, nan where samples are missing."""
+        return self.comparison.paired_difference(self.b, self.a)
+
+
+def compare_results(a: Path, b: Path) -> str:
+    """Tables, as Markdown, of what two sets of results have in common, and how B differs from A.
+
+    Each is a results folder, a file of records, or a record by its folder and id, as `results/0123456789abcdef`, of
+    which the first digits do. Rows of one label (method, options and budget) are paired, and of the others those of
+    a method that has one row in either set, or the only rows of both. Raises `DataError` where there are no
+    records, or none that may be compared.
+    """
+    of_a, of_b = (_boards(records_at(path)) for path in (a, b))
+    sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
+    if not sections:
+        raise DataError(f"Nothing in {a} and {b} can be compared: {_told(of_a)}; and {_told(of_b)}.")
+    return "\n\n".join([f"A: {a}, B: {b}", *sections])
+
+
+def records_at(path: Path) -> Sequence[RunRecord]:
+    """The records of a results folder or of a file, or the one whose id the last part of the path begins."""
+    beside = ResultsFolder(path.parent).records if not path.exists() else ()
+    if not beside:
+        return read_results(path).records
+    chosen = {record.id: record for record in beside if record.id.startswith(path.name)}
+    if len(chosen) != 1:
+        known = sorted(chosen or {record.id for record in beside})
+        more = f" and {len(known) - _SHOWN_IDS} more" if len(known) > _SHOWN_IDS else ""
+        raise DataError(
+            f"{path} is no results folder, and begins the ids of {len(chosen)} records of {path.parent}, where one is "
+            f"needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
+        )
+    return list(chosen.values())
+
+
+def _boards(records: Sequence[RunRecord]) -> _Boards:
+    return {comparable(board.records[0]): board for board in boards(records)}
+
+
+def _section(a: Board, b: Board) -> str:
+    """The tables of two boards of the same data set and protocol; empty where they have no rows in common."""
+    pairs = [RowPair.of(a, *rows) for rows in _paired_rows(a, b)]
+    pairs = [pair for pair in pairs if pair.comparison.splits]
+    if not pairs:
+        return ""
+    header = ("method", "splits", "seeds", "A", "B", "B − A, 95 % interval", "B is")
+    parts = [
+        f"{paragraph(a.title)}. {leak_statement(a)}",
+        "Median SSIM, mean over splits and seeds; the difference is paired by transmitters:",
+        table(header, map(_ssim_cells, pairs)),
+        "Medians of the other scores, and costs, A → B:",
+        _other_table(pairs),
+        *map(paragraph, _notes(a, b, pairs)),
+    ]
+    return "\n\n".join(parts)
+
+
+def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
+    """Rows of one label; of the rest those that are alone with their method in either board, or alone altogether."""
+    names: list[Callable[[BoardRow], str]] = [
+        lambda row: row.label,
+        lambda row: row.job.method,
+        lambda row: "",
+    ]
+    left_a, left_b = list(a.rows), list(b.rows)
+    for name in names:
+        for row in tuple(left_a):
+            alike = [[each for each in left if name(each) == name(row)] for left in (left_a, left_b)]
+            if [len(each) for each in alike] == [1, 1]:
+                yield row, alike[1][0]
+                left_a.remove(row)
+                left_b.remove(alike[1][0])
+
+
+def _ssim_cells(pair: RowPair) -> list[str]:
+    splits = pair.comparison.splits
+    before, after = (row.average(splits, median_ssim) for row in (pair.a, pair.b))
+    low, high = pair.interval
+    interval = "" if isnan(low) else f" [{low:+.4f}, {high:+.4f}]"
+    verdict = ABSENT if isnan(low) else "better" if low > 0 else "worse" if high < 0 else "="
+    seeds = " and ".join(str(row.num_seeds(splits)[0]) for row in (pair.a, pair.b))
+    shown = ", ".join(map(short_name, splits))
+    difference = f"{after - before:+.4f}{interval}"
+    return [pair.label, shown, seeds, number(before, 4), number(after, 4), difference, verdict]
+
+
+def _other_table(pairs: Sequence[RowPair]) -> str:
+    columns = [leaderboard_columns(pair.comparison, PAIR) for pair in pairs]
+    titles = list(dict.fromkeys(column.title for each in columns for column in each))
+    rows = []
+    for pair, each in zip(pairs, columns, strict=True):
+        cells = {column.title: f"{column.text(pair.a)} → {column.text(pair.b)}" for column in each}
+        rows.append([pair.label, *(cells.get(title, ABSENT) for title in titles)])
+    return table(["method", *titles], rows)
+
+
+def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
+    """What the intervals do not say, and what the tables leave out."""
+    few = [pair.label for pair in pairs if not all(map(pair.comparison.is_ranked, (pair.a, pair.b)))]
+    shown = {row.label for pair in pairs for row in (pair.a, pair.b)}
+    alone = {
+        side: [row.label for row in board.rows if f"{side} {row.label}" not in shown]
+        for side, board in (("A", a), ("B", b))
+    }
+    seeds = (
+        f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "
+        "interval says."
+    )
+    return [
+        *([seeds] if few else []),
+        *(f"Only in {side}: {', '.join(left)}." for side, left in alone.items() if left),
+    ]
+
+
+def _told(found: _Boards) -> str:
+    """Data sets, protocols and methods of a set of results."""
+    return "; ".join(
+        f"{board.title} of data {board.dataset_sha256[:8]}, versions {board.records[0].protocol_version} and "
+        f"{board.records[0].metrics_version} of protocol and metrics ({', '.join(row.label for row in board.rows)})"
+        for board in found.values()
+    )
