@@ -67,6 +67,7 @@ def sound_files() -> dict[str, bytes]:
         for line in (
             f"generate room.toml -o {DATA} --freqs 1,10 -q",
             "generate mesh.toml -o mesh.h5 --freqs 1,10 --solver image --tx 2 --paths -q",
+            "export mesh.h5 -o scenarios --to deepmimo -q",
             f"split --data {DATA} -o split.h5 --targets 10 --maps -q",
             f"run --data {DATA} --results results --method nearest --targets 10 --budget 3steps -q",
         ):

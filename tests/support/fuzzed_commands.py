@@ -34,7 +34,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "plot": {"file": ("data set",), "output": WRITTEN},
     "view": {"data_or_scene": ("data set", *SCENE), "output": WRITTEN},
     "generate": {"scene": SCENE, "tx_positions": ("positions",), "output": WRITTEN},
-    "import": {"folder": ("PNG folder",), "output": WRITTEN},
+    "import": {"folder": ("PNG folder", "DeepMIMO scenario"), "output": WRITTEN},
     "export": {"data": ("data set", "mesh"), "output": WRITTEN},
     "split": {"data": ("data set",), "output": ("split file",)},
     "score": {
@@ -116,6 +116,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
     "split file": {"split": (f"split --data {DATA} -o split.h5 --targets 10 --maps -q",)},
     "predictions made elsewhere": {"score": (f"{_SCORE} new",)},
     "PNG folder": {"import": ("import maps -o new.h5 -q",)},
+    "DeepMIMO scenario": {"import": ("import scenarios --from deepmimo -o new.h5 -q",)},
     "positions": {"generate": ("generate room.toml --tx-positions tx.csv -o taken.h5 --freqs 1,10 -q",)},
     "scene": {
         "generate": ("generate room.toml -o taken.h5 --freqs 1,10 -q",),

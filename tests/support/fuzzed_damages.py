@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import json
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from fuzzed_base import DATA, RECORDS, ROOM, sound_files
 from fuzzed_hdf5 import hdf5_files, spoilt_predictions
 from fuzzed_png import png_folders
@@ -134,6 +136,32 @@ def _png_folders() -> st.SearchStrategy[Damage]:
     return png_folders().map(lambda case: {f"maps/{name}": content for name, content in case[0].items()})
 
 
+def _scenarios() -> st.SearchStrategy[Damage]:
+    """Parameters spoilt, arrays of other types, shapes or numbers, or other bytes, of the scenario at one carrier."""
+    files = {path: content for path, content in sound_files().items() if path.startswith("scenarios/")}
+    parameters = next(path for path in files if path.endswith("params.json"))
+    folder = parameters.removesuffix("params.json")
+    arrays = [path for path in files if path.startswith(folder) and "_t000" in path]
+
+    def spoilt_array(path: str) -> st.SearchStrategy[Damage]:
+        with np.load(io.BytesIO(files[path])) as stored:
+            ((key, array),) = stored.items()
+        return in_place_of(path, odd_array(array).map(lambda array: _npz(**{key: array})))
+
+    told = spoilt_json(json.loads(files[parameters])).map(json.dumps).map(str.encode)
+    torn = st.sampled_from([parameters, *arrays]).flatmap(
+        lambda path: in_place_of(path, cut_or_flipped(files[path]) | st.none())
+    )
+    spoilt = st.sampled_from(arrays).flatmap(spoilt_array)
+    return spoilt | spoilt | in_place_of(parameters, told) | torn
+
+
+def _npz(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
 def _made_elsewhere() -> st.SearchStrategy[Damage]:
     return in_place_of("theirs.h5", spoilt_predictions(sound_files()["theirs.h5"]))
 
@@ -146,6 +174,7 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "split file": _split_files,
     "predictions made elsewhere": _made_elsewhere,
     "PNG folder": _png_folders,
+    "DeepMIMO scenario": _scenarios,
     "positions": _positions,
     "scene": _scenes,
     "mesh": _meshes,

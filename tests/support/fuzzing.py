@@ -202,6 +202,7 @@ NUM_INPUTS = {
     "stored predictions": 40,
     "split file": 60,
     "PNG folder": 20,
+    "DeepMIMO scenario": 25,
     "positions": 20,
     "scene": 30,
     "mesh": 30,

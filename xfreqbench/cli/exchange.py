@@ -49,20 +49,36 @@ def import_(
     folder: Path,
     *,
     output: Output,
+    from_: Annotated[
+        Literal["png", "deepmimo"],
+        Parameter(name="--from", help="png: maps of other groups; deepmimo: paths of DeepMIMO v4."),
+    ] = "png",
     convention: Convention = "wideband3dgs",
     set_: Changed = (),
     freq: Annotated[
         float | None, Parameter(help="Carrier in GHz of all samples, for a folder without freq.txt.")
     ] = None,
+    pair: Annotated[
+        str | None,
+        Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, where there are several."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Read a folder of PNG maps, as other groups publish theirs, into an HDF5 file without channels.
+    """Read a folder of PNG maps, or scenarios of DeepMIMO, as other groups publish theirs, into an HDF5 file.
 
     Parameters
     ----------
     folder
-        Holds spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and mostly freq.txt.
+        Holds spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and mostly freq.txt; or
+        is a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
     """
+    if from_ == "deepmimo":
+        _import_deepmimo(folder, output, pair, freq is not None or bool(set_), quiet)
+        return
+    if pair is not None:
+        raise XFreqBenchError(
+            "--pair chooses among the stations of a DeepMIMO scenario; give --from deepmimo too."
+        )
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder
     from xfreqbench.exchange.png_folder import read_png_folder
@@ -75,6 +91,17 @@ def import_(
         say(f"{' and '.join(source.ignored)} ignored: protocols make the splits", quiet)
     with progress_bars("transmitters", ["importing"], quiet) as (progress,):
         is_new = import_png_folder(source, output, progress)
+    say_written(output, is_new, quiet)
+
+
+def _import_deepmimo(folder: Path, output: Path, pair: str | None, is_of_maps: bool, quiet: bool) -> None:
+    from xfreqbench.exchange.deepmimo_import import import_deepmimo
+    from xfreqbench.system.bars import progress_bars
+
+    if is_of_maps:
+        raise XFreqBenchError("--set and --freq are about PNG maps; leave them out with --from deepmimo.")
+    with progress_bars("users", ["importing"], quiet) as (progress,):
+        is_new = import_deepmimo(folder, output, pair, progress)
     say_written(output, is_new, quiet)
 
 

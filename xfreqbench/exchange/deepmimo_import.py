@@ -1,0 +1,332 @@
+"""Makes data sets from scenarios of DeepMIMO v4: paths as they are, and the channels that they sum up to at an array.
+
+Its base station becomes the receiver, an array of 4 × 4 elements that faces down, and its users the transmitters: the
+channel is the same in both directions. See `deepmimo` for the way out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import holds_same_job
+from xfreqbench.data.paths import PathTotals
+from xfreqbench.data.schema import DatasetHeader
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import DataError, UnknownNameError
+from xfreqbench.exchange.deepmimo import DIGITS
+from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.system.files import read_bytes
+from xfreqbench.system.machine import available_memory_mib
+from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
+from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
+
+PARAMETERS = "params.json"
+_OF_PATHS = ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter")
+_CODES = {digit: code for code, digit in DIGITS.items()}
+_MOST_DIGITS = 16  # of which a float64 holds every one
+_AT_ONCE = 64  # users whose paths and maps are made together
+_UNREADABLE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """One scenario, of one carrier: U users with L paths at most, each of D interactions at most, from the station."""
+
+    carrier_hz: float
+    station_m: Float[FloatArray, "3"]
+    user_m: Float[FloatArray, "U 3"]
+    of_paths: dict[str, Float[FloatArray, "U L"]]
+    point_m: Float[FloatArray, "U L D 3"]
+    raytracer: str
+    sha256: str
+    files: dict[str, Path]
+
+    @property
+    def is_path(self) -> Bool[NDArray[np.bool_], "U L"]:
+        """Where the tables hold a path."""
+        return ~np.isnan(self.of_paths["power"])
+
+
+def import_deepmimo(
+    folder: Path, path: Path, pair: str | None = None, progress: ProgressCallback = ignore_progress
+) -> bool:
+    """Write a scenario, or a folder of scenarios at several carriers, as a data set; False if it is there already.
+
+    Scenarios of a folder must have the same station and users. What they say of a path is stored once where it is the
+    same to the last bit, with gain 0 at the carriers that do not have it. Users without a path are left out. `pair` is
+    the part of the files' names that tells station and users, as `t000_tx000_r001`, where there are several.
+    `progress` is told how many users are done and how many there are. Raises `DataError` that names the file,
+    `UnknownNameError` for a pair that is not there, `OutputExistsError` and `StorageError`.
+    """
+    scenarios = sorted((_read(each, pair) for each in _folders(folder)), key=lambda each: each.carrier_hz)
+    _require_alike(folder, scenarios)
+    first = scenarios[0]
+    is_heard = np.any([each.is_path.any(axis=1) for each in scenarios], axis=0)
+    users = np.flatnonzero(is_heard)
+    if not len(users):
+        raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
+    header = _header(folder, scenarios, users)
+    if holds_same_job(path, header.job_sha256(first.user_m[users]), "data set"):
+        return False
+    parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
+    paths = [_ragged(scenarios, part) for part in parts]
+    beam = BartlettBeam(header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
+    done = 0
+    with PasWriter(path, header, paths=PathTotals.of(paths, ("unknown",))) as writer:
+        for part, own in zip(parts, paths, strict=True):
+            cfr, num_paths = _channels(own, header)
+            samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)
+            writer.append(first.user_m[part], _are_in_sight(scenarios, part), samples, own)
+            done += len(part)
+            progress(done, len(users))
+    return True
+
+
+def _folders(folder: Path) -> list[Path]:
+    """The scenarios in a folder, or the folder itself where it is one."""
+    if (folder / PARAMETERS).exists():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob(f"*/{PARAMETERS}"))
+    if not found:
+        raise DataError(f"{folder} is no scenario of DeepMIMO v4, nor holds any: there is no {PARAMETERS}.")
+    return found
+
+
+def _read(folder: Path, pair: str | None) -> Scenario:
+    digest = hashlib.sha256()
+    try:
+        content = read_bytes(folder / PARAMETERS)
+        told = json.loads(content)
+        carrier_hz, raytracer = (
+            float(told["rt_params"]["frequency"]),
+            str(told["rt_params"]["raytracer_name"]),
+        )
+        stations = {int(each["id"]) for each in told["txrx_sets"].values() if each["is_tx"]}
+    except (*_UNREADABLE, AttributeError, RecursionError) as error:
+        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {error!r}.") from error
+    if not (np.isfinite(carrier_hz) and 0 < carrier_hz < 1e15):
+        raise DataError(f"{folder / PARAMETERS} names {carrier_hz:g} Hz as its frequency.")
+    digest.update(content)
+    name = _chosen(folder, pair, stations)
+    files = {key: _file(folder, f"{key}_{name}") for key in (*_OF_PATHS, "inter_pos", "tx_pos", "rx_pos")}
+    tables = {key: _table(path, key, digest) for key, path in files.items()}
+    users = len(tables["rx_pos"])
+    shape = tables["power"].shape
+    expected = dict.fromkeys(_OF_PATHS, shape) | {"rx_pos": (users, 3), "tx_pos": (1, 3)}
+    for key, wanted in expected.items():
+        if len(shape) != 2 or shape[0] != users or tables[key].shape != wanted:
+            raise DataError(
+                f"{files[key]} has shape {tables[key].shape}, where powers have {shape} and positions of users "
+                f"{tables['rx_pos'].shape}."
+            )
+    points = tables["inter_pos"]
+    if points.ndim != 4 or points.shape[:2] != shape or points.shape[3] != 3:
+        raise DataError(f"{files['inter_pos']} has shape {points.shape}, where powers have {shape}.")
+    scenario = Scenario(
+        carrier_hz,
+        tables["tx_pos"][0],
+        tables["rx_pos"],
+        {key: tables[key] for key in _OF_PATHS},
+        points,
+        raytracer,
+        digest.hexdigest(),
+        files,
+    )
+    _require_meaning(scenario)
+    return scenario
+
+
+def _chosen(folder: Path, pair: str | None, stations: set[int]) -> str:
+    """The part of file names that tells station and users; without `pair`, the only one whose receivers are users."""
+    found = sorted({path.stem.partition("power_")[2] for path in folder.glob("power_t*_r*.*")})
+    if pair is not None:
+        if pair not in found:
+            raise UnknownNameError("pair of sets", pair, found)
+        return pair
+    users = [name for name in found if name.rpartition("r")[2].isdigit()]
+    users = [name for name in users if int(name.rpartition("r")[2]) not in stations]
+    if len(users) != 1:
+        raise DataError(
+            f"{folder} holds {'no table of powers' if not found else 'the pairs ' + ', '.join(found)}; "
+            + ("is it whole?" if not found else "choose one with --pair.")
+        )
+    return users[0]
+
+
+def _file(folder: Path, stem: str) -> Path:
+    for path in (folder / f"{stem}.npz", folder / f"{stem}.mat"):
+        if path.exists():
+            return path
+    raise DataError(f"{folder} has no {stem}.npz. Convert the scenario anew, with all its matrices.")
+
+
+def _table(path: Path, key: str, digest: Any) -> FloatArray:
+    """One of the scenario's arrays; raises `DataError` that names its file."""
+    try:
+        content = read_bytes(path)
+        digest.update(content)
+        if path.suffix == ".mat":
+            return _real(scipy.io.loadmat(io.BytesIO(content))[key])
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            needed_mib = archive.getinfo(f"{key}.npy").file_size / 2**20
+        if needed_mib > available_memory_mib():
+            raise ValueError(f"it takes {needed_mib:,.0f} MiB of memory")
+        with np.load(io.BytesIO(content)) as stored:
+            return _real(stored[key])
+    except (*_UNREADABLE, zipfile.LargeZipFile, OverflowError) as error:
+        fault = getattr(error, "strerror", None) or error
+        raise DataError(f"{path} is not an array of DeepMIMO v4 that can be read: {fault}.") from error
+
+
+def _real(stored: NDArray[Any]) -> FloatArray:
+    if stored.dtype.kind not in "fiu":
+        raise ValueError(f"its numbers are {stored.dtype}, not real")
+    return stored.astype(np.float64)
+
+
+def _require_meaning(scenario: Scenario) -> None:
+    is_path, tables, files = scenario.is_path, scenario.of_paths, scenario.files
+    for key, table in tables.items():
+        if not np.isfinite(table[is_path]).all():
+            raise DataError(f"{files[key]} holds numbers that are not finite where power is given.")
+    for key, place_m in (("tx_pos", scenario.station_m), ("rx_pos", scenario.user_m)):
+        if not (np.abs(place_m) <= FAR_M).all():
+            raise DataError(f"{files[key]} holds positions beyond {FAR_M:g} m, or no numbers.")
+    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0)):
+        if not ((tables[key][is_path] >= low) & (tables[key][is_path] <= high)).all():
+            raise DataError(f"{files[key]} holds numbers that do not lie between {low:g} and {high:g}.")
+    digits = _digits(tables["inter"][is_path])
+    is_met = digits > 0
+    is_whole = (np.diff(is_met.astype(int), axis=1) >= 0).all() and (tables["inter"][is_path] % 1 == 0).all()
+    if not is_whole or (tables["inter"][is_path] < 0).any() or (digits > max(_CODES)).any():
+        raise DataError(f"{files['inter']} holds numbers other than digits 1 to {max(_CODES)}, or 0.")
+    depth = scenario.point_m.shape[2]
+    count = is_met.sum(axis=1)
+    is_there = np.asarray(np.isfinite(scenario.point_m[is_path]).all(axis=-1))
+    needed = np.arange(depth) < count[:, None]
+    if (count > depth).any() or not is_there[needed].all():
+        raise DataError(f"{files['inter_pos']} does not hold a point for each interaction that inter names.")
+
+
+def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
+    """The decimal digits of numbers, the last in the last of `_MOST_DIGITS` columns, and zeros before the first."""
+    whole = np.clip(numbers, 0, 10.0**15).astype(np.int64)
+    return whole[:, None] // 10 ** np.arange(_MOST_DIGITS - 1, -1, -1, dtype=np.int64) % 10
+
+
+def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
+    carriers = [each.carrier_hz for each in scenarios]
+    if len(set(carriers)) < len(carriers):
+        raise DataError(f"{folder} holds two scenarios at the same carrier; import them one by one.")
+    first = scenarios[0]
+    for each in scenarios[1:]:
+        same = np.array_equal(each.station_m, first.station_m) and np.array_equal(each.user_m, first.user_m)
+        if not same:
+            raise DataError(
+                f"{folder}: station or users at {format_ghz(each.carrier_hz)} stand elsewhere than at "
+                f"{format_ghz(first.carrier_hz)}; import the scenarios one by one."
+            )
+
+
+def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> DatasetHeader:
+    name, first = folder.resolve().name, scenarios[0]
+    return DatasetHeader(
+        scene_name=name,
+        scene_json=json.dumps({"name": name}),
+        scene_sha256=hashlib.sha256("".join(each.sha256 for each in scenarios).encode()).hexdigest(),
+        receiver=ReceiverArray(position_m=tuple(first.station_m.tolist())),
+        carrier_hz=np.array([each.carrier_hz for each in scenarios]),
+        num_tx=len(users),
+        pas_kind="power",
+        maps=False,
+        settings={
+            "imported_from": "DeepMIMO v4",
+            "raytracer": first.raytracer,
+            "array": "4 × 4 elements half a wavelength apart at the base station, facing down; the paths are to its "
+            "centre, and spherical waves at its elements",
+        },
+        software={package: metadata.version(package) for package in ("xfreqbench", "numpy")},
+        rejected={"without a path": len(first.user_m) - len(users)},
+        paths=True,
+    )
+
+
+def _ragged(scenarios: Sequence[Scenario], users: IntArray) -> RaggedPaths:
+    """The paths of some users at all carriers, the earliest first; each has a gain of 0 where it is not listed."""
+    depth = max(each.point_m.shape[2] for each in scenarios)
+    rows, gains, owners = [], [], []
+    for number, each in enumerate(scenarios):
+        is_path = each.is_path[users]
+        user, tables = np.nonzero(is_path)[0], {k: v[users][is_path] for k, v in each.of_paths.items()}
+        points_m = np.zeros((len(user), depth, 3))
+        points_m[:, : each.point_m.shape[2]] = np.nan_to_num(each.point_m[users][is_path])
+        shared = [tables[key] for key in ("delay", "aod_az", "aod_el", "aoa_az", "aoa_el", "inter")]
+        rows.append(np.column_stack([user, *shared, points_m.reshape(len(user), -1)]))
+        received = 10 ** (tables["power"] / 20) * np.exp(1j * np.radians(tables["phase"]))
+        gains.append(received * np.exp(2j * np.pi * (each.carrier_hz * tables["delay"] % 1.0)))
+        owners.append(np.full(len(user), number))
+    distinct, place = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+    gain = np.zeros((len(distinct), len(scenarios)), np.complex64)
+    np.add.at(gain, (place.reshape(-1), np.concatenate(owners)), np.concatenate(gains))
+    user, delay_s, *degrees, inter = distinct[:, :7].T
+    digits = _digits(inter)[:, ::-1]  # from the user: the last digit first
+    is_met = digits > 0
+    steps = is_met.sum(axis=1)
+    path, step = np.nonzero(is_met)
+    code = np.zeros(max(_CODES) + 1, np.uint8)
+    code[list(_CODES)] = list(_CODES.values())
+    points_m = distinct[:, 7:].reshape(len(distinct), depth, 3)
+    arrival_az, arrival_zenith, departure_az, departure_zenith = np.radians(degrees)
+    return RaggedPaths(
+        num_paths=np.bincount(user.astype(np.int64), minlength=len(users)),
+        gain=gain,
+        delay_s=delay_s.copy(),
+        arrival_azimuth_rad=_turned(arrival_az),
+        arrival_elevation_rad=(np.pi / 2 - arrival_zenith).astype(np.float32),
+        departure_azimuth_rad=_turned(departure_az),
+        departure_elevation_rad=(np.pi / 2 - departure_zenith).astype(np.float32),
+        num_interactions=steps,
+        interaction=code[digits[path, step]],
+        surface=np.zeros(len(path), np.int32),
+        vertex_m=points_m[path, steps[path] - 1 - step].astype(np.float32),
+    )
+
+
+def _turned(azimuth_rad: Float[FloatArray, "P"]) -> Float[NDArray[np.float32], "P"]:
+    """Azimuths in (−π, π]."""
+    return np.arctan2(np.sin(azimuth_rad), np.cos(azimuth_rad)).astype(np.float32)
+
+
+def _channels(paths: RaggedPaths, header: DatasetHeader) -> tuple[NDArray[np.complex128], IntArray]:
+    """Channels (T, F, M) of the paths' users, each of some path, as sums of spherical waves; their numbers (T, F)."""
+    first = np.cumsum(paths.num_paths) - paths.num_paths
+    arrival = directions(paths.arrival_azimuth_rad, paths.arrival_elevation_rad)
+    cfr = np.zeros((len(first), len(header.carrier_hz), header.receiver.num_elements), np.complex128)
+    for carrier, carrier_hz in enumerate(header.carrier_hz.tolist()):
+        element_m = header.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+        delay_s = element_delays_s(paths.delay_s, arrival, element_m - header.receiver.position_m)
+        waves = paths.gain[:, carrier, None] * np.exp(-2j * np.pi * carrier_hz * delay_s)
+        cfr[:, carrier] = np.add.reduceat(waves, first, axis=0)
+    return cfr, np.add.reduceat(paths.gain != 0, first, axis=0, dtype=np.int64)
+
+
+def _are_in_sight(scenarios: Sequence[Scenario], users: IntArray) -> Bool[NDArray[np.bool_], "T"]:
+    """Whether some scenario lists a path without interactions of each user."""
+    direct = [(each.of_paths["inter"][users] == 0) & each.is_path[users] for each in scenarios]
+    return np.asarray(np.any([each.any(axis=1) for each in direct], axis=0))
