@@ -66,6 +66,21 @@ def test_the_splatting_table_has_a_row_for_each_size_and_small_errors_beside_its
     assert all(row[7].endswith("(1/25)") for row in rows)
 
 
+def test_steps_of_methods_are_told_as_ratios_to_one_setting(
+    train: PasDataset, bench: Bench, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = next(fit for fit in rendering.FITS if fit[0] == "xfreq-gs as in version 0.1")
+    small = ("num_gaussians=20", "batch_size=2", "width=8", "layers=1")
+    fits = [(first[0], "xfreq-gs", (*first[2], *small)), ("twice", "xfreq-gs", (*small, "batch_size=4"))]
+    monkeypatch.setattr(rendering, "FITS", fits)
+    monkeypatch.setattr(rendering, "loop_s", lambda train, method, settings: 0.5)
+    rendering.tabulate_fits(bench, train)
+    assert cells(said, columns=5) == [
+        [first[0], "2", "500.0", "4", "1.00"],
+        ["twice", "4", "500.0", "8", "2.00"],
+    ]
+
+
 def test_every_bench_names_its_machine_and_threads(bench: Bench, said: list[str]) -> None:
     rendering.bench_render(bench, [], [], False)
     assert re.search(r"\d+ cores, ", said[0])

@@ -13,7 +13,7 @@ from torch import Tensor, autograd
 from torch.nn.functional import cosine_similarity, linear, relu
 
 from xfreqbench.bench.splatting import least_s
-from xfreqbench.bench.training_step import Step, loop_s, outputs_of
+from xfreqbench.bench.training_step import METHOD, Step, loop_s, outputs_of
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.network import PairwiseMLP, is_narrow
@@ -245,7 +245,7 @@ def every_fifth_direction(train: PasDataset, settings: Sequence[str]) -> Saving:
         moved = _map_change(_rendered(few), in_view / in_view.amax(dim=(1, 2), keepdim=True))
     cosine = cosine_similarity(_l1_gradient(few), _l1_gradient(every), dim=0)
     change = f"before training: {moved} where both look; L1's gradient: cosine {float(cosine):.3f}"
-    off_s, on_s = loop_s(train, settings), loop_s(train, fewer)
+    off_s, on_s = (loop_s(train, METHOD, each) for each in (settings, fewer))
     return Saving(
         "training", "every fifth row and column", "whole step", *_a_sample(every, off_s, on_s), change
     )

@@ -10,9 +10,10 @@ import numpy as np
 
 from xfreqbench.bench.splatting import DIRECTIONS_PER_GAUSSIAN, SplatCost, num_threads, splat_costs
 from xfreqbench.bench.tables import Bench
-from xfreqbench.bench.training_step import METHOD, StepCost, step_cost
+from xfreqbench.bench.training_step import METHOD, StepCost, loop_s, step_cost
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import plane_wave_data
+from xfreqbench.methods.registry import build_method
 from xfreqbench.units import ghz_to_hz
 
 STEPS: tuple[tuple[str, ...], ...] = (  # settings of xfreq-gs-paper
@@ -22,6 +23,34 @@ STEPS: tuple[tuple[str, ...], ...] = (  # settings of xfreq-gs-paper
     (),
 )
 GOAL_SAMPLES_PER_S = 100
+FIRST = (  # settings of xfreq-gs that come nearest to its defaults in version 0.1
+    "network=pairwise",
+    "width=64",
+    "layers=4",
+    "max_spread=2",
+    "start=random",
+    "direct_wave=false",
+    "band=false",
+    "num_gaussians=256",
+    "angular_size_deg=6",
+    "move_from=0",
+    "position_rate=10",
+    "densify_every=200",
+    "averaging=0",
+    "batch_size=32",
+    "stride=5",
+    "ssim_window=3",
+)
+FITS: tuple[
+    tuple[str, str, tuple[str, ...]], ...
+] = (  # methods whose steps are compared, with how they are named
+    ("xfreq-gs", "xfreq-gs", ()),
+    ("xfreq-gs, all pairs", "xfreq-gs", ("network=pairwise", "width=64", "layers=4")),
+    ("xfreq-gs as in version 0.1", "xfreq-gs", FIRST),
+    *((name, name, ()) for name in ("fixed-frequency-gs", "frequency-embedded-gs", "aperture-gs")),
+    *((name, name, ()) for name in ("gsrf", "wideband-3dgs", "wrf-gs-plus")),
+)
+FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s", "maps/s, of xfreq-gs as in version 0.1")
 CARRIERS_HZ = np.array([ghz_to_hz(carrier) for carrier in (1.0, 10.0)])  # of the training data
 SPLATTING_COLUMNS = (
     "N",
@@ -48,6 +77,7 @@ def bench_render(
     if with_step:
         with tempfile.TemporaryDirectory() as folder:
             train = plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32)
+            tabulate_fits(bench, train)
             for settings in STEPS:
                 tabulate_step(bench, train, settings)
 
@@ -64,6 +94,20 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
     with bench.table("Splatting alone", note, SPLATTING_COLUMNS) as table:
         for cost in splat_costs(num_gaussians, batch_sizes):
             table.add(*_splatting_cells(cost))
+
+
+def tabulate_fits(bench: Bench, train: PasDataset) -> None:
+    """Print the maps that training steps of methods see a second, and their ratio to those of a named setting."""
+    note = f"The method's own loop on a data set of 64 maps, {num_threads()} threads, after its first step."
+    rates = {}
+    for title, method, settings in FITS:
+        batch_size = build_method(method, settings).config.batch_size
+        rates[title] = batch_size, loop_s(train, method, settings)
+    first_size, first_s = rates["xfreq-gs as in version 0.1"]
+    with bench.table("Training steps of methods", note, FIT_COLUMNS) as table:
+        for title, (size, seconds) in rates.items():
+            ratio = size / seconds / (first_size / first_s)
+            table.add(title, str(size), f"{1e3 * seconds:.1f}", f"{size / seconds:,.0f}", f"{ratio:.2f}")
 
 
 def tabulate_step(bench: Bench, train: PasDataset, settings: Sequence[str]) -> None:

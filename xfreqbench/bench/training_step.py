@@ -157,12 +157,12 @@ def step_cost(train: PasDataset, settings: Sequence[str]) -> StepCost:
     config = step.config
     sizes = config.num_gaussians, config.batch_size, len(lists.gaussian)
     products_s = _products_s(step.network.mlp, config.batch_size * int(seen_of(lists).sum()))
-    return StepCost(tuple(settings), *sizes, loop_s(train, settings), parts, products_s)
+    return StepCost(tuple(settings), *sizes, loop_s(train, METHOD, settings), parts, products_s)
 
 
-def loop_s(train: PasDataset, settings: Sequence[str]) -> float:
+def loop_s(train: PasDataset, method: str, settings: Sequence[str]) -> float:
     """Time of a step of `fit` in seconds, at half of the budget, where the loss has its final weights."""
-    fit = build_method(METHOD, settings).fit(train, Budget(), 0)
+    fit = build_method(method, settings).fit(train, Budget(), 0)
     assert isinstance(fit, Generator)
     next(fit)
     return least_s(lambda: fit.send(0.5))
