@@ -56,10 +56,13 @@ def test_channels_too_weak_for_float32_powers_keep_their_map() -> None:
     assert BEAM.maps((cfr * 1e-25).astype(np.complex64))[1][0] > 0
 
 
-def test_maps_are_the_same_bytes_in_one_thread_and_in_two() -> None:
+def test_maps_are_the_same_bytes_alone_and_among_others_in_one_thread_and_in_two() -> None:
     rng = np.random.default_rng(0)
     cfr = rng.normal(size=(20, 16)) + 1j * rng.normal(size=(20, 16))
     made = []
+    together, _ = BEAM.maps(cfr)
+    for size in (1, 3, 8, 13):
+        np.testing.assert_array_equal(BEAM.maps(cfr[5 : 5 + size])[0], together[5 : 5 + size])
     for threads in (1, 2):
         with threadpool_limits(threads, "blas"):
             maps, peak = BEAM.maps(cfr)

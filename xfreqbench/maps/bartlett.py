@@ -85,8 +85,7 @@ class BartlettBeam:
         if kind == "phase-only":
             cfr = _divide_or_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32
-        with one_blas_thread():  # the same bytes however many threads there are
-            beam = _divide_or_zero(cfr, scale).astype(np.complex64) @ self.conjugate_steering
+        beam = self._beams(_divide_or_zero(cfr, scale).astype(np.complex64))
         power = beam.real**2 + beam.imag**2
         peak = power.max(axis=1, keepdims=True)
         maps = _divide_or_zero(power, peak)
@@ -95,6 +94,18 @@ class BartlettBeam:
         return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(
             np.float64
         ) ** 2
+
+    def _beams(self, cfr: Complex[NDArray[np.complex64], "B M"]) -> Complex[NDArray[np.complex64], "B K"]:
+        """Beams towards all directions, one channel after another in one thread.
+
+        Some processors round the rows of one product by their number and place, and by the number of threads. So a
+        channel has the same map, to the last bit, whatever others it comes with.
+        """
+        beams = np.empty((len(cfr), self.conjugate_steering.shape[1]), np.complex64)
+        with one_blas_thread():
+            for channel, beam in zip(cfr, beams, strict=True):
+                np.matmul(channel, self.conjugate_steering, out=beam)
+        return beams
 
 
 def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[NDArray[np.float32], "N E A"]:

@@ -84,7 +84,7 @@ def in_hours(seconds: float) -> str:
 def _num_places(executor: str) -> int | None:
     if executor == SERIAL:
         return 1
-    return int(executor) if executor.isdecimal() else None
+    return int(executor) if executor.isdecimal() and len(executor) < 9 else None
 
 
 def _is_trivial(job: Job) -> bool:
