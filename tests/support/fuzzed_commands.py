@@ -46,6 +46,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "benchmark": {"data": ("data set",), "results": RESULTS},
     "report": {"results": ("records", "stored predictions", "data set"), "output": WRITTEN, "html": WRITTEN},
     "compare": {"a": ("records",), "b": ("records",)},
+    "new-method": {"output": WRITTEN},
     "findings": {"results": ("records",), "data": ("data set",), "output": WRITTEN},
     "residual": {"results": ("records", "stored predictions"), "data": ("data set",), "output": WRITTEN},
     "stress": {"output": ("records",)},

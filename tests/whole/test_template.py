@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import Fit, fit_within
+from xfreqbench.methods.template import write_method_package
 from xfreqbench.runs.folder import read_records
 
 TEMPLATE = ROOT / "examples" / "xfreqbench-method-template"
@@ -54,6 +57,15 @@ def require_rows(folder: Path) -> None:
     assert [record.job.method for record in stored] == ["plane-waves", "mean-over-frequency", "plane-waves"]
     assert stored[-1].job.overrides == ("waves=8",)
     assert "| plane-waves (≤ 200 steps) |" in " ".join((folder / "BENCHMARK.md").read_text().split())
+
+
+def test_a_copy_under_another_name_passes_its_tests_at_once(tmp_path: Path) -> None:
+    write_method_package("my-method", tmp_path / "my-method")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "my-method"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout
 
 
 def test_its_workflow_gives_commands_that_the_readme_gives() -> None:

@@ -78,6 +78,36 @@ def check_method(
         raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
 
 
+@app.command(name="new-method", group=RUN, help_epilogue=example("new-method my-method"))
+def new_method(
+    name: str,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(
+            name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a package with a method that learns, its tests and a workflow, for you to change.
+
+    Parameters
+    ----------
+    name
+        Of the package and of the method on the leaderboard: words with hyphens, as in my-method.
+    """
+    from xfreqbench.methods.template import write_method_package
+
+    folder = output or Path(name)
+    for path in write_method_package(name, folder):
+        say(f"wrote {path}", quiet)
+    say(
+        f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}",
+        quiet,
+    )
+
+
 @app.command(
     group=RUN,
     help_epilogue=example(

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 PACKAGE = "xfreqbench"
+_DATA = ("examples", "scenes")  # in an editable install not within the package's folder either
 _BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder is not within the package's
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
 _STANDARD_LIBRARY = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib"))
@@ -47,7 +48,7 @@ def _package_files() -> dict[str, Path]:
     for package in (PACKAGE, _BASELINES):
         for folder in map(Path, _folders(package)):
             prefix = package.replace(".", "/")
-            paths = folder.rglob("*.py")
+            paths = (path for path in folder.rglob("*.py") if path.relative_to(folder).parts[0] not in _DATA)
             found |= {f"{prefix}/{path.relative_to(folder).as_posix()}": path for path in paths}
     return found
 

@@ -12,7 +12,7 @@ from xfreqbench.scene.array import planar_array
 
 
 def test_it_keeps_the_contract() -> None:
-    findings = check_method("plane-waves", ["waves=4", "width=16"])
+    findings = check_method("plane_waves:PlaneWaves", ["waves=4", "width=16"])
     assert not [str(finding) for finding in findings if finding.fault]
 
 
