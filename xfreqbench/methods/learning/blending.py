@@ -126,15 +126,14 @@ def _knowing(predictor: type, train: PasDataset) -> Any:
 
 
 def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict]) -> Choice:
-    """The predictor and weight with the highest SSIM; of equal ones, that with the most of the learned maps."""
+    """The predictor with the highest SSIM by itself, and the weight with the highest SSIM beside it.
+
+    Of weights that are equally good it is the largest.
+    """
     query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
-    learned = predict(*query)
-    scored = [
-        (_similarity(_mixed(learned, maps, weight), truth), weight, name)
-        for name, maps in ((name, known(*query)) for name, known in trivial.items())
-        for weight in _WEIGHTS
-    ]
-    _, weight, name = max(scored)
+    learned, maps = predict(*query), {name: known(*query) for name, known in trivial.items()}
+    name = max(maps, key=lambda each: _similarity(maps[each], truth))
+    weight = max(_WEIGHTS, key=lambda w: (_similarity(_mixed(learned, maps[name], w), truth), w))
     return Choice(predictor=name, weight=weight)
 
 
