@@ -142,7 +142,8 @@ def _become(words: list[str], folder: str, environment: dict[str, str], streams:
         os.close(descriptor)
     os.chdir(folder)
     os.environ.clear()
-    os.environ.update(environment)
+    # Numba reads its number of threads again when it compiles, and fails where it is no longer the server's
+    os.environ.update({"NUMBA_NUM_THREADS": ONE_THREAD["NUMBA_NUM_THREADS"]} | environment)
     sys.argv = words
     sys.path[:0] = filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))
     sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")
