@@ -10,10 +10,10 @@ from torch import Tensor
 
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.metrics import SSIM_WINDOW
+from xfreqbench.methods.learning.loss import SSIM_C1, SSIM_C2
 from xfreqbench.methods.learning.targets import element_lags
 from xfreqbench.types import Maps
 
-_C1, _C2 = 0.01**2, 0.03**2  # of SSIM, for a data range of 1
 MAX_STEPS = 25  # of L-BFGS; with 100 the expected SSIM of maps of the office is the same to 1e-4
 STRIDE = 10  # of the windows' rows and columns; with 7 the expected SSIM is the same to 1e-5
 _LEAST_STRENGTH = 1e-4  # singular value of a function of the band, as a share of the largest
@@ -89,8 +89,8 @@ class _ExpectedSsim:
         mean = maps.mean(dim=-1)
         rest = maps - mean[:, None]
         covariance = torch.einsum("wr,dwr->dw", rest @ self._pattern, self._rest) / (maps.shape[-1] - 1)
-        luminance = (2 * mean * self._mean + _C1) / (mean**2 + self._mean**2 + _C1)
-        structure = (2 * covariance + _C2) / (_sample_mean(rest * rest) + self._variance + _C2)
+        luminance = (2 * mean * self._mean + SSIM_C1) / (mean**2 + self._mean**2 + SSIM_C1)
+        structure = (2 * covariance + SSIM_C2) / (_sample_mean(rest * rest) + self._variance + SSIM_C2)
         return (luminance * structure).mean()
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -37,6 +37,10 @@ class TrainingTransmitters:
         """Indices (k,) of the `count` nearest training transmitters; a single one if it stands at this position."""
         distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
         return index[:1] if distance_m[0] <= SAME_TRANSMITTER_M else index
+
+    def knows(self, tx_position_m: Float[FloatArray, "B 3"]) -> Bool[NDArray[np.bool_], "B"]:
+        """Whether a training transmitter stands at each position."""
+        return np.asarray(self._tree.query(tx_position_m)[0] <= SAME_TRANSMITTER_M)
 
     def rows(self, transmitters: Int[IntArray, "k"]) -> Int[IntArray, "n"]:
         """The rows (n,) of some transmitters (k,), at all of their carriers."""

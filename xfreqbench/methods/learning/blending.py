@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget, Maps
 from xfreqbench.methods.learning.loss import mean_ssim
-from xfreqbench.methods.lookup import SAME_TRANSMITTER_M
+from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray
 
 CHOOSE_AT = 0.5  # share of the budget
@@ -73,19 +73,17 @@ class Blend:
     """Trivial predictors that know the training rows, and a choice among them for each kind of query."""
 
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
-        self.choices, self.train = choices, train
+        self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {choice.predictor for choice in choices.values() if choice.weight < 1}
         self._predictors = {
             each.__name__: _knowing(each, train) for each in predictors if each.__name__ in needed
         }
-        self._carriers = np.unique(train.carrier_hz)
-        self._tx_position_m = np.unique(train.tx_position_m, axis=0)
 
     @classmethod
     def chosen(
         cls, predictors: Sequence[type], train: PasDataset, holdout: Holdout, predict: Predict
     ) -> Blend:
-        """The blend whose maps of the held-out rows have the highest mean SSIM; `predict` gives the learned maps."""
+        """For each kind of query the choice that is best on the held-out rows; `predict` gives the learned maps."""
         left = train.subset(holdout.left)
         knowing = {each.__name__: _knowing(each, left).predict for each in predictors}
         choices = {
@@ -112,8 +110,8 @@ class Blend:
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> tuple[Bool[NDArray[np.bool_], "B"], ...]:
         """Which queries are of each kind; those of seen transmitters and carriers are as those of unseen carriers."""
-        away_m = np.linalg.norm(tx_position_m[:, None] - self._tx_position_m, axis=-1).min(axis=1)
-        unseen_tx, unseen_carrier = away_m > SAME_TRANSMITTER_M, ~np.isin(carrier_hz, self._carriers)
+        unseen_tx = ~self.transmitters.knows(tx_position_m)
+        unseen_carrier = ~np.isin(carrier_hz, self.transmitters.carrier_hz)
         return ~unseen_tx, unseen_tx & ~unseen_carrier, unseen_tx & unseen_carrier
 
 

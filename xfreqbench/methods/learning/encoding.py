@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torch.nn.functional import grid_sample
 
 from xfreqbench.data.dataset import PasDataset
 
+_GRID_RATE = 5.0  # of the learning rate
 _MARGIN = (
     0.1  # by which the box of training positions grows, so that Gaussians may stand behind the outermost
 )
@@ -117,3 +119,13 @@ class FeatureGrid(nn.Module):
             for level in self.levels
         ]
         return torch.cat(features, dim=-1)
+
+
+def rated_with_grid(
+    network: nn.Module, grid: FeatureGrid | None, learning_rate: float
+) -> list[dict[str, Any]]:
+    """A network's parameters with their rates; features of places learn faster, because few transmitters use each."""
+    grids = list(grid.parameters()) if grid is not None else []
+    known = {id(parameter) for parameter in grids}
+    rest = [parameter for parameter in network.parameters() if id(parameter) not in known]
+    return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": _GRID_RATE * learning_rate}]

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from xfreqbench.maps.metrics import SSIM_WINDOW
 
-_C1, _C2 = 0.01**2, 0.03**2  # for a data range of 1
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for a data range of 1
 
 
 def map_loss(
@@ -39,13 +39,13 @@ def mean_ssim(
     much within the window as within the score's window of 7 × 7. C₂ is multiplied by that, where it is above 1, so
     that slopes are weighed against it as the score weighs them.
     """
-    c2 = _C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
+    c2 = SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
     unbiased = window**2 / (window**2 - 1)
     mean_x, mean_y = _box(predicted, window), _box(truth, window)
     variance_x = unbiased * (_box(predicted * predicted, window) - mean_x * mean_x)
     variance_y = unbiased * (_box(truth * truth, window) - mean_y * mean_y)
     covariance = unbiased * (_box(predicted * truth, window) - mean_x * mean_y)
-    luminance = (2 * mean_x * mean_y + _C1) / (mean_x * mean_x + mean_y * mean_y + _C1)
+    luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x * mean_x + mean_y * mean_y + SSIM_C1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
     return (luminance * structure).mean()
 

@@ -13,13 +13,18 @@ from torch import Tensor, nn
 from torch.nn.functional import silu
 from typing_extensions import Doc
 
-from xfreqbench.methods.learning.encoding import FeatureGrid, Scaling, encoded_size, positional_encoding
+from xfreqbench.methods.learning.encoding import (
+    FeatureGrid,
+    Scaling,
+    encoded_size,
+    positional_encoding,
+    rated_with_grid,
+)
 from xfreqbench.methods.learning.network import Attributes, NetworkConfig
 
 _CLEAR = 4.0  # logit of |δ| at the start, 0.98, so that the direct wave's Gaussians hardly shade each other
 _HEAD = 0.1  # of the usual weights of the last layer at the start
 _GRID_GAIN = 4.0  # of features of places, as inputs beside sines
-_GRID_RATE = 5.0  # of the learning rate
 NUM_SHAPES = 3  # |δ|, arg δ, λ
 
 
@@ -129,10 +134,7 @@ class LowRankNetwork(nn.Module):
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates; features of places learn faster, because few transmitters use each."""
-        grids = list(self.places.parameters())
-        known = {id(parameter) for parameter in grids}
-        rest = [parameter for parameter in self.parameters() if id(parameter) not in known]
-        return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": _GRID_RATE * learning_rate}]
+        return rated_with_grid(self, self.places, learning_rate)
 
     def _features(self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B W"]:
         place = self.scaling.unit_position(tx_m)

@@ -15,13 +15,18 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize, relu
 from typing_extensions import Doc
 
-from xfreqbench.methods.learning.encoding import FeatureGrid, Scaling, encoded_size, positional_encoding
+from xfreqbench.methods.learning.encoding import (
+    FeatureGrid,
+    Scaling,
+    encoded_size,
+    positional_encoding,
+    rated_with_grid,
+)
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
 _CHUNK_PAIRS = 1 << 12  # pairs at a time; larger tensors do not fit into the cache and take 1.5 times as long
 _CLEAR = 2.0  # logit of |δ| at the start, 0.88, so that Gaussians behind are seen
-_GRID_RATE = 5.0  # of the learning rate
 _BEARING_WIDTHS = (0.005, 0.02, 0.1)  # of 1 − cos: about 6, 11 and 26 degrees
 BEARING_SIZE = 1 + len(_BEARING_WIDTHS)
 
@@ -177,10 +182,7 @@ class WideFreqNetwork(nn.Module):
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates; features of places learn faster, because few transmitters use each."""
-        grids = list(self.tx_features.parameters()) if self.tx_features is not None else []
-        known = {id(parameter) for parameter in grids}
-        rest = [parameter for parameter in self.parameters() if id(parameter) not in known]
-        return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": _GRID_RATE * learning_rate}]
+        return rated_with_grid(self, self.tx_features, learning_rate)
 
     def _encoded_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B C"]:
         """The encoding E(f); it has no columns where the network does not see the carrier."""

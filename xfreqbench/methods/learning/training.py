@@ -241,7 +241,7 @@ class LearnedMethod:
             blend=dict(self._blend.choices) if self._blend else None,
         )
         if self._blend:
-            TrainingTransmitters(self._blend.train).save(directory)
+            self._blend.transmitters.save(directory)
         (directory / STATE_FILE).write_text(state.model_dump_json(), encoding="utf-8")
 
     @classmethod
