@@ -49,10 +49,12 @@ def stored_state(path: Path) -> SavedState:
 
 
 def require_moments(name: str, parameter: nn.Parameter, stored: Mapping[str, Tensor]) -> None:
-    """Raise `MethodError` unless all of Adam's state is there, its moments of the type and shape of a parameter."""
+    """Raise `MethodError` unless all of Adam's state is there, its moments of a parameter's type and shape."""
     moments = [stored[key] for key in ("exp_avg", "exp_avg_sq") if key in stored]
     fit = [moment.shape == parameter.shape and moment.dtype == parameter.dtype for moment in moments]
-    if stored.keys() != set(ADAM) or not all(fit) or stored["step"].shape != ():
+    step = stored.get("step")
+    counts = step is not None and step.shape == () and step.dtype == torch.float32  # as Adam makes it
+    if stored.keys() != set(ADAM) or not all(fit) or not counts:
         raise MethodError(
             f"The moments of {name} are not those of a parameter of shape {tuple(parameter.shape)}."
         )
