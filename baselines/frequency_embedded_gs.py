@@ -13,7 +13,7 @@ class FrequencyEmbeddedGSConfig(XFreqGSConfig):
     """Options: the carrier is an input, but there is no latent and no spread of footprints by the carrier."""
 
     latent: int = 0
-    trend: bool = False
+    trend: Literal["root", "log", "none"] = "none"
     max_spread: float = 1.0
     blend: Literal["auto", "none"] = "none"
 

@@ -198,7 +198,11 @@ def _seeds(text: str) -> list[int]:
 def benchmark(
     *,
     preset: Annotated[
-        str, Parameter(help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores.")
+        str,
+        Parameter(
+            help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores; carrier: whether xfreq-gs "
+            "gains by being told the carrier."
+        ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
         "data"

@@ -7,19 +7,23 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, reopen
+from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.system.files import read_bytes
 from xfreqbench.types import FloatArray, IntArray
 
 SAME_TRANSMITTER_M = 1e-6
 _CONFIG_FILE, _ROWS_FILE = "config.json", "training_rows.json"
+_STORED_ROWS = TypeAdapter(tuple[str, str, list[Annotated[int, Field(ge=0, lt=2**63)]]])
 
 
 class TrainingTransmitters:
@@ -61,8 +65,15 @@ class TrainingTransmitters:
 
     @classmethod
     def load(cls, directory: Path) -> TrainingTransmitters:
-        """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
-        return cls(reopen(*json.loads((directory / _ROWS_FILE).read_text(encoding="utf-8"))))
+        """Inverse of `save`; raises `DataError` if the rows are not stored, or the data set has gone or is another."""
+        try:
+            path, sha256, rows = _STORED_ROWS.validate_json(read_bytes(directory / _ROWS_FILE))
+        except (OSError, ValidationError) as error:
+            fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
+            raise DataError(
+                f"{directory / _ROWS_FILE} names no data set and rows to look up: {fault}."
+            ) from error
+        return cls(reopen(path, sha256, np.array(rows, dtype=np.int64)))
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,7 @@ ABLATIONS = (
 )
 BENCHES = ("generate", "plain", "render", "savings", "stress")
 _SCENES = ("office", "two_rooms")
+_ALL_SCENES = (*_SCENES, "corridor")
 _PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
 _OTHER_GHZ = (1.0, 5.0, 10.0, 37.0, 47.0, 60.0, 94.0)  # the carriers that the paper does not test
 _VALIDATION_GHZ = (5.0, 47.0)  # the choice that aperture-gs is told the carrier was made at these
@@ -172,4 +173,20 @@ FULL = Preset(
     left_out="the scene corridor",
     benches=BENCHES,
 )
-PRESETS: Mapping[str, Preset] = {"quick": QUICK, "standard": STANDARD, "full": FULL}
+_TOLD = Setting("xfreq-gs", ("blend=none",))
+_BLIND = Setting("xfreq-gs", ("blend=none", "sees_carrier=false"))
+_TOLD_OTHERWISE = tuple(
+    Setting("xfreq-gs", ("blend=none", *overrides))
+    for overrides in (("trend=log",), ("carrier_blur=0.5",), ("trend=log", "carrier_blur=0.5"))
+)
+CARRIER = Preset(
+    description="whether xfreq-gs gains by being told the carrier: told against blind, equal steps, five seeds, all "
+    "carriers of three scenes",
+    blocks=(
+        *(_trivial("lofo", scene) for scene in _ALL_SCENES),
+        *(Block(scene, "lofo", (_TOLD, _BLIND), "300steps", (*SEEDS, 3, 4), "all") for scene in _ALL_SCENES),
+        Block("office", "lofo", _TOLD_OTHERWISE, "300steps", SEEDS, "all"),
+    ),
+    left_out="other methods and protocols, and the other trends outside of the office",
+)
+PRESETS: Mapping[str, Preset] = {"quick": QUICK, "standard": STANDARD, "full": FULL, "carrier": CARRIER}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal, get_args
 
 import pytest
 import torch
@@ -14,6 +15,8 @@ from xfreqbench.methods.learning.network import Attributes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
+Trend = Literal["root", "log", "none"]
+TRENDS = get_args(Trend)
 NUM_GAUSSIANS, RANK = 7, 3
 SMALL = LowRankConfig(rank=RANK, width=5, tx_octaves=1, position_octaves=1, tx_levels=1)
 BY_PLACE = replace(SMALL, latent=0)
@@ -66,8 +69,25 @@ def test_at_first_all_carriers_have_the_same_signals_and_one_direct_wave(config:
     torch.testing.assert_close(attributes.direct, attributes.direct[:1].expand(4))
 
 
-@pytest.mark.parametrize("trend", [True, False])
-def test_a_network_that_does_not_see_the_carrier_never_answers_to_it(trend: bool) -> None:
+@pytest.mark.parametrize("trend", TRENDS)
+def test_signals_are_straight_lines_on_the_trends_axis(
+    trend: Trend,
+) -> None:
+    network = network_of(replace(SMALL, trend=trend))
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(random(*parameter.shape, seed=3))
+    signal = asked(network, random(1, 3, seed=9).expand(4, -1), CARRIER_HZ).signal[0]
+    for name, function in (("root", torch.sqrt), ("log", torch.log)):
+        on_axis = function(CARRIER_HZ)
+        share = (on_axis - on_axis[0]) / (on_axis[-1] - on_axis[0])
+        line = signal[:, :1] + share.float() * (signal[:, -1:] - signal[:, :1])
+        bend = (signal - line).abs().max() / (signal[:, -1] - signal[:, 0]).abs().max()
+        assert (bend < 1e-5) == (name == trend)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+def test_a_network_that_does_not_see_the_carrier_never_answers_to_it(trend: Trend) -> None:
     network = network_of(replace(SMALL, sees_carrier=False, trend=trend))
     with torch.no_grad():
         for parameter in network.parameters():
@@ -98,7 +118,7 @@ def test_carriers_stand_evenly_on_the_axis_of_roots() -> None:
     assert float(box.root_carrier(roots[2:]).abs()) < 1e-6  # a band of one carrier
 
 
-@pytest.mark.parametrize("config", [SMALL, BY_PLACE, replace(SMALL, trend=False, layers=2)])
+@pytest.mark.parametrize("config", [SMALL, BY_PLACE, replace(SMALL, trend="none", layers=2)])
 def test_gradients_are_those_of_differences(config: LowRankConfig) -> None:
     network = network_of(config).double()
     names, values = zip(*network.named_parameters(), strict=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -32,15 +32,17 @@ NUM_SHAPES = 3  # |δ|, arg δ, λ
 class LowRankConfig(NetworkConfig):
     """Options of attributes as products ⟨a(p_tx, f), b_i⟩; `width` and `layers` are those of the network for a.
 
-    The codes b_i are learned for each Gaussian, or given by its place alone where `latent` is 0. The carrier scales
-    a trend, which starts at nothing; without a `trend` it is one more input of the network.
+    The codes b_i are learned for each Gaussian, or given by its place alone where `latent` is 0. The carrier, by its
+    root or its logarithm, scales a trend that starts at nothing; without a `trend` it is one more input of the network.
     """
 
     rank: Annotated[int, Limits(ge=1), Doc("numbers of a Gaussian's code")] = 64
     width: Annotated[int, Limits(ge=1)] = 192
     layers: Annotated[int, Limits(ge=1)] = 1
     max_spread: Annotated[float, Limits(ge=1)] = 1.3
-    trend: Annotated[bool, Doc("whether the carrier scales a trend, and is no input")] = True
+    trend: Annotated[
+        Literal["root", "log", "none"], Doc("what of the carrier scales a trend; none: it is an input")
+    ] = "root"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,22 +77,23 @@ class PlaceCodes(nn.Module):
 class LowRankNetwork(nn.Module):
     """S, δ and λ of Gaussian i as products ⟨a(p_tx, f), b_i⟩ (Eqs. 4 and 7): a once a query, b_i once a Gaussian.
 
-    a(p_tx, f) = a₀(p_tx) + u(f) a₁(p_tx), where u is the carrier on the axis of roots, and a₁ starts at zero: at
-    first every carrier is alike. Spread and attenuation have a trend of their own in u, so that footprints widen or
-    narrow with the carrier. One more output is the strength of the direct wave, 1 at the start.
+    a(p_tx, f) = a₀(p_tx) + u(f) a₁(p_tx), where u is the carrier on an axis of roots or logarithms, and a₁ starts at
+    zero: at first every carrier is alike. Spread and attenuation have a trend of their own in u, so that footprints
+    widen or narrow with the carrier. One more output is the strength of the direct wave, 1 at the start.
     """
 
     def __init__(self, config: LowRankConfig, scaling: Scaling) -> None:
         super().__init__()
         self.config, self.scaling = config, scaling
         self.places = FeatureGrid(config.tx_levels)
-        self._has_trend = config.trend and config.sees_carrier
-        carrier_size = encoded_size(1, config.carrier_octaves) * (config.sees_carrier and not config.trend)
+        has_trend = config.sees_carrier and config.trend != "none"
+        self._is_input = config.sees_carrier and not has_trend
+        carrier_size = encoded_size(1, config.carrier_octaves) * self._is_input
         size = encoded_size(3, config.tx_octaves) + self.places.num_outputs + carrier_size
         widths = [size, *[config.width] * config.layers]
         self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(widths))
         self.head = nn.Linear(config.width, config.rank + 1)
-        self.trend = nn.Linear(config.width, config.rank + 1) if self._has_trend else None
+        self.trend = nn.Linear(config.width, config.rank + 1) if has_trend else None
         self.of_place = PlaceCodes(config) if not config.latent else None
         with torch.no_grad():
             self.head.weight.mul_(_HEAD)
@@ -114,9 +117,12 @@ class LowRankNetwork(nn.Module):
             codes = self.of_place(self.scaling.unit_position(position_m))
         features = self._features(tx_m, carrier_hz)
         vector = self.head(features)
-        axis = self.scaling.root_carrier(carrier_hz)
         added = codes.shape_start[..., None]
         if self.trend is not None:
+            of_carrier = (
+                self.scaling.root_carrier if self.config.trend == "root" else self.scaling.unit_carrier
+            )
+            axis = of_carrier(carrier_hz)
             vector = vector + axis * self.trend(features)
             added = added + codes.shape_trend[..., None] * axis.T
         of_gaussians, direct = vector.split([self.config.rank, 1], dim=-1)
@@ -139,7 +145,7 @@ class LowRankNetwork(nn.Module):
     def _features(self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B W"]:
         place = self.scaling.unit_position(tx_m)
         inputs = [positional_encoding(place, self.config.tx_octaves), _GRID_GAIN * self.places(place)]
-        if self.config.sees_carrier and not self.config.trend:
+        if self._is_input:
             carrier = self.scaling.unit_carrier(carrier_hz)
             inputs.append(positional_encoding(carrier, self.config.carrier_octaves))
         features = torch.cat(inputs, dim=-1)

@@ -1,0 +1,41 @@
+"""Training transmitters are looked up by position, and stored as the rows of a data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import write_dataset
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DataError
+from xfreqbench.methods.lookup import TrainingTransmitters
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    dataset = write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=4)
+    return dataset.subset(np.flatnonzero(dataset.tx_index != 2))
+
+
+def test_only_positions_of_training_transmitters_are_known(train: PasDataset) -> None:
+    positions = np.stack([train.tx_position_m[0], train.tx_position_m[0] + [1e-3, 0, 0]])
+    np.testing.assert_array_equal(TrainingTransmitters(train).knows(positions), [True, False])
+
+
+def test_the_stored_rows_are_those_trained_on(train: PasDataset, tmp_path: Path) -> None:
+    TrainingTransmitters(train).save(tmp_path)
+    np.testing.assert_array_equal(TrainingTransmitters.load(tmp_path).train.rows, train.rows)
+
+
+@pytest.mark.parametrize(
+    "stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]']
+)
+def test_rows_that_are_not_stored_are_refused_by_the_name_of_their_file(
+    tmp_path: Path, stored: str | None
+) -> None:
+    if stored is not None:
+        (tmp_path / "training_rows.json").write_text(stored, encoding="utf-8")
+    with pytest.raises(DataError, match=r"training_rows\.json names no data set and rows to look up"):
+        TrainingTransmitters.load(tmp_path)
