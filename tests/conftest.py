@@ -22,6 +22,7 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.tracing.image.kernels",
     "xfreqbench.tracing.image.trie_kernels",
     "xfreqbench.tracing.image.wedge_kernels",
+    "xfreqbench.methods.learning.loss_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
 }

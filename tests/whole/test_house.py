@@ -40,6 +40,7 @@ HOMES = {
     "mitsuba": {"tracing/sionna/scene.py"},
     "numba": {
         "bench/savings.py",
+        "methods/learning/loss_kernels.py",
         "methods/splatting/composite_kernels.py",
         "methods/splatting/footprint_kernels.py",
         "scene/visibility_kernels.py",

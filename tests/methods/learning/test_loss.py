@@ -82,3 +82,26 @@ def test_a_slope_costs_in_a_coarse_view_what_it_costs_in_the_score() -> None:
     assert 0 < 1 - whole < 0.2
     assert 1 - coarse == pytest.approx(1 - whole, rel=0.15)
     assert 1 - float(mean_ssim(steep[:, ::6, ::6], flat[:, ::6, ::6], 2)) > 1.5 * (1 - whole)
+
+
+@pytest.mark.parametrize(("window", "stride"), [(2, 6), (3, 5), (7, 1)])
+@pytest.mark.parametrize("weight", [0.0, 0.7, 1.0])
+def test_the_kernel_has_the_value_and_the_slope_of_its_twin(weight: float, window: int, stride: int) -> None:
+    predicted, truth = smooth_maps(0), smooth_maps(1)
+    truth[0], predicted[1], truth[2] = predicted[0], 0.0, 0.0  # alike, and dark
+    of_kind = {}
+    for kind in (torch.float32, torch.float64):  # the kernel takes float32 alone
+        maps = predicted.to(kind).requires_grad_()
+        loss = map_loss(maps, truth.to(kind), weight, window, stride)
+        of_kind[kind] = loss.detach().double(), torch.autograd.grad(loss, maps)[0].double()
+    (value, slope), (expected, expected_slope) = of_kind.values()
+    assert float(value) == pytest.approx(float(expected), abs=1e-6)
+    # float32 rounds sums over a window, of which small differences are taken, at 1e-7
+    torch.testing.assert_close(slope, expected_slope, rtol=0, atol=2e-5 * float(expected_slope.abs().max()))
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_a_value_that_is_not_finite_shows_in_the_kernels_loss(value: float) -> None:
+    predicted, truth = smooth_maps(0).float(), smooth_maps(1).float()
+    predicted[3, 4, 5] = value
+    assert not bool(map_loss(predicted, truth, 0.5, 3).isfinite())

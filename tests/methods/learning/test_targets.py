@@ -52,6 +52,18 @@ def test_channels_that_do_not_interfere_add_up_in_power() -> None:
     )  # they would interfere
 
 
+def test_the_peak_of_lags_is_that_of_the_maps_in_view_with_its_slope() -> None:
+    beams = Beams(BartlettBeam(planar_array(2, 2, 0.5), AngularGrid.hemisphere(9, 36)), CPU)
+    views = GridView(3, 1, 2), GridView(2, 0, 1)
+    lags = torch.randn(5, 10, generator=torch.Generator().manual_seed(0)).abs().requires_grad_()
+    maps = torch.cat([beams.power_of_lags(lags, view).flatten(1) for view in views], dim=1)
+    found, expected = beams.peak_of_lags(lags, *views), maps.amax(dim=1, keepdim=True)
+    torch.testing.assert_close(found, expected)
+    slopes = [torch.autograd.grad(peak.sum(), lags, retain_graph=True)[0] for peak in (found, expected)]
+    torch.testing.assert_close(*slopes)
+    assert float(beams.peak_of_lags(torch.zeros(1, 10), *views)) > 0
+
+
 def test_every_direction_is_in_exactly_one_of_the_views_of_a_stride() -> None:
     grid, numbered = AngularGrid.hemisphere(9, 36), torch.arange(9 * 36).reshape(9, 36)
     views = [GridView(3, row, column) for row in range(3) for column in range(3)]

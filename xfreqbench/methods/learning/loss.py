@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from xfreqbench.maps.metrics import SSIM_WINDOW
+from xfreqbench.methods.learning.loss_kernels import ssim_and_l1
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for a data range of 1
 
@@ -21,9 +26,9 @@ def map_loss(
 
     `window` is the side of the SSIM's window in rows and columns, `stride` their distance on the whole grid.
     """
+    if predicted.device.type == "cpu" and predicted.dtype == truth.dtype == torch.float32:
+        return _MapLoss.apply(predicted, truth, ssim_weight, window, stride)  # type: ignore[no-untyped-call]
     l1 = (predicted - truth).abs().mean()
-    if ssim_weight == 0:
-        return l1
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - mean_ssim(predicted, truth, window, stride))
 
 
@@ -39,7 +44,7 @@ def mean_ssim(
     much within the window as within the score's window of 7 × 7. C₂ is multiplied by that, where it is above 1, so
     that slopes are weighed against it as the score weighs them.
     """
-    c2 = SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
+    c2 = _c2_of_view(window, stride)
     unbiased = window**2 / (window**2 - 1)
     mean_x, mean_y = _box(predicted, window), _box(truth, window)
     variance_x = unbiased * (_box(predicted * predicted, window) - mean_x * mean_x)
@@ -48,6 +53,33 @@ def mean_ssim(
     luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x * mean_x + mean_y * mean_y + SSIM_C1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
     return (luminance * structure).mean()
+
+
+def _c2_of_view(window: int, stride: int) -> float:
+    """C₂ for windows of a view; see `mean_ssim`."""
+    return SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
+
+
+class _MapLoss(torch.autograd.Function):
+    """`map_loss` on a processor: the loss and its slope by `predicted` in one pass, by a compiled kernel."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, predicted: Tensor, truth: Tensor, ssim_weight: float, window: int, stride: int
+    ) -> Tensor:
+        maps = predicted.detach().contiguous()
+        slope = torch.empty_like(maps)
+        arrays = maps.numpy(), truth.detach().contiguous().numpy()
+        c2 = _c2_of_view(window, stride)
+        ssim, l1 = ssim_and_l1(*arrays, window, SSIM_C1, c2, ssim_weight, slope.numpy())
+        ctx.save_for_backward(slope)
+        return predicted.new_tensor((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
+        (slope,) = ctx.saved_tensors
+        return grad_loss * slope, None, None, None, None
 
 
 def _box(maps: Float[Tensor, "B E A"], window: int) -> Float[Tensor, "B E2 A2"]:

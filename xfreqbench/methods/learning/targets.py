@@ -95,6 +95,16 @@ class Beams:
         waves = self._waves_in(view)
         return (lags @ waves.flatten(1)).clamp_min(0).reshape(-1, *waves.shape[1:])
 
+    def peak_of_lags(self, lags: Float[Tensor, "B L"], *views: GridView) -> Float[Tensor, "B 1"]:
+        """The highest power in any of the views, above 0; its slope is that of the power in that direction."""
+        waves = [self._waves_in(view).flatten(1) for view in views]
+        with torch.no_grad():
+            power, direction = zip(*((lags @ each).max(dim=1) for each in waves), strict=True)
+        highest = torch.stack(power).argmax(dim=0)
+        there = torch.stack([each.T[nth] for each, nth in zip(waves, direction, strict=True)])
+        at_peak = there[highest, torch.arange(len(lags), device=self.device)]
+        return (lags * at_peak).sum(dim=1, keepdim=True).clamp_min(_MIN_PEAK)
+
     def lags_of(self, power: Float[Tensor, "B E A"], view: GridView) -> Float[Tensor, "B L"]:
         """The sums over lags of the map that the array can give nearest to the power in view, by least squares.
 
@@ -180,13 +190,9 @@ class Targets:
         return torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
 
 
-def of_peak(power: Float[Tensor, "B E A"], *others: Float[Tensor, "B E2 A2"]) -> Float[Tensor, "B E A"]:
-    """Power of any scale, divided by its peak, or by that of the same maps in other views where it is higher there.
-
-    A zero map remains zero.
-    """
-    peak = torch.stack([maps.amax(dim=(1, 2), keepdim=True) for maps in (power, *others)]).amax(0)
-    return power / peak.clamp_min(_MIN_PEAK)
+def of_peak(power: Float[Tensor, "B E A"]) -> Float[Tensor, "B E A"]:
+    """Power of any scale, divided by its peak; a zero map remains zero."""
+    return power / power.amax(dim=(1, 2), keepdim=True).clamp_min(_MIN_PEAK)
 
 
 def in_kind(unit_power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:

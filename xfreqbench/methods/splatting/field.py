@@ -20,7 +20,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.low_rank import LowRankConfig, LowRankNetwork
 from xfreqbench.methods.learning.network import Attributes, WideFreqNetwork
-from xfreqbench.methods.learning.targets import Beams, GridView, of_peak
+from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, Positive, TrainingConfig
 from xfreqbench.methods.splatting.composite import PixelLists, composite
 from xfreqbench.methods.splatting.density import DensityConfig, DensityControl
@@ -131,7 +131,7 @@ class GaussianField(ChannelField):
         if not self.config.band:
             return super().unit_power(tx_position_m, carrier_hz, view, beams)
         lags = self._lags(tx_position_m, carrier_hz, beams)
-        return of_peak(beams.power_of_lags(lags, view), beams.power_of_lags(lags, _PEAK_VIEW))
+        return beams.power_of_lags(lags / beams.peak_of_lags(lags, view, _PEAK_VIEW), view)
 
     def _lags(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], beams: Beams
