@@ -36,7 +36,7 @@ class Wideband3DGSConfig(GaussianConfig, SplatTrainingConfig):
     octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of places")] = 4
     carrier_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the carrier")] = 10
     precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
-    batch_size: Count = 64
+    batch_size: Count = 48
 
 
 class FeatureNetwork(nn.Module):

@@ -40,7 +40,7 @@ class WRFGSPlusConfig(GaussianConfig, SplatTrainingConfig):
     position_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of a Gaussian's place")] = 4
     tx_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the transmitter's place")] = 6
     precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
-    batch_size: Count = 32  # each map has its own footprints
+    batch_size: Count = 16  # each map has its own footprints
 
 
 class DeformationNetwork(nn.Module):

@@ -6,6 +6,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from xfreqbench.errors import DataError, StorageError, UnknownNameError, XFreqBe
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.runs import records
+from xfreqbench.runs import records, watch
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.run import Job, run_job, run_jobs
 from xfreqbench.system import machine
@@ -55,6 +56,22 @@ class Stepwise(Nearest):
     def predict(self, tx_position_m, carrier_hz):
         time.sleep(self.pause_s)
         return super().predict(tx_position_m, carrier_hz) ** np.float32(1 / self.level)
+
+
+class Compiling(Stepwise):
+    """Its first step in a process takes long, and more rows than a warm-up has are needed for `num_rows`."""
+
+    compiled: ClassVar[bool] = False
+    num_rows: ClassVar[int] = 0
+    compile_s: ClassVar[float] = 0.5
+
+    def fit(self, train, budget, seed):
+        if not type(self).compiled:
+            time.sleep(self.compile_s)
+        type(self).compiled = True
+        if len(train) < self.num_rows:
+            raise ValueError("too few rows")
+        yield from super().fit(train, budget, seed)
 
 
 def test_a_record_holds_the_scores_of_the_stored_predictions(dataset: PasDataset, tmp_path: Path) -> None:
@@ -292,3 +309,18 @@ def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.Monke
     machine.software.cache_clear()
     assert machine.software().keys() == {"python", "numpy"}
     machine.software.cache_clear()
+
+
+@pytest.mark.parametrize("num_rows", [0, 1])
+def test_what_a_first_step_compiles_is_not_on_the_clock(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, num_rows: int
+) -> None:
+    split = find_split(dataset, "lofo", "lofo-24.25GHz")
+    monkeypatch.setattr(watch, "_WARM_UP_TX", 1)
+    monkeypatch.setattr(Compiling, "compiled", False)
+    monkeypatch.setattr(Compiling, "num_rows", num_rows * len(split.train))  # then the warm-up itself fails
+    record = run_job(lofo_job(dataset, f"{__name__}:Compiling", budget=Budget(max_steps=3)), tmp_path)
+    assert Compiling.compiled
+    assert record.step == 3
+    assert record.fit_seconds is not None
+    assert record.fit_seconds < Compiling.compile_s

@@ -110,6 +110,9 @@ class Method(Protocol):
         the first step that it yields shows which. The share of a yield arrives after the method was saved, so a
         fit that goes on begins with `max(saved share, budget.share(saved step, 0.0))`, which is exact for a budget
         of steps. Raise `DivergenceError` if something is no longer finite.
+
+        Before the clock of a fit starts, a run lets another instance make one step on a few rows of `train`, so that
+        compilation is charged to no method.
         """
         ...
 

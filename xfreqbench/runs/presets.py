@@ -187,6 +187,7 @@ CARRIER = Preset(
         *(Block(scene, "lofo", (_TOLD, _BLIND), "300steps", (*SEEDS, 3, 4), "all") for scene in _ALL_SCENES),
         Block("office", "lofo", _TOLD_OTHERWISE, "300steps", SEEDS, "all"),
     ),
-    left_out="other methods and protocols, and the other trends outside of the office",
+    left_out="other methods and protocols, two thirds of the transmitters, and the other trends outside of the office",
+    num_tx=dict.fromkeys(_ALL_SCENES, 480),
 )
 PRESETS: Mapping[str, Preset] = {"quick": QUICK, "standard": STANDARD, "full": FULL, "carrier": CARRIER}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.errors import DivergenceError
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DivergenceError, XFreqBenchError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import Fit, fit_within, predict_checked
@@ -19,6 +20,7 @@ from xfreqbench.runs.records import CURVE_SHARES, CurvePoint, Job, curve_positio
 from xfreqbench.runs.scoring import BATCH_SIZE, median
 from xfreqbench.types import FloatArray
 
+_WARM_UP_TX, _WARM_UP_BUDGET = 12, Budget(max_seconds=1.0, max_steps=1)
 FittingCallback = Callable[[Job, Fit], None]
 
 
@@ -45,6 +47,8 @@ class WatchedFit:
         """
         task = self._task
         train = task.dataset.subset(task.split.train).isolated()
+        if task.job.budget != Budget() and self._spent is None:
+            self._warm_up(train)
         with task.method_errors("fit"), self._divergence_advice():
             fit = fit_within(
                 self.method, train, task.job.budget, task.job.seed, spent=self._spent, observe=self._observe
@@ -54,6 +58,17 @@ class WatchedFit:
         elif not self.curve or self.curve[-1].step != fit.step:
             self.curve += (self._point(fit),)
         return fit
+
+    def _warm_up(self, train: PasDataset) -> None:
+        """Let another method of the same kind make one step and one map, so that compilation is not on the clock.
+
+        It sees a few of the training transmitters. If it fails, the fit itself will say why.
+        """
+        few = train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX]))
+        with suppress(XFreqBenchError), self._task.method_errors("fit"):
+            method = self._task.new_method()
+            fit_within(method, few, _WARM_UP_BUDGET, self._task.job.seed)
+            method.predict(few.tx_position_m[:1], few.carrier_hz[:1])
 
     def _observe(self, before: Fit | None, now: Fit) -> None:
         self._yielded_often = before is not None
