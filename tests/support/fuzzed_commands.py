@@ -52,6 +52,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "stress": {"output": ("records",)},
     "bench generate": {"scene": SCENE, "output": ("records",)},
     "bench reference": {"scene": SCENE, "output": WRITTEN},
+    "bench fingerprint": {"scene": SCENE, "output": WRITTEN},
     "bench render": {"output": ("records",)},
     "bench savings": {"output": ("records",)},
     "bench scale-out": {"output": ("records",)},
@@ -124,6 +125,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "view": ("view room.toml -o new -q",),
         "bench generate": ("bench generate ./room.toml",),
         "bench reference": ("bench reference ./room.toml -o taken.h5 -q",),
+        "bench fingerprint": ("bench fingerprint ./room.toml -o taken.h5 -q",),
     },
     "mesh": {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
@@ -133,6 +135,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench ceiling": ("bench ceiling mesh.h5 --freqs 10 --transmitters 1 -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
+        "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),
     },
 }
 

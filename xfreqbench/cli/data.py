@@ -97,6 +97,8 @@ def generate(
     scene
         A shipped scene's name, or the path of a scene TOML.
     """
+    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.generate import estimate_seconds, generate_planned
     from xfreqbench.data.plan import plan_generation
     from xfreqbench.scene.model import load_scene
@@ -139,6 +141,7 @@ def generate(
     ):
         generate_planned(plan, output, tracing, writing, workers)
     say_written(output, is_new, quiet)
+    say(compare_fingerprint(open_dataset(output)).verdict, quiet)
 
 
 def _read_positions(path: Path | None) -> Any:
@@ -185,8 +188,9 @@ def info(
     ] = 0,
     seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
 ) -> None:
-    """Print what a data set holds, and verify every byte of it against its hashes."""
+    """Print what a data set holds, verify every byte of it against its hashes, and compare it with a fingerprint."""
     from xfreqbench.data.dataset import open_dataset, verify
+    from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.retrace import require_origin
     from xfreqbench.report.view.describe import describe
 
@@ -197,6 +201,7 @@ def info(
     print(describe(file))
     verify(file)
     print("every hash holds")
+    print(compare_fingerprint(open_dataset(file)).verdict)
     if retrace:
         dataset = open_dataset(file)
         worst = require_origin(dataset, retrace, seed)

@@ -226,3 +226,26 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
     with progress_bars("calls", [f"reference of {scene}"], quiet) as (progress,):
         make_reference(load_scene(scene), path, progress)
     say(f"wrote {path}", quiet)
+
+
+@bench.command(
+    name="fingerprint", help_epilogue=example("bench fingerprint office -o office_fingerprint.npz")
+)
+def bench_fingerprint(scene: str = "office", *, output: Output, quiet: Quiet = False) -> None:
+    """Trace the fingerprint of a scene: the channels with which `info` and `run` compare data sets of it.
+
+    Those of the shipped scenes lie beside them, in `scenes/`.
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, or the path of a scene TOML.
+    """
+    from xfreqbench.bench.fingerprints import make_fingerprint
+    from xfreqbench.scene.model import load_scene
+    from xfreqbench.system.bars import progress_bars
+
+    is_new = not output.exists()
+    with progress_bars("transmitters", [f"fingerprint of {scene}"], quiet) as (progress,):
+        make_fingerprint(load_scene(scene), output, progress)
+    say(f"wrote {output}" if is_new else f"{output} already holds this fingerprint", quiet)

@@ -27,6 +27,7 @@ from xfreqbench.data.hdf5 import (
     require_layout,
     sealed_sha256,
     text_attributes,
+    values_sha256,
     verify_sealed,
 )
 from xfreqbench.data.paths import (
@@ -39,6 +40,7 @@ from xfreqbench.data.paths import (
     stored_offsets,
     stored_totals,
 )
+from xfreqbench.data.recipe import Recipe
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
 from xfreqbench.errors import DataError
@@ -163,6 +165,16 @@ class PasDataset:
             return TypeAdapter(TraceSettings).validate_python(told)
         except (KeyError, ValidationError) as error:
             raise DataError(f"{self.path} does not say how it was traced. Generate it anew.") from error
+
+    @cached_property
+    def recipe(self) -> Recipe:
+        """What the whole data set follows from, the same on every machine; `str` names it: `office@1-3f9c2ab1`."""
+        try:
+            how = self.scene, self.trace_settings
+        except DataError:
+            with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, "hashes"):
+                return Recipe.of_content(self.header.scene_name, values_sha256(file))
+        return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
     @property
     def num_carriers(self) -> int:

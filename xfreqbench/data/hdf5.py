@@ -229,6 +229,12 @@ def sealed_sha256(file: Any) -> str:
     return _text(file, _SEAL)
 
 
+def values_sha256(file: Any) -> str:
+    """A hash over the stored hashes of all data: names, types, shapes, units and values, but no header."""
+    hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
+    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+
+
 def text_attributes(file: Any) -> dict[str, str]:
     """The attributes of a file or group as texts, without the hash over all data and what that leaves out."""
     return {name: _text(file, name) for name in file.attrs if name != _SEAL and name not in _CONVENTIONS}

@@ -31,7 +31,7 @@ from xfreqbench.scene.visibility import sees
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.tracing.versions import software_versions
+from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz_list
 
@@ -218,4 +218,5 @@ def _header(
         software=software_versions(tracing.settings.solver),
         rejected=placed.rejected,
         paths=tracing.paths,
+        physics=PHYSICS_VERSION,
     )

@@ -56,7 +56,8 @@ class DatasetHeader:
 
     Fields are stored in this order under their names, or under their alias where they have one, as JSON where
     they are not text. `carrier_hz` is not among them: it is a variable of the file. `settings` are the
-    solver's, and `rejected` counts the grid positions left out, by reason. `paths` says whether paths are stored.
+    solver's, and `rejected` counts the grid positions left out, by reason. `paths` says whether paths are stored, and
+    `physics` is the `PHYSICS_VERSION` of the solver.
 
     A data set with `channels=False` was published by others as maps alone, which are then stored
     (`maps=True`). What was not published is marked in it: `peak_power` is 1 where there is a map (less where
@@ -76,6 +77,7 @@ class DatasetHeader:
     rejected: Annotated[dict[str, int], _READ, _WRITTEN, Field(alias="rejected_json")]
     channels: Annotated[StrictBool, _READ, _WRITTEN] = True
     paths: Annotated[StrictBool, _READ, _WRITTEN] = False
+    physics: Annotated[str, Field(pattern=r"^[0-9]{1,9}$")] = "1"
 
     @model_validator(mode="after")
     def _stores_channels_or_maps(self) -> DatasetHeader:
@@ -89,7 +91,7 @@ class DatasetHeader:
         return sum(variable.num_bytes for variable in variables(self, AngularGrid.hemisphere()))
 
     def attributes(self) -> dict[str, str]:
-        """The header as texts of HDF5 attributes; `channels` and `paths` stay out where they are as in older files."""
+        """The header as texts of HDF5 attributes; what has a default stays out where it is as in older files."""
         stored = TypeAdapter(DatasetHeader).dump_python(
             self, by_alias=True, exclude={"carrier_hz"}, exclude_defaults=True
         )

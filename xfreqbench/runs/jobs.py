@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.fingerprint import require_fingerprint
 from xfreqbench.data.splits import Split, find_split
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
@@ -77,7 +78,8 @@ def look_up(job: Job, dataset: PasDataset) -> Task:
 def look_up_all(jobs: Sequence[Job], folder: ResultsFolder) -> list[Task]:
     """The tasks of jobs, in their order, once everything that can stop one of them has been checked.
 
-    That is: every name, every byte of the data sets, every checkpoint, and whether `folder` takes results.
+    That is: every name, every byte of the data sets and the fingerprints of their recipes, every checkpoint, and
+    whether `folder` takes results.
     Raises the `XFreqBenchError` that says what is wrong.
     """
     datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
@@ -85,6 +87,7 @@ def look_up_all(jobs: Sequence[Job], folder: ResultsFolder) -> list[Task]:
     for task in tasks:
         folder.checkpoints(task.id).read()
     folder.require_writable()
-    for path in datasets:
+    for path, dataset in datasets.items():
         verify(path)
+        require_fingerprint(dataset)
     return tasks

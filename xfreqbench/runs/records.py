@@ -96,6 +96,8 @@ class External(BaseModel):
 class RunRecord(SealedModel):
     """One run: what was run, on which data, with which result. `id` is the hash of all that determines the result.
 
+    * `recipe` is the `Recipe.id` of the data set, the same on every machine, where `dataset_sha256` is the hash of
+      its bytes, whose last digits depend on the processor. It is None in records that were written before.
     * `pas_kind` and `settings` are those of the data set: the kind of its maps, and the settings of the tracer.
     * `counts` are the last that the method reported, such as its number of Gaussians.
     * `curve` has a point at each of `CURVE_SHARES` of the budget that was reached and one at the end of the fit. It is
@@ -143,6 +145,7 @@ class RunRecord(SealedModel):
     code_sha256: str | None = None
     findings: dict[str, Any] = Field(default_factory=dict)
     external: External | None = None
+    recipe: Annotated[str, Field(pattern=r"^([0-9]{1,9}|data)-[0-9a-f]{64}$")] | None = None
 
 
 class BenchPoint(BaseModel):

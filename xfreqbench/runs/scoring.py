@@ -28,6 +28,7 @@ def scored_fields(dataset: PasDataset, split: Split, predictions: Path) -> dict[
     scores, test = _stored_scores(dataset, split, predictions), dataset.subset(split.test)
     return {
         "dataset_sha256": dataset.sha256,
+        "recipe": dataset.recipe.id,
         "scene": dataset.header.scene_name,
         "pas_kind": dataset.header.pas_kind,
         "settings": dict(dataset.header.settings),

@@ -30,6 +30,7 @@ def describe(path: Path) -> str:
         "settings   " + ", ".join(f"{name} {value}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
         "left out   " + (", ".join(f"{count} {why}" for why, count in header.rejected.items()) or "nothing"),
+        f"recipe     {dataset.recipe}, sha256 {dataset.recipe.sha256}",
         f"sha256     {dataset.sha256}",
         "",
         "carrier      without path   median paths   peak power median (dB)",

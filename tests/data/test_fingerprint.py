@@ -1,0 +1,206 @@
+"""Data sets are compared with the fingerprint of their recipe, whoever traced them, on whatever machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fuzzing import xfreqbench
+
+from xfreqbench.bench.fingerprints import NUM_TRANSMITTERS, make_fingerprint
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.fingerprint import (
+    MIN_TRANSMITTERS,
+    TOLERANCE,
+    compare_fingerprint,
+    field_differences,
+    fingerprint_path,
+    read_fingerprint,
+    require_fingerprint,
+)
+from xfreqbench.data.generate import generate
+from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.scene.model import Scene, load_scene, shipped_scenes
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.types import ignore_progress
+from xfreqbench.units import PAPER_CARRIERS_GHZ
+
+ROOMS = load_scene("two_rooms")
+CARRIERS_GHZ = [1.0, 10.0, 94.0]
+TRANSMITTERS_M = read_fingerprint(fingerprint_path("two_rooms")).tx_position_m[: MIN_TRANSMITTERS + 1]
+
+
+def rooms(path: Path, scene: Scene = ROOMS, **changes: Any) -> PasDataset:
+    asked = {"tx_positions": TRANSMITTERS_M, "maps": False, **changes}
+    return generate(scene, path, CARRIERS_GHZ, **asked)
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return rooms(tmp_path_factory.mktemp("usual") / "rooms.h5")
+
+
+def rewritten(dataset: PasDataset, path: Path, cfr: Any) -> PasDataset:
+    """The header of a data set over other channels, with valid hashes."""
+    tables, samples = dataset.tables, dataset.beam
+    block = SampleBlock.of_channels(np.asarray(cfr), tables["num_paths"], samples, dataset.header.pas_kind)
+    with PasWriter(path, dataset.header) as writer:
+        writer.append(tables["tx_position_m"], tables["line_of_sight"].astype(bool), block)
+    return open_dataset(path)
+
+
+def apart(one: PasDataset, other: PasDataset) -> float:
+    """The greatest relative field error of any transmitter at any carrier."""
+    off, length = (
+        np.linalg.norm(each, axis=2)
+        for each in (one.tables["cfr"] - other.tables["cfr"], other.tables["cfr"])
+    )
+    return float((off / length).max())
+
+
+def with_wall_moved(scene: Scene, name: str, shift_m: float) -> Scene:
+    """The scene with a wall moved along y."""
+    surfaces = [
+        replace(each, **{end: (x, y + shift_m, z) for end, (x, y, z) in ends}) if each.name == name else each
+        for each in scene.surface
+        for ends in [[(end, getattr(each, end)) for end in ("min_m", "max_m")]]
+    ]
+    return replace(scene, surface=tuple(surfaces))
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_the_channels_of_today_are_those_of_the_fingerprint(name: str) -> None:
+    """Where this fails by more than digits, `PHYSICS_VERSION` has to be raised, and the fingerprints made anew."""
+    known = read_fingerprint(fingerprint_path(name))
+    assert known.cfr.shape == (len(known.tx_position_m), len(PAPER_CARRIERS_GHZ), 16)
+    assert len(known.tx_position_m) == NUM_TRANSMITTERS
+    assert fingerprint_path(name).stat().st_size < 1e6
+    tracer = make_tracer(load_scene(name), known.carrier_hz.tolist())
+    cfr = tracer.channel(known.tx_position_m[::16]).cfr
+    assert (
+        field_differences(cfr, known.cfr[::16]).max() < 1e-4
+    )  # complex64 has 6e-8; rays at edges may differ
+
+
+def test_a_traced_file_has_the_recipe_of_the_fingerprint(usual: PasDataset) -> None:
+    match = require_fingerprint(usual)
+    assert (match.num_tx, match.num_carriers) == (len(TRANSMITTERS_M), len(CARRIERS_GHZ))
+    assert match.difference is not None
+    assert match.difference < TOLERANCE
+    assert replace(match, difference=1e-3).difference_db == pytest.approx(-60)
+    assert replace(match, difference=0.0).difference_db == -np.inf
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("environment", [{"NUMBA_NUM_THREADS": "1"}, {"NUMBA_CPU_NAME": "generic"}], ids=str)
+def test_another_processor_or_number_of_threads_changes_digits_alone(
+    usual: PasDataset, tmp_path: Path, environment: dict[str, str]
+) -> None:
+    np.savetxt(tmp_path / "tx.csv", TRANSMITTERS_M, fmt="%.17g", delimiter=",")
+    words = "generate two_rooms --tx-positions tx.csv --freqs 1,10,94 --no-maps -o rooms.h5"
+    command = [sys.executable, "-m", "xfreqbench.cli", *words.split()]
+    done = subprocess.run(command, cwd=tmp_path, env=os.environ | environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "fingerprint of two_rooms@1-" in done.stdout
+    other = open_dataset(tmp_path / "rooms.h5")
+    assert other.recipe == usual.recipe
+    assert apart(other, usual) < 1e-5
+    require_fingerprint(other)
+
+
+@pytest.mark.sionna
+def test_the_other_solver_has_the_same_recipe_and_is_close(usual: PasDataset, tmp_path: Path) -> None:
+    """Its rays miss weak paths: measured 4.0e-3 at the worst transmitter, 1.8e-3 in the median."""
+    other = rooms(tmp_path / "rooms.h5", solver="sionna")
+    assert other.recipe == usual.recipe
+    assert apart(other, usual) < 1e-2
+    require_fingerprint(other)
+
+
+@pytest.mark.sionna
+def test_where_no_path_can_be_missed_the_solvers_differ_by_digits(tmp_path: Path) -> None:
+    scene, tx = (
+        load_scene("empty"),
+        read_fingerprint(fingerprint_path("empty")).tx_position_m[:MIN_TRANSMITTERS],
+    )
+    of_image, of_sionna = (
+        rooms(tmp_path / f"{solver}.h5", scene, tx_positions=tx, solver=solver)
+        for solver in ("image", "sionna")
+    )
+    assert of_image.recipe == of_sionna.recipe
+    assert apart(of_sionna, of_image) < 1e-5  # Sionna RT has 32 bits: measured 3e-7
+    require_fingerprint(of_sionna)
+
+
+def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tmp_path: Path) -> None:
+    other = rooms(tmp_path / "moved.h5", with_wall_moved(ROOMS, "wall north", 1e-3))
+    assert other.recipe.physics_sha256 != usual.recipe.physics_sha256
+    assert "there is no fingerprint of this scene" in str(require_fingerprint(other))
+
+    forged = rewritten(usual, tmp_path / "forged.h5", other.tables["cfr"])
+    assert forged.recipe == usual.recipe
+    with pytest.raises(
+        DataError, match=r"says that it is two_rooms@1-.* a median relative field error of 2\.\de-01"
+    ):
+        require_fingerprint(forged)
+    told = xfreqbench("info", forged.path)
+    assert (told.code, "is refused by run and score" in told.stdout) == (0, True)
+    refused = xfreqbench(
+        *f"run --data {forged.path} --method nearest --protocol held-out-tx --results {tmp_path / 'results'}".split()
+    )
+    assert refused.code == 2
+    assert "where 0.001 is allowed" in refused.message
+    assert "Generate them anew" in refused.message
+
+
+def test_at_every_carrier_the_wall_is_found_out_and_a_single_lost_path_is_none(
+    usual: PasDataset, tmp_path: Path
+) -> None:
+    cfr = usual.tables["cfr"].copy()
+    cfr[0] *= 1.01  # as one transmitter whose weak path was missed
+    require_fingerprint(rewritten(usual, tmp_path / "missed.h5", cfr))
+    cfr[1:, 0] *= 1.002
+    with pytest.raises(DataError, match=r"at 1 GHz"):
+        require_fingerprint(rewritten(usual, tmp_path / "louder.h5", cfr))
+
+
+def test_what_has_little_in_common_is_not_compared_and_says_so(usual: PasDataset) -> None:
+    few = {name: table[: MIN_TRANSMITTERS - 1] for name, table in usual.tables.items()}
+    match = compare_fingerprint(replace(usual, tables=few))
+    assert "not compared: of its 64 transmitters 3 are in the file, and of its 10 carriers 3" in match.verdict
+    assert not match.is_off
+    with pytest.raises(ValueError, match="64 transmitters"):
+        _ = match.difference_db
+    shallow = replace(usual.header, settings={**usual.header.settings, "max_depth": 5})
+    assert "there is no fingerprint" in str(compare_fingerprint(replace(usual, header=shallow)))
+
+
+def test_silence_is_compared_too() -> None:
+    silent, loud = np.zeros((1, 1, 2), complex), np.ones((1, 1, 2), complex)
+    assert field_differences(silent, silent).tolist() == [0]
+    assert field_differences(loud, silent).tolist() == [np.inf]
+    assert field_differences(silent, loud).tolist() == [1]
+
+
+def test_anyone_can_make_a_fingerprint_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "empty_fingerprint.npz"
+    assert xfreqbench("bench", "fingerprint", "empty", "-o", path, "-q").code == 0
+    made, shipped = read_fingerprint(path), read_fingerprint(fingerprint_path("empty"))
+    assert made.physics_sha256 == shipped.physics_sha256
+    np.testing.assert_array_equal(made.tx_position_m, shipped.tx_position_m)
+    assert field_differences(made.cfr, shipped.cfr).max() < 1e-5
+    before = path.read_bytes()
+    assert "already holds this fingerprint" in xfreqbench("bench", "fingerprint", "empty", "-o", path).stdout
+    with pytest.raises(OutputExistsError, match="of another scene"):
+        make_fingerprint(ROOMS, path, ignore_progress)
+    assert path.read_bytes() == before
+    path.write_bytes(before[:1000])
+    with pytest.raises(DataError, match="no fingerprint that can be read"):
+        read_fingerprint(path)

@@ -1,0 +1,200 @@
+"""Data of one recipe have one name on every machine; what changes a channel changes the recipe."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from furnished_room import GRID, RECEIVER, SHELL, write_meshes
+from places import ROOT
+from synthetic import append_all, make_header
+
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.recipe import Recipe
+from xfreqbench.data.writer import PasWriter
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.materials import Scattering, SceneMaterial
+from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.tracing.tracer import TraceSettings
+
+TRANSMITTERS_M = np.array([[1.0, 1.0, 1.2], [2.0, 1.0, 1.2]])
+CARRIERS_HZ = [1e9, 24.25e9]
+ROOMS = load_scene("two_rooms")
+GRID_OF_MAPS = AngularGrid.hemisphere()
+
+
+def planned(
+    scene: Scene = ROOMS,
+    carrier_hz: list[float] = CARRIERS_HZ,
+    tx_position_m: Any = TRANSMITTERS_M,
+    **changes: Any,
+) -> Plan:
+    of_plan = {name: changes.pop(name) for name in ("pas_kind", "maps", "paths") if name in changes}
+    settings = TraceSettings(**changes)
+    return plan_generation(scene, carrier_hz, settings, tx_position_m=tx_position_m, **of_plan)
+
+
+def recipe_of(plan: Plan, grid: AngularGrid = GRID_OF_MAPS) -> Recipe:
+    return Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, grid)
+
+
+@pytest.fixture(scope="module")
+def usual() -> Recipe:
+    return recipe_of(planned())
+
+
+def with_surface(number: int = 0, **changes: Any) -> Scene:
+    surfaces = list(ROOMS.surface)
+    surfaces[number] = replace(surfaces[number], **changes)
+    return replace(ROOMS, surface=tuple(surfaces))
+
+
+def wall_moved(shift_m: float) -> Scene:
+    """The rooms with their wall north, the one at the greatest y, moved along y."""
+    number = max(range(len(ROOMS.surface)), key=lambda index: ROOMS.surface[index].min_m[1])
+    ends = {
+        end: (x, y + shift_m, z)
+        for end, (x, y, z) in ((end, getattr(ROOMS.surface[number], end)) for end in ("min_m", "max_m"))
+    }
+    return with_surface(number, **ends)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"solver": "sionna"},
+        {"rays": 1000},
+        {"seed": 9},
+        {"materials": "extrapolate"},  # and no material is
+        {"interactions": ("refraction", "specular")},
+        {"maps": False},
+        {"paths": True},
+        {"scene": replace(ROOMS, description="", transmitters=replace(ROOMS.transmitters, clearance_m=0.3))},
+        {"scene": with_surface(0, name="the floor")},
+        {"tx_position_m": TRANSMITTERS_M + 1e-9},
+    ],
+    ids=str,
+)
+def test_what_changes_no_channel_leaves_the_recipe_as_it_is(usual: Recipe, changes: dict[str, Any]) -> None:
+    assert recipe_of(planned(**changes)).id == usual.id
+
+
+def test_versions_of_software_are_in_no_recipe(usual: Recipe) -> None:
+    plan = planned()
+    newer = replace(plan, header=replace(plan.header, software={"numpy": "9"}))
+    assert recipe_of(newer) == usual
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scene": wall_moved(1e-3)},
+        {"scene": with_surface(0, thickness_m=0.21)},
+        {"scene": with_surface(0, material="wood")},
+        {"scene": replace(ROOMS, receiver=replace(ROOMS.receiver, polarization="H"))},
+        {"max_depth": 5},
+        {"interactions": ("specular",)},
+        {"interactions": ("specular", "refraction", "diffraction")},
+    ],
+    ids=str,
+)
+def test_what_changes_channels_changes_the_recipe_and_its_physics(
+    usual: Recipe, changes: dict[str, Any]
+) -> None:
+    changed = recipe_of(planned(**changes))
+    assert changed.physics_sha256 != usual.physics_sha256
+    assert changed.id != usual.id
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"carrier_hz": [1e9, 24e9]},
+        {"tx_position_m": TRANSMITTERS_M[::-1].copy()},
+        {"tx_position_m": TRANSMITTERS_M[:1]},
+        {"pas_kind": "amplitude"},
+    ],
+    ids=str,
+)
+def test_other_samples_of_the_same_physics_are_another_recipe(usual: Recipe, changes: dict[str, Any]) -> None:
+    changed = recipe_of(planned(**changes))
+    assert changed.physics_sha256 == usual.physics_sha256
+    assert changed.id != usual.id
+
+
+def test_another_grid_of_maps_is_another_recipe(usual: Recipe) -> None:
+    coarse = AngularGrid(GRID_OF_MAPS.elevation_rad[::2].copy(), GRID_OF_MAPS.azimuth_rad)
+    assert recipe_of(planned(), coarse).id != usual.id
+
+
+def test_the_next_physics_is_another_recipe_and_its_version_is_told(usual: Recipe) -> None:
+    plan = planned()
+    later = recipe_of(replace(plan, header=replace(plan.header, physics="2")))
+    assert later.sha256 != usual.sha256
+    assert re.fullmatch("two_rooms@1-[0-9a-f]{8}", usual.name)
+    assert re.fullmatch("two_rooms@2-[0-9a-f]{8}", str(later))
+    assert "physics" not in plan.header.attributes()  # so that equal data keep their bytes
+    assert replace(plan.header, physics="2").attributes()["physics"] == "2"
+
+
+def test_extrapolated_materials_are_in_the_recipe() -> None:
+    brick = with_surface(0, material="brick")  # of P.2040 from 1 to 40 GHz
+    inside, outside = (
+        recipe_of(planned(brick, [1e9, high_hz], materials="extrapolate")) for high_hz in (24.25e9, 60e9)
+    )
+    assert inside.physics_sha256 != outside.physics_sha256
+
+
+def test_diffuse_reflection_is_drawn_so_that_its_seed_is_in_the_recipe() -> None:
+    rough = replace(ROOMS, material=(SceneMaterial("concrete", scattering=Scattering(0.3)),))
+    asked = {"interactions": ("specular", "diffuse"), "rays": 1000}
+    one, other = (recipe_of(planned(rough, seed=seed, **asked)) for seed in (1, 2))
+    assert one.id != other.id
+
+
+def test_meshes_are_in_the_recipe_by_what_they_are_and_not_by_their_file(tmp_path: Path) -> None:
+    def furnished(name: str, height_m: float, **changes: Any) -> Recipe:
+        (tmp_path / name).mkdir()
+        board = trimesh.creation.box((1.2, 0.8, 0.03)).apply_translation((2.0, 1.5, height_m))
+        xml = write_meshes(tmp_path / name, {"table": ("wood", board)})
+        (tmp_path / name / xml).rename(tmp_path / name / f"{name}.xml")
+        scene = Scene("furnished", RECEIVER, GRID, surface=SHELL, scene=f"{name}.xml", folder=tmp_path / name)
+        return recipe_of(planned(replace(scene, **changes)))
+
+    low, again, high = furnished("low", 0.7), furnished("again", 0.7), furnished("high", 0.701)
+    assert low.id == again.id != high.id
+    assert furnished("facets", 0.7, mirrors="facets").id != low.id
+    assert furnished("told", 0.7, mirrors="patches", least_patch_area_m2=0.05).id == low.id
+
+
+def test_a_file_has_the_recipe_of_its_plan(tmp_path: Path, usual: Recipe) -> None:
+    dataset = open_dataset(generate_planned(planned(), tmp_path / "rooms.h5"))
+    assert dataset.recipe == usual
+    assert dataset.isolated()[:1].recipe == usual
+
+
+def test_a_file_of_version_0_1_has_the_recipe_that_it_always_had() -> None:
+    """A change of this number takes every result that was stored away from its board."""
+    assert open_dataset(ROOT / "tests" / "stored" / "data.h5").recipe.name == "empty@1-7fbee5e9"
+
+
+def test_data_that_do_not_say_how_they_were_made_are_named_by_their_content(tmp_path: Path) -> None:
+    def stored(name: str, num_tx: int = 4, **changes: Any) -> Recipe:
+        header = replace(make_header(num_tx), **changes)
+        with PasWriter(tmp_path / f"{name}.h5", header) as writer:
+            append_all(writer, header)
+        return open_dataset(tmp_path / f"{name}.h5").recipe
+
+    first = stored("first")
+    assert re.fullmatch("synthetic@data-[0-9a-f]{8}", first.name)
+    assert first.physics_sha256 is None
+    assert stored("newer", software={"numpy": "9"}) == first
+    assert stored("fewer", 3).id != first.id
+    assert stored("amplitude", pas_kind="amplitude").id != first.id

@@ -1,0 +1,182 @@
+"""Fingerprints: a few channels of each shipped scene, with which every data set of the scene is compared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.resources import files
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.recipe import Recipe, micrometres
+from xfreqbench.errors import DataError
+from xfreqbench.system.files import require_regular
+from xfreqbench.types import FloatArray
+from xfreqbench.units import format_ghz
+
+TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
+TOLERANCE_SIONNA = (
+    1e-1  # of solver `sionna`, which misses more of the weak paths: up to 4e-2 with the default rays
+)
+MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
+_ENDING = "_fingerprint.npz"
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """Channels (T, F, M) of a scene at T transmitters and F carriers, for one `Recipe.physics_sha256`."""
+
+    scene_name: str
+    physics_sha256: str
+    tx_position_m: Float[FloatArray, "T 3"]
+    carrier_hz: Float[FloatArray, "F"]
+    cfr: Complex[NDArray[np.complex64], "T F M"]
+
+
+@dataclass(frozen=True)
+class FingerprintMatch:
+    """How far a data set is from the fingerprint of its recipe.
+
+    `difference` is ‖h − h′‖ / ‖h′‖, where h is stored and h′ is the fingerprint: the median over the transmitters in
+    common, at the carrier where that is greatest, `worst_carrier_hz`. `tolerance` is what the solver is allowed. Where
+    nothing was compared, `difference` is None, and `why_not` says why.
+    """
+
+    recipe: Recipe
+    tolerance: float = TOLERANCE
+    num_tx: int = 0
+    num_carriers: int = 0
+    difference: float | None = None
+    worst_carrier_hz: float = 0.0
+    why_not: str = ""
+
+    @property
+    def difference_db(self) -> float:
+        """`difference` in decibels, −∞ where the channels are equal; raises `ValueError` where none were compared."""
+        if self.difference is None:
+            raise ValueError(self.why_not)
+        with np.errstate(divide="ignore"):
+            return float(20 * np.log10(self.difference))
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the channels are more than `tolerance` off, so that `run` refuses them."""
+        return self.difference is not None and not self.difference <= self.tolerance
+
+    @property
+    def verdict(self) -> str:
+        """The line that `generate` and `info` print."""
+        refused = f"; more than {self.tolerance:g} is refused by run and score" if self.is_off else ""
+        return f"fingerprint of {self.recipe}: {self}{refused}"
+
+    def __str__(self) -> str:
+        if self.difference is None:
+            return f"not compared: {self.why_not}"
+        in_common = f"{self.num_tx} transmitters × {self.num_carriers} carriers in common"
+        if self.difference == 0:
+            return f"equal to the last digit ({in_common})"
+        return (
+            f"{self.difference_db:.0f} dB off, a median relative field error of {self.difference:.1e} at "
+            f"{format_ghz(self.worst_carrier_hz)}, the worst carrier ({in_common})"
+        )
+
+
+def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
+    """Compare a whole data set with the fingerprint of its recipe, in milliseconds.
+
+    Transmitters are matched by their positions to a micrometre. Raises `DataError` where a shipped fingerprint is
+    damaged.
+    """
+    tolerance = TOLERANCE_SIONNA if dataset.header.settings.get("solver") == "sionna" else TOLERANCE
+    match = partial(FingerprintMatch, dataset.recipe, tolerance)
+    known = _shipped().get(dataset.recipe.physics_sha256 or "")
+    if known is None:
+        return match(why_not="there is no fingerprint of this scene with these settings")
+    of_stored = {place: tx for tx, place in enumerate(_places(dataset.tables["tx_position_m"]))}
+    places = _places(known.tx_position_m)
+    pairs = [(of_stored[place], tx) for tx, place in enumerate(places) if place in of_stored]
+    carriers_hz, stored, fingerprint = np.intersect1d(
+        dataset.header.carrier_hz, known.carrier_hz, assume_unique=True, return_indices=True
+    )
+    if len(pairs) < MIN_TRANSMITTERS or not len(carriers_hz):
+        return match(
+            why_not=f"of its {len(places)} transmitters {len(pairs)} are in the file, and of its "
+            f"{len(known.carrier_hz)} carriers {len(carriers_hz)}, where {MIN_TRANSMITTERS} and 1 are needed"
+        )
+    stored_tx, known_tx = np.transpose(pairs)
+    of_both = dataset.tables["cfr"][np.ix_(stored_tx, stored)], known.cfr[np.ix_(known_tx, fingerprint)]
+    difference = field_differences(*of_both)
+    worst = int(difference.argmax())
+    return match(len(pairs), len(carriers_hz), float(difference[worst]), float(carriers_hz[worst]))
+
+
+def require_fingerprint(dataset: PasDataset) -> FingerprintMatch:
+    """As `compare_fingerprint`; raises `DataError` for channels that are more than the tolerance off."""
+    match = compare_fingerprint(dataset)
+    if match.is_off:
+        raise DataError(
+            f"{dataset.path} says that it is {match.recipe}, but its channels are {match}, where {match.tolerance:g} "
+            "is allowed. They were traced in another scene, with too few rays or by other software, or were changed "
+            f"afterwards. Generate them anew, as with: xfreqbench generate {match.recipe.scene_name}; a scene of your "
+            "own is generated from its own TOML."
+        )
+    return match
+
+
+def field_differences(
+    cfr: Complex[NDArray[np.complexfloating], "T F M"],
+    expected: Complex[NDArray[np.complexfloating], "T F M"],
+) -> Float[FloatArray, "F"]:
+    """Median over T transmitters of ‖h − h′‖ / ‖h′‖, at each carrier, over M elements; h′ is `expected`.
+
+    It is the median, since a solver may miss a rare path of single transmitters. Without a path in h′ the quotient is
+    0 where h has none either, else infinite.
+    """
+    off, length = (np.linalg.norm(each, axis=2) for each in (cfr - expected.astype(complex), expected))
+    relative = np.where(off == 0, 0.0, np.inf)
+    np.divide(off, length, out=relative, where=length > 0)
+    return np.median(relative, axis=0)
+
+
+def fingerprint_path(scene_name: str) -> Path:
+    """The file with the fingerprint of a shipped scene."""
+    return _folder() / f"{scene_name}{_ENDING}"
+
+
+def read_fingerprint(path: Path) -> Fingerprint:
+    """A stored fingerprint; raises `DataError` where it is missing or damaged."""
+    try:
+        with require_regular(path).open("rb") as file, np.load(file) as content:
+            about = json.loads(str(content["about"]))
+            return Fingerprint(
+                about["scene"],
+                about["physics_sha256"],
+                content["tx_position_m"],
+                content["carrier_hz"],
+                content["cfr"],
+            )
+    except (OSError, LookupError, ValueError, TypeError, BadZipFile) as error:
+        raise DataError(
+            f"{path} is no fingerprint that can be read: {error}. Install xfreqbench again."
+        ) from error
+
+
+@cache
+def _shipped() -> dict[str, Fingerprint]:
+    """The fingerprint of every shipped scene, by the hash of its physics."""
+    every = map(read_fingerprint, sorted(_folder().glob(f"*{_ENDING}")))
+    return {each.physics_sha256: each for each in every}
+
+
+def _folder() -> Path:
+    return Path(str(files("xfreqbench.scenes")))
+
+
+def _places(tx_position_m: Float[FloatArray, "T 3"]) -> list[tuple[int, ...]]:
+    return [tuple(each) for each in micrometres(tx_position_m).tolist()]

@@ -1,0 +1,121 @@
+"""The recipe of a data set: what its samples follow from, as a hash that is the same on every machine."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import TypeAdapter
+
+from xfreqbench.data.schema import DatasetHeader
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.model import Scene
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import FloatArray
+
+OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
+_SHOWN_DIGITS = 8
+_NOT_PHYSICS = {
+    "name",
+    "description",
+    "transmitters",
+    "folder",
+}  # positions of transmitters are told by the data
+_TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a data set follows from. Data of equal recipes hold the same samples, up to the last digits of solvers.
+
+    `sha256` is the hash of the recipe: of the physics, the carriers, the transmitters in their order, the
+    directions of the maps and their kind. `physics_sha256` is the hash of what the channel of any transmitter at any
+    carrier follows from: the scene, the interactions with their greatest depth, what is extrapolated, and the version
+    of the physics. It is None where nothing says how the data were made, as in data that
+    others published: these have their content as their recipe.
+
+    Solver, number of rays, seed, threads, processor and versions of software are in neither hash, since they change
+    nothing but digits. Only diffuse reflection is drawn at random: its rays and its seed are in both.
+    """
+
+    scene_name: str
+    physics: str
+    sha256: str
+    physics_sha256: str | None = None
+
+    @classmethod
+    def of_scene(
+        cls,
+        scene: Scene,
+        settings: TraceSettings,
+        header: DatasetHeader,
+        tx_position_m: Float[FloatArray, "T 3"],
+        grid: AngularGrid,
+    ) -> Recipe:
+        """The recipe of channels that were traced in a scene; the header tells the rest."""
+        physics = _sha256(
+            {
+                "version": header.physics,
+                "scene": _scene_content(scene, header),
+                "interactions": sorted(settings.interactions),
+                "max_depth": settings.max_depth,
+                "extrapolated_materials": header.settings.get("extrapolated_materials", []),
+                "drawn": [settings.rays, settings.seed] if "diffuse" in settings.interactions else [],
+            }
+        )
+        samples = {
+            "physics": physics,
+            "carrier_hz": header.carrier_hz.tolist(),
+            "tx_position_um": micrometres(tx_position_m).tolist(),
+            "directions_deg": [
+                np.degrees(a).round(6).tolist() for a in (grid.elevation_rad, grid.azimuth_rad)
+            ],
+            "pas_kind": header.pas_kind,
+        }
+        return cls(header.scene_name, header.physics, _sha256(samples), physics)
+
+    @classmethod
+    def of_content(cls, scene_name: str, content_sha256: str) -> Recipe:
+        """The recipe of data that do not say how they were made: the hash of their content."""
+        return cls(scene_name, OF_CONTENT, content_sha256)
+
+    @property
+    def id(self) -> str:
+        """Physics version and whole hash, as records hold it: `1-3f9c…`."""
+        return f"{self.physics}-{self.sha256}"
+
+    @property
+    def name(self) -> str:
+        """Scene, physics version and the first digits of the hash, as it is shown: `office@1-3f9c2ab1`."""
+        return recipe_name(self.scene_name, self.id)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def recipe_name(scene_name: str, recipe_id: str) -> str:
+    """The name that is shown of a recipe, from the name of its scene and its `Recipe.id`."""
+    physics, _, sha256 = recipe_id.partition("-")
+    return f"{scene_name}@{physics}-{sha256[:_SHOWN_DIGITS]}"
+
+
+def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:
+    """Positions in whole micrometres (T, 3): positions that agree in them are the same place."""
+    return np.rint(position_m * 1e6).astype(np.int64)
+
+
+def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
+    """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
+    content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
+    content["surface"] = [
+        {key: value for key, value in each.items() if key != "name"} for each in content["surface"]
+    ]
+    return content | ({"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {})
+
+
+def _sha256(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
