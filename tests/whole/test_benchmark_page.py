@@ -10,18 +10,28 @@ import xfreqbench as xb
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.report import write_report
 
+DETAILS = Path("docs") / "results"
+
 
 def test_the_benchmark_is_what_its_committed_records_say(tmp_path: Path) -> None:
     shutil.copy(ROOT / "BENCHMARK.md", tmp_path)
-    written = write_report(ROOT / "baselines" / "reference_results.jsonl", tmp_path / "BENCHMARK.md")
+    shutil.copytree(ROOT / DETAILS, tmp_path / DETAILS)
+    records = ROOT / "baselines" / "reference_results.jsonl"
+    written = write_report(records, tmp_path / "BENCHMARK.md", tmp_path / DETAILS)
     assert written.num_truncated == 0
+    assert {path.relative_to(tmp_path) for path in written.paths} == {
+        Path("BENCHMARK.md"),
+        *(path.relative_to(ROOT) for path in (ROOT / DETAILS).rglob("*.*")),
+    }
     for path in written.paths:
-        committed = ROOT / path.relative_to(tmp_path)
         if path.suffix == ".md":  # a figure's bytes depend on the fonts and the version of matplotlib
-            assert path.read_bytes() == committed.read_bytes()
+            assert path.read_bytes() == (ROOT / path.relative_to(tmp_path)).read_bytes()
         else:
-            assert committed.parent.name == FIGURES_FOLDER
-            assert committed.exists()
+            assert path.parent.name == FIGURES_FOLDER
+
+
+def test_the_benchmark_is_read_in_ten_minutes() -> None:
+    assert len((ROOT / "BENCHMARK.md").read_text("utf-8").splitlines()) <= 250
 
 
 def test_the_leaderboard_in_the_readme_is_what_the_committed_records_say() -> None:

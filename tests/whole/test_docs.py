@@ -24,6 +24,7 @@ from xfreqbench.exchange.split_file import Handout, write_handout
 from xfreqbench.runs.records import RunRecord
 
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
+RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))  # generated
 TEMPLATES = sorted((ROOT / "examples").glob("*/README.md"))  # run by test_template.py
 METHODS = ROOT / "baselines" / "README.md"  # run by test_tutorial.py
 README = ROOT / "README.md"
@@ -31,7 +32,7 @@ API, FORMATS = ROOT / "docs" / "api.md", ROOT / "docs" / "data-format.md"
 RUN_HERE = [  # the interface has a test of its own
     path for path in [README, *DOCUMENTS] if path != API and any(block.is_followed for block in blocks(path))
 ]
-ALL = [README, ROOT / "BENCHMARK.md", METHODS, *DOCUMENTS, *TEMPLATES]
+ALL = [README, ROOT / "BENCHMARK.md", METHODS, *DOCUMENTS, *RESULTS, *TEMPLATES]
 
 
 def named(path: Path) -> str:

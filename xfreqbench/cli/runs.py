@@ -261,6 +261,10 @@ def report(
     html: Annotated[
         Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
     ] = None,
+    details: Annotated[
+        Path | None,
+        Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Rebuild the leaderboard from the records of results folders, offline.
@@ -274,7 +278,7 @@ def report(
 
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
-    written = write_report(results, output)
+    written = write_report(results, output, details)
     for path in written.paths:
         say(f"wrote {path}", quiet)
     if written.num_truncated:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
-from xfreqbench.methods.contract import TRIVIAL
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
-from xfreqbench.report.leaderboard.boards import Board, boards, short_commit
+from xfreqbench.report.leaderboard.boards import Board, boards, file_stem, short_commit
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
     leak_statement,
     machine_name,
     origin_statement,
 )
-from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, metric_title
-from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Resampling, comparisons_of
+from xfreqbench.report.leaderboard.columns import BRIEF
+from xfreqbench.report.leaderboard.comparison import Resampling, comparisons_of
 from xfreqbench.report.leaderboard.figures import (
     bench_figure,
     draw_bench,
@@ -25,8 +25,10 @@ from xfreqbench.report.leaderboard.figures import (
     figure_links,
     require_own_figures,
 )
-from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_section
-from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.legend import legend
+from xfreqbench.report.leaderboard.overview import overview_markdown
+from xfreqbench.report.leaderboard.published import published_section
+from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
@@ -44,7 +46,7 @@ _BENCH_SECTIONS = {
     "stress": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
-_EXPLAINED_COSTS = ("seconds", "milliseconds", "memory", "parameters")
+_MEASUREMENTS_PAGE = "measurements.md"
 
 
 @dataclass(frozen=True)
@@ -70,34 +72,84 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     )
 
 
-def write_report(results: Path | Sequence[Path], output_md: Path) -> WrittenReport:
+@dataclass(frozen=True)
+class _Page:
+    """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it."""
+
+    path: Path
+    title: str
+    generated: str
+    boards: Sequence[Board] = ()
+    benches: Sequence[BenchRecord] = ()
+
+
+def write_report(
+    results: Path | Sequence[Path], output_md: Path, details: Path | None = None
+) -> WrittenReport:
     """Write a Markdown report and its figures from `results`: results folders or files of records, one or several.
 
-    In an existing report only the text between the two marker comments is replaced. Raises `DataError` where there
-    are no records and as `boards` does, `OutputExistsError` where `output_md` or a figure is another file, and
-    `StorageError`.
+    With a folder `details` the report is a short one, and a page for each scene and one of the measurements are
+    written there. In an existing page only the text between the two marker comments is replaced. Raises `DataError`
+    where there are no records and as `boards` does, `OutputExistsError` where a page or a figure is another file,
+    and `StorageError`.
     """
     found = read_results(results)
-    before, after = _kept_text(output_md)
-    require_own_figures(found.boards, found.benches, output_md.parent)
-    figures = [path for board in found.boards for path in draw_board(board, output_md.parent)]
-    figures += [draw_bench(record, output_md.parent) for record in found.benches if record.figure]
-    generated = report_markdown(found.boards, found.benches).replace("<!--", "&lt;!--")  # no marker but ours
-    write_text(output_md, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
-    return WrittenReport((output_md, *figures), found.num_truncated)
+    whole = _Page(
+        output_md, "Benchmark", report_markdown(found.boards, found.benches), found.boards, found.benches
+    )
+    pages = [whole] if details is None else _pages(found, output_md, details)
+    kept = [_kept_text(page) for page in pages]
+    for page in pages:
+        require_own_figures(page.boards, page.benches, page.path.parent)
+    figures = []
+    for page, (before, after) in zip(pages, kept, strict=True):
+        figures += [path for board in page.boards for path in draw_board(board, page.path.parent)]
+        figures += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
+        generated = page.generated.replace("<!--", "&lt;!--")  # no marker but ours
+        write_text(page.path, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
+    return WrittenReport((*(page.path for page in pages), *figures), found.num_truncated)
+
+
+def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
+    """The short report, a page for each scene, and one of the measurements."""
+    by_scene: dict[str, list[Board]] = {}
+    for board in found.boards:
+        by_scene.setdefault(board.scene, []).append(board)
+    names = {scene: file_stem(re.sub(r"[^\w-]+", "-", scene)) + ".md" for scene in by_scene}
+    folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
+    links = {scene: f"{folder}/{name}" for scene, name in names.items()}
+    short = overview_markdown(found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}")
+    return [
+        _Page(output_md, "Benchmark", short),
+        *(
+            _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
+            for scene, ranked in by_scene.items()
+        ),
+        _Page(
+            details / _MEASUREMENTS_PAGE,
+            "Measurements",
+            _measurements_markdown(found.benches),
+            (),
+            found.benches,
+        ),
+    ]
 
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> str:
-    """The generated part of a report: tables of every board and of every measurement, with links to their figures."""
+    """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
     was_run = [each for each in benches if each.bench == _WHAT_WAS_RUN]
-    measured = [each for each in benches if each.bench != _WHAT_WAS_RUN]
     sections = [
         *_bench_section(_WHAT_WAS_RUN_TITLE, was_run),
         *map(_board_section, ranked),
-        *_bench_sections(measured),
-        _legend(),
+        *_bench_sections(benches),
+        legend(),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+def _measurements_markdown(benches: Sequence[BenchRecord]) -> str:
+    was_run = [each for each in benches if each.bench == _WHAT_WAS_RUN]
+    return "\n\n".join([*_bench_section(_WHAT_WAS_RUN_TITLE, was_run), *_bench_sections(benches)]) + "\n"
 
 
 def _board_section(board: Board) -> str:
@@ -122,7 +174,8 @@ def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
         title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)
     }
     for record in benches:
-        by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
+        if record.bench != _WHAT_WAS_RUN:
+            by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
     return [section for title, found in by_title.items() for section in _bench_section(title, found)]
 
 
@@ -145,39 +198,12 @@ def _bench(record: BenchRecord) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _legend() -> str:
-    skill = "1 − (1 − SSIM) / (1 − SSIM of the best of " + ", ".join(TRIVIAL) + " on the same split)"
-    lines = [
-        *(f"**{metric_title(name)}**: {metric.description}" for name, metric in METRICS.items()),
-        "**mean**, **10th pct.**: mean SSIM of the test maps, and the SSIM that a tenth of them lies below",
-        f"**skill**: {skill}; negative where a method is worse than that predictor, a dash unless all of them were "
-        "run. Every resample finds the best predictor anew",
-        f"**[low, high]**: 95 % percentile interval of {NUM_RESAMPLES:,} bootstrap resamples, which draw "
-        "transmitters with all their samples, the same ones for every method (paired), and seeds, whose deviations "
-        "are widened as Student's t asks for their number. Of a hundred pairs of equally good methods, five may "
-        "still be told apart",
-        "**rank**: best and worst place that the intervals of the differences leave open; not corrected for the "
-        f"number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so not ranked (a trivial predictor has no seed)",
-        "**seeds**: fits of each split, over which every number is a mean. **± seeds**: standard deviation of the "
-        "average over the seeds",
-        "**best trivial reached after**: time of the first point of the learning curve at which the SSIM is that of "
-        "the best trivial predictor or higher; the fit may have reached it earlier",
-        *(
-            f"**{COSTS[name].title}**: {COSTS[name].hint}, mean over splits and seeds"
-            for name in _EXPLAINED_COSTS
-        ),
-        f"**{PUBLISHED_TITLE}**: median SSIM from the paper named below the table, of other data and another "
-        "machine; not comparable",
-    ]
-    return "\n".join(["## What the columns say", "", *(f"* {line}" for line in lines)])
-
-
-def _kept_text(output_md: Path) -> tuple[str, str]:
-    """Text before and after the generated part of a report, which is kept; raises `OutputExistsError`."""
-    require_space(output_md, 1)
-    if not require_own(output_md, _fault_of_report):
-        return "# Benchmark\n\n", "\n"
-    before, _, rest = output_md.read_text("utf-8").partition(BEGIN)
+def _kept_text(page: _Page) -> tuple[str, str]:
+    """Text before and after the generated part of a page, which is kept; raises `OutputExistsError`."""
+    require_space(page.path, 1)
+    if not require_own(page.path, _fault_of_report):
+        return f"# {page.title}\n\n", "\n"
+    before, _, rest = page.path.read_text("utf-8").partition(BEGIN)
     return before, rest.partition(END)[2]
 
 

@@ -1,0 +1,100 @@
+"""A short report answers the first questions, and links to pages that hold the rest."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from leaderboard_records import make_bench, make_followed, make_records, rows_of, with_job
+from stored_records import make_record
+
+from xfreqbench.errors import OutputExistsError
+from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
+from xfreqbench.runs.records import RunRecord, append
+
+ABLATION = "ours (rank=2)"
+
+
+def records_of(scene: str) -> list[RunRecord]:
+    """Records on a data set of its own."""
+    found = [*make_records(), make_followed(), with_job(make_record("ours", 0.99), overrides=("rank=2",))]
+    return [
+        record.model_copy(update={"scene": scene, "dataset_sha256": f"{len(scene):064x}"}) for record in found
+    ]
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    folder = tmp_path / "results"
+    stress = make_bench(
+        "stress",
+        "Numerical stability",
+        columns=("area", "case", "error", "limit", "unit", ""),
+        rows=[("phase", f"case {n}", "1", "2", "rad", "ok" if n else "FAILED") for n in range(9)],
+        figure=None,
+    )
+    for record in (*records_of("office"), *records_of("corridor")[:4], make_bench(), stress):
+        append(folder / "records.jsonl", record)
+    return folder
+
+
+def test_a_short_report_leaves_ablations_to_the_pages_of_scenes(results: Path, tmp_path: Path) -> None:
+    short, *pages = (
+        path
+        for path in write_report(results, tmp_path / "B.md", tmp_path / "all").paths
+        if path.suffix == ".md"
+    )
+    assert [page.relative_to(tmp_path).as_posix() for page in pages] == [
+        "all/corridor.md",
+        "all/office.md",
+        "all/measurements.md",
+    ]
+    texts = {page.stem: page.read_text("utf-8") for page in (short, *pages)}
+    assert rows_of(texts["office"], ABLATION)
+    assert not rows_of(texts["B"], ABLATION)
+    assert len(texts["B"].splitlines()) < len(texts["office"].splitlines())
+    assert "Error against run time" in texts["measurements"]
+
+
+def test_every_link_of_a_short_report_leads_to_a_file(results: Path, tmp_path: Path) -> None:
+    for page in write_report(results, tmp_path / "B.md", tmp_path / "docs" / "all").paths:
+        if page.suffix == ".md":
+            links = re.findall(r"\]\(([^)]+)\)", page.read_text("utf-8"))
+            assert links or page.stem == "corridor"
+            assert all((page.parent / link).is_file() for link in links), links
+
+
+def test_the_matrix_of_skill_has_the_skill_of_each_board(results: Path, tmp_path: Path) -> None:
+    write_report(results, tmp_path / "B.md", tmp_path / "all")
+    matrix = rows_of((tmp_path / "B.md").read_text("utf-8"), "ours")[-1]
+    assert matrix == {"method": "ours", "corridor, lofo": "–", "office, lofo": "0.500"}
+
+
+def test_the_stability_suite_is_summed_up_by_area(results: Path, tmp_path: Path) -> None:
+    write_report(results, tmp_path / "B.md", tmp_path / "all")
+    assert rows_of((tmp_path / "B.md").read_text("utf-8"), "phase") == [
+        {"area": "phase", "cases": "9", "failed": "1"}
+    ]
+
+
+def test_what_stands_around_the_generated_part_of_a_page_is_kept(results: Path, tmp_path: Path) -> None:
+    page = tmp_path / "all" / "office.md"
+    page.parent.mkdir()
+    page.write_text(f"# The office\n\nMine.\n\n{BEGIN}\n{END}\n\nMine too.\n", encoding="utf-8")
+    write_report(results, tmp_path / "B.md", tmp_path / "all")
+    text = page.read_text("utf-8")
+    assert text.startswith("# The office\n\nMine.\n")
+    assert text.endswith("\nMine too.\n")
+    assert rows_of(text, "ours")
+
+
+def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:
+    page = tmp_path / "all" / "office.md"
+    page.parent.mkdir()
+    page.write_text("my notes on the office", encoding="utf-8")
+    with pytest.raises(OutputExistsError, match=r"office\.md"):
+        write_report(results, tmp_path / "B.md", tmp_path / "all")
+    assert page.read_text("utf-8") == "my notes on the office"
+    assert not (tmp_path / "B.md").exists()
+    assert [path.name for path in (tmp_path / "all").iterdir()] == ["office.md"]

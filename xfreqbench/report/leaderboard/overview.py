@@ -1,0 +1,130 @@
+"""The short form of a report: a few tables that answer the first questions, with links to pages that hold the rest."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import isnan
+
+from xfreqbench.report.drawing.markdown import ABSENT, heading, paragraph, prose, table
+from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.report.leaderboard.captions import leak_statement
+from xfreqbench.report.leaderboard.columns import BRIEF, leaderboard_columns
+from xfreqbench.report.leaderboard.comparison import Comparison
+from xfreqbench.report.leaderboard.figures import figure_links
+from xfreqbench.report.leaderboard.legend import short_legend
+from xfreqbench.report.leaderboard.tables import ranking_table
+from xfreqbench.runs.records import BenchRecord
+
+_BRIEFLY = {  # measurements of which the first rows are shown
+    "ceiling": "No methods: what is left for whom",
+    "generate": "Generator",
+    "render": "Rendering",
+    "stress": "Stability",
+}
+_MOST_ROWS = 5
+
+
+def overview_markdown(
+    ranked: Sequence[Board],
+    benches: Sequence[BenchRecord],
+    pages: Mapping[str, str],
+    measurements_page: str,
+) -> str:
+    """The generated part of a short report; `pages` holds the link to each scene's page."""
+    compared = [_first_comparison(board) for board in ranked]
+    shown = [each for each in compared if each.board.scene == _main_scene(ranked)]
+    links = ", ".join(f"[{heading(scene)}]({link})" for scene, link in pages.items())
+    parts = [
+        *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
+        *([_skill_matrix(compared)] if len(ranked) > 1 else []),
+        *_time_figure([board for board in ranked if board.scene == _main_scene(ranked)], pages),
+        f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
+        *_measured_parts(benches, measurements_page),
+        short_legend(),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _first_comparison(board: Board) -> Comparison:
+    """The rows of a board without ablations, on the splits that most of them share."""
+    whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
+    return Comparison(whole, whole.split_sets()[0])
+
+
+def _main_scene(ranked: Sequence[Board]) -> str:
+    """The scene with the most records."""
+    records = Counter[str]()
+    for board in ranked:
+        records[board.scene] += len(board.records)
+    return max(records, key=lambda scene: (records[scene], scene), default="")
+
+
+def _board_part(comparison: Comparison, page: str) -> str:
+    board = comparison.board
+    title = f"## {heading(f'{board.scene} · {board.protocol}')}"
+    return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, BRIEF)}"
+
+
+def _skill_matrix(compared: Sequence[Comparison]) -> str:
+    """The skill of each method on each board, of several budgets the best; trivial predictors are left out."""
+    best: list[dict[str, BoardRow]] = [{} for _ in compared]
+    for comparison, by_method in zip(compared, best, strict=True):
+        for row in reversed(comparison.rows):  # the best comes last
+            if not row.is_trivial:
+                by_method[row.job.method] = row
+    header = ["method", *(f"{each.board.scene}, {each.board.protocol}" for each in compared)]
+    rows = [
+        [method, *map(_skill_cell, compared, (by_method.get(method) for by_method in best))]
+        for method in sorted({method for by_method in best for method in by_method})
+    ]
+    caption = "Average skill on the splits that most methods share; of several budgets the best:"
+    return f"## Skill on every scene and protocol\n\n{caption}\n\n{table(header, rows)}"
+
+
+def _skill_cell(comparison: Comparison, row: BoardRow | None) -> str:
+    (column,) = leaderboard_columns(comparison, ("skill",))
+    if row is None or column.value is None or isnan(column.value(row)):
+        return ABSENT
+    return column.text(row)
+
+
+def _time_figure(shown: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
+    """The figure of error against time of the first board that has one."""
+    drawn = next((board for board in shown if "time" in figure_links(board)), None)
+    if drawn is None:
+        return []
+    folder = pages[drawn.scene].rpartition("/")[0]
+    link = "/".join(filter(None, [folder, figure_links(drawn)["time"]]))
+    words = heading(f"{drawn.scene} · {drawn.protocol}")
+    return [f"## Error against time\n\n![SSIM against seconds of fitting, {words}]({link})"]
+
+
+def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
+    """The first measurement of each kind that is told briefly, and a link to all."""
+    first = {record.bench: record for record in reversed(benches)}
+    parts = [_measured_part(title, first[bench], page) for bench, title in _BRIEFLY.items() if bench in first]
+    return (
+        [*parts, f"Every measurement with its command and its machine: [measurements]({page})."]
+        if benches
+        else []
+    )
+
+
+def _measured_part(title: str, record: BenchRecord, page: str) -> str:
+    columns, rows = _by_area(record) if record.bench == "stress" else (record.columns, record.rows)
+    shown = rows[:_MOST_ROWS]
+    left = f"{len(rows) - len(shown)} more rows" if len(shown) < len(rows) else "More"
+    body = table(columns, shown, prose)
+    return f"## {heading(title)}\n\n{paragraph(record.title, prose)}. [{left}]({page})\n\n{body}"
+
+
+def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Cases of the stress suite by area: how many there are, and how many failed, most cases first."""
+    area, verdict = 0, len(record.columns) - 1
+    cases = Counter(row[area] for row in record.rows)
+    failed = Counter(row[area] for row in record.rows if row[verdict] != "ok")
+    return ("area", "cases", "failed"), [
+        (name, str(number), str(failed[name])) for name, number in cases.most_common()
+    ]
