@@ -11,6 +11,7 @@ from xfreqbench.data.splits import (
     LOFO_TARGETS_HZ,
     PROTOCOLS,
     UNSEEN_SHARE,
+    VALIDATIONS,
     Split,
     find_split,
     held_out_tx,
@@ -19,7 +20,8 @@ from xfreqbench.data.splits import (
     make_splits,
     sparse_frequency,
 )
-from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.errors import ArgumentError, ProtocolError, UnknownNameError
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 
 @pytest.fixture(scope="module")
@@ -189,3 +191,122 @@ def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
     with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
         make_splits(dataset, "held-out-tx", [10e9])
     assert len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10
+
+
+@pytest.fixture(scope="module")
+def of_many_transmitters(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Enough that a tenth of the training transmitters can be held out; two samples have no path."""
+    path = tmp_path_factory.mktemp("data") / "data.h5"
+    return write_dataset(path, 40, PAPER_CARRIERS_GHZ, silent=((0, 4), (7, 5)))
+
+
+def _with_validation(dataset: PasDataset, protocol: str) -> list[tuple[Split, Split]]:
+    """Each split that has a validation, with it."""
+    tested = {split.name.removeprefix(protocol): split for split in make_splits(dataset, protocol)}
+    validations = make_splits(dataset, protocol, on="validation")
+    return [(tested[split.name.removeprefix(f"{protocol}-validation")], split) for split in validations]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_validation_rows_are_training_rows_and_nothing_that_is_tested_is_seen_in_them(
+    of_many_transmitters: PasDataset, protocol: str
+) -> None:
+    dataset = of_many_transmitters
+    pairs = _with_validation(dataset, protocol)
+    assert pairs
+    for split, validation in pairs:
+        trained, validated = set(validation.train.tolist()), set(validation.test.tolist())
+        assert trained and validated and not trained & validated
+        assert trained | validated <= set(split.train.tolist())
+        seen = np.array(sorted(trained | validated))
+        if protocol != "held-out-tx":
+            assert not np.isin(dataset.carrier_hz[seen], dataset.carrier_hz[split.test]).any()
+        if protocol.endswith("-tx"):
+            assert not np.isin(dataset.tx_index[seen], dataset.tx_index[split.test]).any()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_validation_rows_are_as_unseen_as_the_tested_ones(
+    of_many_transmitters: PasDataset, protocol: str
+) -> None:
+    dataset = of_many_transmitters
+    for split, validation in _with_validation(dataset, protocol):
+        for values in (dataset.carrier_hz, dataset.tx_index):
+            unseen, unseen_there = (
+                not np.isin(values[each.test], values[each.train]).any() for each in (split, validation)
+            )
+            assert unseen == unseen_there
+        assert validation.shares_transmitters == split.shares_transmitters
+
+
+def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_ones_on_both_sides(
+    dataset: PasDataset,
+) -> None:
+    targets_ghz = (1.0, 2.4, 24.25, 77.0, 94.0)
+    validations = make_splits(dataset, "lofo", [target * 1e9 for target in targets_ghz], on="validation")
+    validated = [set(dataset.carrier_hz[split.test] / 1e9) for split in validations]
+    assert [split.name for split in validations][:2] == ["lofo-validation-1GHz", "lofo-validation-2.4GHz"]
+    for (carrier_ghz,), target_ghz, split in zip(validated, targets_ghz, validations, strict=True):
+        trained_ghz = dataset.carrier_hz[split.train] / 1e9
+        assert trained_ghz.min() < carrier_ghz < trained_ghz.max()
+        others = set(PAPER_CARRIERS_GHZ) - {target_ghz}
+        inner = sorted(others)[1:-1]
+        assert carrier_ghz == min(inner, key=lambda each: abs(np.log(each / target_ghz)))
+
+
+def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(
+    of_many_transmitters: PasDataset,
+) -> None:
+    dataset = of_many_transmitters  # 40, of which 32 are trained on: a tenth are three, and four the least
+    for protocol in ("held-out-tx", "lofo-unseen-tx"):
+        for _, validation in _with_validation(dataset, protocol):
+            assert len(_transmitters(dataset, validation)[1]) == 4
+
+
+def test_validation_rows_without_a_path_are_counted(of_many_transmitters: PasDataset) -> None:
+    (split,) = make_splits(of_many_transmitters, "lofo", [24.25e9], on="validation")
+    assert set(of_many_transmitters.carrier_hz[split.test]) == {37e9}
+    assert (split.num_without_path, len(split.test)) == (1, 39)
+
+
+def test_sparse_training_on_two_carriers_has_no_validation(dataset: PasDataset) -> None:
+    splits = make_splits(dataset, "sparse", on="validation")
+    assert [split.name for split in splits] == [
+        "sparse-validation-24.25GHz-from-10-37-94GHz",
+        "sparse-validation-24.25GHz-from-1-10-37-60-94GHz",
+    ]
+    assert [set(dataset.carrier_hz[split.test]) for split in splits] == [{37e9}, {37e9}]
+
+
+def test_every_validation_split_is_found_by_its_name_and_is_no_split_of_a_test(
+    of_many_transmitters: PasDataset,
+) -> None:
+    hashes = set()
+    for protocol in PROTOCOLS:
+        for split, validation in _with_validation(of_many_transmitters, protocol):
+            assert VALIDATIONS[validation.protocol] == split.protocol
+            found = find_split(of_many_transmitters, validation.protocol, validation.name)
+            assert found.sha256 == validation.sha256
+            hashes |= {split.sha256, validation.sha256}
+            with pytest.raises(UnknownNameError):
+                find_split(of_many_transmitters, validation.protocol, split.name)
+    assert len(hashes) == 2 * (3 + 2 + 1 + 3)
+
+
+def test_too_few_carriers_or_transmitters_to_validate_are_refused_with_their_number(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", 12)
+    with pytest.raises(
+        ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"
+    ):
+        make_splits(dataset, "lofo", [10e9], on="validation")
+    few = write_dataset(tmp_path / "few.h5", 11)
+    with pytest.raises(
+        ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"
+    ):
+        make_splits(few, "held-out-tx", on="validation")
+    assert len(make_splits(dataset, "held-out-tx", on="validation")) == 1
+
+
+def test_what_is_scored_is_the_test_or_the_validation(dataset: PasDataset) -> None:
+    with pytest.raises(ArgumentError, match="'test' or 'validation'"):
+        make_splits(dataset, "lofo", on="tests")  # type: ignore[arg-type]

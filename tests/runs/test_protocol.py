@@ -42,6 +42,24 @@ def test_all_targets_are_a_split_each(dataset: PasDataset, tmp_path: Path) -> No
     assert len(records) == dataset.num_carriers
 
 
+def test_validation_runs_stand_on_a_board_of_their_own_and_leave_the_test_alone(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    (tested,) = xb.run(dataset, "nearest", results=tmp_path, **TARGET)  # type: ignore[arg-type]
+    (validated,) = xb.run(dataset, "nearest", results=tmp_path, on="validation", **TARGET)  # type: ignore[arg-type]
+    assert (validated.job.protocol, validated.job.split) == ("lofo-validation", "lofo-validation-77GHz")
+    assert (validated.id, validated.split_sha256) != (tested.id, tested.split_sha256)
+    assert set(validated.scores["ssim"].median_by_carrier_hz) == {"60000000000"}
+    (again,) = xb.run(dataset, "nearest", results=tmp_path, on="validation", **TARGET)  # type: ignore[arg-type]
+    assert again == validated
+    shown = str(xb.leaderboard(tmp_path))
+    test, validation = shown.split("synthetic · lofo-validation · power maps")
+    assert "Validation rows: some of the training rows of the lofo split" in validation
+    assert "Validation" not in test
+    for board, record in ((test, tested), (validation, validated)):
+        assert "77GHz" in board and f"{record.scores['ssim'].median:.4f}" in board
+
+
 @pytest.mark.parametrize("options", [{"num_gaussians": 4, "derive_targets": False}, TEXTS])
 def test_options_of_a_method_are_values_or_texts(
     dataset: PasDataset, tmp_path: Path, options: Options

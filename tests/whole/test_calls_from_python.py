@@ -64,6 +64,8 @@ REFUSED = {  # call: what the error says
     "xb.run(None, 'nearest')": "data=None",
     "xb.run(data, 3)": "3 in methods",
     "xb.run(data, xb.Budget)": "methods=<class",
+    "xb.run(data, 'nearest', on='valid')": "'test' or 'validation'",
+    "xb.run(data, 'nearest', targets_ghz=10, on='validation')": "there must be 3 or more",
     "xb.run(data, 'nearest', seeds=[-1])": "-1 in seeds: Input should be greater than or equal to 0",
     "xb.run(data, 'nearest', seeds=[])": "at least 1 item",
     "xb.run(data, 'nearest', budget=10)": "budget=10",

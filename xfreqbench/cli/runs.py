@@ -135,6 +135,13 @@ def run(
             "2.4,24.25,77."
         ),
     ] = None,
+    on: Annotated[
+        Literal["test", "validation"],
+        Parameter(
+            help="test: the protocol's test rows; validation: some of its training rows, to choose settings by. "
+            "They stand on a board of their own."
+        ),
+    ] = "test",
     seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
     budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
     device: Annotated[
@@ -167,7 +174,7 @@ def run(
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     overrides = {name: (*set_, *device_option(name, device)) for name in names}
     targets_hz = target_carriers_hz(targets)
-    jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget))
+    jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget), on)
     if dry_run:
         print(f"{protocol} on {data.name}: {outlook(jobs, results, executor)}; nothing was run")
         return

@@ -16,6 +16,11 @@ map of the same transmitter from another carrier scores well, so these scores sa
 and the receiver are the same in training and in test.
 
 A sample that no path reaches is in neither part, because a channel of zeros has no map.
+
+Settings are chosen on validation rows, which are some of a split's training rows, so that the test says something new.
+They are held out as the tested ones are: at one carrier inside the band of the training carriers, the nearest to the
+tested one, or of a tenth of the training transmitters, or both. `make_splits` with `on="validation"` gives the splits
+that train on the other training rows and test on those. Their protocol is called `lofo-validation`, and so on.
 """
 
 from __future__ import annotations
@@ -27,7 +32,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from pydantic import InstanceOf
 from scipy.spatial import KDTree
@@ -43,6 +48,8 @@ LOFO_TARGETS_HZ = tuple(map(ghz_to_hz, (2.4, 24.25, 77.0)))  # the paper's
 SPARSE_TEST_HZ = ghz_to_hz(24.25)
 UNSEEN_SHARE = 0.2  # of the transmitters
 _UNSEEN_SEED = 0
+VALIDATION_SHARE, LEAST_VALIDATION_TX = 0.1, 4  # of the training transmitters
+LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is held out for validation
 SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0, 94.0))  # the paper's
 
 
@@ -122,19 +129,36 @@ def lofo_unseen_tx(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGE
 
 
 PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
+VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
+_AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
 _BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
 _WHOLE = {"sparse": sparse_frequency, "held-out-tx": held_out_tx}
 Known = TypeVar("Known")
 Targets = Literal["all"] | Numbers | None
+ScoredOn = Literal["test", "validation"]
 
 
 @checked
-def make_splits(dataset: InstanceOf[PasDataset], protocol: str, targets_hz: Targets = None) -> list[Split]:
+def make_splits(
+    dataset: InstanceOf[PasDataset], protocol: str, targets_hz: Targets = None, on: ScoredOn = "test"
+) -> list[Split]:
     """The splits of a protocol, which is one of `PROTOCOLS`; raises `UnknownNameError` and `ProtocolError`.
 
     `targets_hz` are the tested carriers of `lofo` and `lofo-unseen-tx` in hertz: the paper's if None, and every
     carrier at which a path arrives if "all". The other protocols choose their own.
+
+    With `on="validation"`, the rows that are tested are some of each split's training rows, and the others are trained
+    on; see the top of this module. `sparse` then has no split for two training carriers, as none is between them.
     """
+    splits = _tested_splits(dataset, protocol, targets_hz)
+    if on == "test":
+        return splits
+    if protocol == "sparse":
+        splits = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
+    return [_validation_split(dataset, split) for split in splits]
+
+
+def _tested_splits(dataset: PasDataset, protocol: str, targets_hz: Targets) -> list[Split]:
     if protocol in _BY_TARGET:
         heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
         chosen = heard if targets_hz == "all" else targets_hz or LOFO_TARGETS_HZ
@@ -147,7 +171,10 @@ def make_splits(dataset: InstanceOf[PasDataset], protocol: str, targets_hz: Targ
 
 
 def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
-    """The split of a protocol with that name; raises `UnknownNameError` and `ProtocolError`."""
+    """The split with that name of a protocol or of its validation; raises `UnknownNameError` and `ProtocolError`."""
+    if protocol in VALIDATIONS:
+        tested = VALIDATIONS[protocol]
+        return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
     if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
         targets = {
             _target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()
@@ -177,10 +204,69 @@ def _lofo_split(
 
 def _is_unseen(dataset: PasDataset) -> Bool[NDArray[np.bool_], "N"]:
     """Whether each sample is of a held-out transmitter."""
+    number = max(1, round(UNSEEN_SHARE * len(np.unique(dataset.tx_index))))
+    return np.isin(dataset.tx_index, _drawn_tx(dataset, np.random.default_rng(_UNSEEN_SEED), number))
+
+
+def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
+    """The carriers of a training that may be held out: all but the lowest and the highest, ascending; maybe none."""
+    return np.unique(train.carrier_hz)[1:-1]
+
+
+def validation_tx(
+    train: PasDataset, generator: np.random.Generator, most: int | None = None
+) -> Int[IntArray, "t"]:
+    """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
+
+    They are four at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
+    """
+    number = len(np.unique(train.tx_index))
+    if number < LEAST_TRAINING_TX:
+        return np.empty(0, np.int64)
+    tenth = int(VALIDATION_SHARE * number)
+    return _drawn_tx(train, generator, max(LEAST_VALIDATION_TX, tenth if most is None else min(most, tenth)))
+
+
+def _drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
     transmitters = np.unique(dataset.tx_index)
-    number = max(1, round(UNSEEN_SHARE * len(transmitters)))
-    chosen = np.random.default_rng(_UNSEEN_SEED).permutation(len(transmitters))[:number]
-    return np.isin(dataset.tx_index, transmitters[chosen])
+    return transmitters[generator.permutation(len(transmitters))[:number]]
+
+
+def _validation_split(dataset: PasDataset, split: Split) -> Split:
+    """The split that trains on a part of a split's training rows and tests on another part of them."""
+    protocol = f"{split.protocol}-validation"
+    name = protocol + split.name.removeprefix(split.protocol)
+    train = dataset.subset(split.train)
+    at_held_out = np.isin(dataset.carrier_hz, train.carrier_hz)
+    of_held_out = np.isin(dataset.tx_index, train.tx_index)
+    is_left = np.isin(np.arange(len(dataset)), split.train)
+    if split.protocol in _AT_UNSEEN_CARRIERS:
+        at_held_out = dataset.carrier_hz == _validation_carrier_hz(
+            train, name, dataset.carrier_hz[split.test[0]]
+        )
+        is_left &= ~at_held_out
+    if split.protocol in _OF_UNSEEN_TX:
+        held_out = validation_tx(train, np.random.default_rng(_UNSEEN_SEED))
+        if not len(held_out):
+            raise ProtocolError(
+                f"Split {name!r} holds out a tenth of the training transmitters, of which there must be "
+                f"{LEAST_TRAINING_TX} or more, but there are {len(np.unique(train.tx_index))}. Generate more."
+            )
+        of_held_out = np.isin(dataset.tx_index, held_out)
+        is_left &= ~of_held_out
+    return _split(dataset, name, protocol, is_left, at_held_out & of_held_out)
+
+
+def _validation_carrier_hz(train: PasDataset, name: str, tested_hz: float) -> float:
+    """Of the inner carriers of a training the nearest to the tested one, by their ratio."""
+    inner_hz = inner_carriers_hz(train)
+    if not len(inner_hz):
+        raise ProtocolError(
+            f"Split {name!r} holds out a carrier inside the band of the training carriers, of which there must be "
+            f"{LEAST_TRAINING_CARRIERS} or more, but they are {format_ghz_list(np.unique(train.carrier_hz))}. "
+            "Generate more carriers."
+        )
+    return float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])
 
 
 def _split(

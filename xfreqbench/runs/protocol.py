@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.splits import Targets, make_splits
+from xfreqbench.data.splits import ScoredOn, Targets, make_splits
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget, parse_budget
 from xfreqbench.methods.registry import device_option, method_names
@@ -34,15 +34,17 @@ def protocol_jobs(
     targets_hz: Targets,
     seeds: Sequence[int],
     budget: Budget,
+    on: ScoredOn = "test",
 ) -> list[Job]:
     """One job for each method, seed and split, in that order of nesting.
 
     `data` is the path of a data set; `overrides` has the methods' names, each with `key=value` texts for its
-    options; `targets_hz` is that of `make_splits`. Raises `DataError`, `UnknownNameError` and `ProtocolError`.
+    options; `targets_hz` and `on` are those of `make_splits`. Raises `DataError`, `UnknownNameError` and
+    `ProtocolError`.
     """
-    splits = make_splits(open_dataset(data), protocol, targets_hz)
+    splits = make_splits(open_dataset(data), protocol, targets_hz, on)
     return [
-        Job(data, method, protocol, split.name, tuple(options), seed, budget)
+        Job(data, method, split.protocol, split.name, tuple(options), seed, budget)
         for method, options in overrides.items()
         for seed in seeds
         for split in splits
@@ -57,6 +59,7 @@ def run(
     results: FilePath = "results",
     *,
     targets_ghz: Literal["all"] | Numbers | None = None,
+    on: ScoredOn = "test",
     seeds: WholeNumbers = (0,),
     budget: str | Budget | None = "5m",
     device: Literal["cpu", "cuda"] = "cpu",
@@ -68,6 +71,8 @@ def run(
     `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; as
     a mapping it gives each name its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts
     `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
+    `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
+    the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m` or `2000steps`; None leaves the end to the method. `device` is where
     methods that have the choice compute. `executor` is `serial`, a number of processes, or `dask://host:port`.
     `progress` draws bars on stderr, or prints a line for each run where that is no terminal.
@@ -81,7 +86,7 @@ def run(
     overrides = {name: (*_texts(given), *device_option(name, device)) for name, given in methods.items()}
     targets_hz = targets_ghz if isinstance(targets_ghz, str | None) else list(map(ghz_to_hz, targets_ghz))
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
-    jobs = protocol_jobs(_path_of(data), overrides, protocol, targets_hz, seeds, limit)
+    jobs = protocol_jobs(_path_of(data), overrides, protocol, targets_hz, seeds, limit, on)
     return run_shown(jobs, Path(results), executor, progress)
 
 

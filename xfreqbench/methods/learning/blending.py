@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget, Maps
 from xfreqbench.methods.learning.loss import mean_ssim
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray
 
 CHOOSE_AT = 0.5  # share of the budget
-_SHARE_OF_TX, _MOST_ROWS = 0.1, 48  # held-out transmitters, and rows of each kind on which a weight is chosen
-_LEAST_TX, _LEAST_CARRIERS, _LEAST_ROWS = 10, 3, 4  # with fewer, nothing of the kind is held out
+_LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters
 _WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps
 _STRIDE, _WINDOW = 3, 3  # of the SSIM by which they are compared
 KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
@@ -50,17 +50,15 @@ class Holdout:
 
     @classmethod
     def draw(cls, train: PasDataset, seed: int) -> Holdout:
-        """One carrier inside the band and a tenth of the transmitters, the same ones for the same seed."""
+        """One carrier inside the band and a tenth of the transmitters, the same ones for the same seed.
+
+        `make_splits` with `on="validation"` chooses among the same carriers, and draws transmitters in the same way.
+        """
         generator = np.random.default_rng(seed)
-        carriers, carrier = np.unique(train.carrier_hz, return_inverse=True)
-        transmitters, tx = np.unique(train.tx_index, return_inverse=True)
-        is_carrier = np.zeros(len(train), bool)
-        if len(carriers) >= _LEAST_CARRIERS:
-            is_carrier = carrier == generator.integers(1, len(carriers) - 1)
-        is_tx = np.zeros(len(train), bool)
-        if len(transmitters) >= _LEAST_TX:
-            number = max(_LEAST_ROWS, min(_MOST_ROWS, int(_SHARE_OF_TX * len(transmitters))))
-            is_tx = np.isin(tx, generator.permutation(len(transmitters))[:number])
+        is_carrier, inner_hz = np.zeros(len(train), bool), inner_carriers_hz(train)
+        if len(inner_hz):
+            is_carrier = train.carrier_hz == inner_hz[generator.integers(len(inner_hz))]
+        is_tx = np.isin(train.tx_index, validation_tx(train, generator, _MOST_ROWS))
         kinds = zip(KINDS, (is_carrier & ~is_tx, ~is_carrier & is_tx, is_carrier & is_tx), strict=True)
         rows = {
             kind: generator.permutation(np.flatnonzero(of & train.has_path))[:_MOST_ROWS]

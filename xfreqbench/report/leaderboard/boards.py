@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from xfreqbench.data.splits import PROTOCOLS
+from xfreqbench.data.splits import PROTOCOLS, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.contract import TRIVIAL, Budget
@@ -168,14 +168,14 @@ class Board:
 
 
 def boards(records: Iterable[RunRecord]) -> list[Board]:
-    """One board for each data set and protocol, by scene, data set and the order of `PROTOCOLS`.
+    """One board for each data set and protocol, by scene, data set and the order of `PROTOCOLS`, then of `VALIDATIONS`.
 
     Of a job that was run twice, the later record counts. Raises `DataError` where records of a board are of
     different versions of the protocol or of the metrics.
     """
     ordered = sorted(records, key=lambda record: (*_group_key(record), record.time_utc, record.id))
     grouped = [_board(key, list(group)) for key, group in groupby(ordered, _group_key)]
-    order = {protocol: place for place, protocol in enumerate(PROTOCOLS)}
+    order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
     return sorted(
         grouped, key=lambda board: (board.scene, board.dataset_sha256, order.get(board.protocol, len(order)))
     )
@@ -204,7 +204,7 @@ def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
 
 def short_name(split: str) -> str:
     """A split's name without its protocol: `lofo-2.4GHz` becomes `2.4GHz`."""
-    starts = [f"{protocol}-" for protocol in PROTOCOLS if split.startswith(f"{protocol}-")]
+    starts = [f"{protocol}-" for protocol in (*PROTOCOLS, *VALIDATIONS) if split.startswith(f"{protocol}-")]
     return split.removeprefix(max(starts, key=len, default=""))
 
 

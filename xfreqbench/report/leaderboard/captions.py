@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from xfreqbench.data.splits import VALIDATIONS
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit
 from xfreqbench.report.leaderboard.published import reduced_statement
 from xfreqbench.runs.records import RunRecord
 
 
 def leak_statement(board: Board) -> str:
-    """Whether tested transmitters are also trained on and, if not, how far away the nearest trained one is."""
+    """Whether tested transmitters are also trained on and, if not, how far away the nearest trained one is.
+
+    Of a board of validation rows it first says what they are.
+    """
+    if board.protocol not in VALIDATIONS:
+        return _shared_with_training(board)
+    return (
+        f"Validation rows: some of the training rows of the {VALIDATIONS[board.protocol]} split that a column is named "
+        f"for. They choose settings, and are no result of a test. {_shared_with_training(board)}"
+    )
+
+
+def _shared_with_training(board: Board) -> str:
     if any(record.shares_transmitters for record in board.records):
         return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
     known_m = [record.nearest_trained_m for record in board.records if record.nearest_trained_m is not None]

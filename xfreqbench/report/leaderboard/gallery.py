@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.splits import SPARSE_TEST_HZ
+from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.metrics import Maps, score_all
@@ -185,5 +185,7 @@ def _missing_data(board: Board) -> str:
 
 def _missing_predictions(board: Board, absent: list[str]) -> str:
     job = board.records[0].job
-    command = f"xfreqbench run --data {job.dataset} --protocol {job.protocol} --results FOLDER"
+    on = " --on validation" if job.protocol in VALIDATIONS else ""
+    protocol = VALIDATIONS.get(job.protocol, job.protocol)
+    command = f"xfreqbench run --data {job.dataset} --protocol {protocol}{on} --results FOLDER"
     return f"Without stored predictions: {', '.join(absent)}. `{command}` stores them."
