@@ -55,6 +55,7 @@ HOMES = {
     "safetensors": {"methods/learning/training.py"},
     "sionna": {"tracing/sionna/scene.py"},
     "skimage": {"maps/metrics.py"},
+    "tensorboard": {"runs/training_log.py"},
     "threadpoolctl": {"system/machine.py"},
     "trimesh": {
         "report/drawing/glb.py",
