@@ -16,7 +16,14 @@ RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
 WRITTEN: tuple[str, ...] = ()  # an output, of which is read only whether it is the command's own
 
-_SLOW = ("view", "findings", "residual", "benchmark", "bench ceiling")  # they draw, trace or run for a second
+_SLOW = (
+    "view",
+    "plot",
+    "findings",
+    "residual",
+    "benchmark",
+    "bench ceiling",
+)  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
@@ -31,7 +38,7 @@ RESULT_PARTS = (
 # Every path that a command takes, with the kinds of files that are read there.
 READS: dict[str, dict[str, tuple[str, ...]]] = {
     "info": {"file": ("data set", "mesh")},
-    "plot": {"file": ("data set",), "output": WRITTEN},
+    "plot": {"file": ("data set", "mesh"), "output": WRITTEN},
     "view": {"data_or_scene": ("data set", *SCENE), "output": WRITTEN},
     "generate": {"scene": SCENE, "tx_positions": ("positions",), "output": WRITTEN},
     "import": {"folder": ("PNG folder", "DeepMIMO scenario"), "output": WRITTEN},
@@ -79,7 +86,7 @@ _REPORT = "report results -o new/board.md --html new/board.html -q"
 LINES: dict[str, dict[str, tuple[str, ...]]] = {
     "data set": {
         "info": (f"info {DATA}", f"info {DATA} --retrace 1"),
-        "plot": (f"plot {DATA} -o new.png --tx 1",),
+        "plot": (f"plot {DATA} -o new.png --tx 1", f"plot {DATA} -o new.pdf --of power"),
         "view": (f"view {DATA} -o new -q",),
         "export": (f"export {DATA} -o new --convention xfreq-gs --set plane=xy -q",),
         "split": (f"split --data {DATA} -o new.h5 --targets 10 --maps -q",),
@@ -131,6 +138,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
         "view": ("view mesh.toml -o new -q", "view mesh.h5 -o new -q"),
         "info": ("info mesh.h5 --retrace 1",),
+        "plot": ("plot mesh.h5 -o new.svg --of power",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
         "bench ceiling": ("bench ceiling mesh.h5 --freqs 10 --transmitters 1 -q",),
         "bench generate": ("bench generate ./mesh.toml",),

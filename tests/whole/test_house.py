@@ -36,6 +36,7 @@ HOMES = {
         "report/findings/figures.py",
         "report/leaderboard/plots.py",
         "report/view/figures.py",
+        "report/view/power.py",
     },
     "mitsuba": {"tracing/sionna/scene.py"},
     "numba": {

@@ -212,32 +212,44 @@ def info(
         print(left_out(open_dataset(file), glints, seed))
 
 
-@app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 -o maps.png"))
+@app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 --carriers 2.4,24.25 -o maps.pdf"))
 def plot(
     file: Path,
     *,
-    output: Output,
-    tx: Annotated[int, Parameter(help="Index of the transmitter in the data set.")] = 0,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Figure to write, which ends in .png, .svg or .pdf.")
+    ],
+    of: Annotated[
+        Literal["maps", "power"],
+        Parameter(
+            help="maps: what the array hears of one transmitter, by direction; power: a plan of the room with the "
+            "power received from every transmitter."
+        ),
+    ] = "maps",
+    tx: Annotated[
+        int | None, Parameter(help="Index of the transmitter whose maps are drawn; 0 if absent.")
+    ] = None,
+    carriers: Annotated[
+        str | None,
+        Parameter(help="Carriers in GHz, comma-separated, one panel each; all of the data if absent."),
+    ] = None,
+    db_range: Annotated[float, Parameter(help="How many dB below the strongest the colours reach.")] = 30.0,
 ) -> None:
-    """Draw the power angular spectra of one transmitter at every carrier, as a PNG."""
-    import numpy as np
+    """Draw the maps of one transmitter, or a plan with the power of all, at every carrier: PNG, SVG or PDF."""
+    from xfreqbench.report.drawing.figures import figure_kind, require_own_figure
+    from xfreqbench.report.view.pictures import draw_maps, draw_power
 
-    from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.maps.bartlett import power_of
-    from xfreqbench.report.drawing.figures import plot_pas_maps, require_own_figure
-    from xfreqbench.units import format_ghz
-
-    if output.suffix != ".png":
-        raise XFreqBenchError(f"The figure is a PNG, but {output} is to be written; end its name in .png.")
+    figure_kind(output)
+    if not 0 < db_range <= 300:
+        raise XFreqBenchError(f"--db-range takes dB above 0, 300 at most, as in 30, but got {db_range:g}.")
+    if of == "power" and tx is not None:
+        raise XFreqBenchError("--of power shows all transmitters; leave --tx out, or draw --of maps.")
+    carriers_hz = None if carriers is None else parse_carriers_hz(carriers, "--carriers")
     require_own_figure(output)
-    dataset = open_dataset(file)
-    if not 0 <= tx < dataset.header.num_tx:
-        raise XFreqBenchError(
-            f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for."
-        )
-    rows = np.flatnonzero(dataset.tx_index == tx)
-    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
-    plot_pas_maps(power_of(dataset.pas(rows), dataset.header.pas_kind), dataset.grid, titles, output)
+    if of == "maps":
+        draw_maps(file, tx or 0, carriers_hz, db_range, output)
+    else:
+        draw_power(file, carriers_hz, db_range, output)
     say(f"wrote {output}")
 
 

@@ -17,13 +17,17 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 from PIL import Image
 
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.document import SOFTWARE
 from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
+from xfreqbench.types import FloatArray
 
 _MAX_DISCS = 5  # maps side by side
-_DISPLAY_RANGE_DB = 30.0
+DISPLAY_RANGE_DB = 30.0  # below the peak
+FIGURE_KINDS = ("png", "svg", "pdf")
+_RINGS_DEG, _AZIMUTHS_DEG = (0, 30, 60), (0, 90, 180, 270)  # elevations, and azimuths, that a disc names
 _MAX_LETTERS = 80  # of a text in a figure
 _UNKNOWN_LETTERS = (
     "Glyph|Matplotlib currently does not support"  # warnings; whoever shows an SVG may know them
@@ -33,23 +37,41 @@ _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the 
 
 
 def plot_pas_maps(
-    maps: Float[NDArray[np.float32], "N E A"], grid: AngularGrid, titles: Sequence[str], path: Path
+    maps: Float[NDArray[np.float32], "N E A"],
+    grid: AngularGrid,
+    titles: Sequence[str],
+    path: Path,
+    title: str = "",
+    range_db: float = DISPLAY_RANGE_DB,
 ) -> None:
-    """Draw N maps of the whole hemisphere as discs seen from the pole, in dB below the peak, into one PNG file.
+    """Draw N maps of the hemisphere as discs seen from the pole, as `draw_disc` does, into one figure.
 
-    The rim is the equator; azimuth runs counter-clockwise from the right. Raises `StorageError`.
+    Each disc has a title, and all of them have `title`. The suffix of `path` says which of `FIGURE_KINDS` is written.
+    Raises `StorageError`.
     """
     columns = min(_MAX_DISCS, len(maps))
     rows = -(-len(maps) // columns)
-    figure = Figure(figsize=(2.2 * columns + 0.9, 2.5 * rows), layout="constrained")
+    figure = Figure(figsize=(max(2.4 * columns + 0.9, 4.5), 2.7 * rows + 0.6), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"}).ravel()
     for axis in axes[len(maps) :]:
         axis.set_visible(False)
-    for axis, pas_map, title in zip(axes, maps, titles, strict=False):
-        image = draw_disc(axis, pas_map, grid)
-        axis.set_title(shown(title), fontsize="medium")
+    for axis, pas_map, name in zip(axes, maps, titles, strict=False):
+        image = draw_disc(axis, pas_map, grid, range_db)
+        axis.set_title(shown(name), fontsize="medium")
     figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
-    save_figure(figure, path, "png")
+    if title:
+        figure.suptitle(title, fontsize="medium")
+    save_figure(figure, path, figure_kind(path))
+
+
+def figure_kind(path: Path) -> str:
+    """Which of `FIGURE_KINDS` the name of a file asks for; raises `XFreqBenchError` for another suffix."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FIGURE_KINDS:
+        raise XFreqBenchError(
+            f"A figure is written as PNG, SVG or PDF, but {path} is asked for; end its name in .png, .svg or .pdf."
+        )
+    return kind
 
 
 def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
@@ -87,23 +109,50 @@ def label_decades(axis: Any) -> None:
     axis.xaxis.set_minor_formatter(NullFormatter())
 
 
-def draw_disc(axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: AngularGrid) -> Any:
-    """Draw a map of linear power on polar axes, in dB below the peak; returns what a colour bar needs."""
-    level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-_DISPLAY_RANGE_DB / 10)))
-    axis.set(xticks=[], yticks=[])
-    axis.grid(False)
+def draw_disc(
+    axis: Any,
+    pas_map: Float[NDArray[np.float32], "E A"],
+    grid: AngularGrid,
+    range_db: float = DISPLAY_RANGE_DB,
+) -> Any:
+    """Draw a map of linear power on polar axes, in dB below the peak; returns what a colour bar needs.
+
+    The centre is the pole, rings are elevations of 30° and 60°, the rim is the equator; azimuth runs counter-clockwise
+    from the right.
+    """
+    level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-range_db / 10)))
+    axis.grid(False)  # pcolormesh asks for that
     image = axis.pcolormesh(
-        grid.azimuth_rad,
-        90 - np.degrees(grid.elevation_rad),
+        _edges(grid.azimuth_rad),
+        _radius_edges_deg(grid),
         level_db,
-        shading="nearest",
-        vmin=-_DISPLAY_RANGE_DB,
+        vmin=-range_db,
         vmax=0,
         cmap="magma",
         rasterized=True,
     )
+    axis.set_xticks(np.radians(_AZIMUTHS_DEG), [f"{azimuth}°" for azimuth in _AZIMUTHS_DEG], fontsize=6)
+    axis.set_yticks([90 - ring for ring in _RINGS_DEG], [])
+    for ring in _RINGS_DEG:
+        axis.text(np.radians(45), 90 - ring, f"{ring}°", fontsize=5, color="white", ha="right", va="top")
+    axis.tick_params(pad=-3)
+    axis.grid(color="white", alpha=0.35, linewidth=0.4)
     axis.set_rlim(0, 90)
     return image
+
+
+def _radius_edges_deg(grid: AngularGrid) -> Float[FloatArray, "E1"]:
+    """Where the rows of a map begin and end, as degrees from the pole; the row next to the pole reaches it."""
+    edges = np.clip(_edges(90 - np.degrees(grid.elevation_rad)), 0, 90)
+    inner, step = edges.argmin(), abs(np.diff(edges)).max()
+    edges[inner] = 0 if edges[inner] <= step else edges[inner]
+    return edges
+
+
+def _edges(centres: Float[FloatArray, "n"]) -> Float[FloatArray, "n1"]:
+    """The edges of n cells by their centres: halfway between neighbours, and as far beyond the first and the last."""
+    between = (centres[:-1] + centres[1:]) / 2
+    return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])
 
 
 def require_own_figure(path: Path) -> None:
@@ -115,16 +164,24 @@ def is_own_drawing(path: Path) -> bool:
     """Whether a figure that `save_figure` wrote is at `path`, or a model that `GlbModel` wrote, by the mark in it."""
     with path.open("rb") as file:
         head = file.read(1024)  # which holds the metadata, after the image's size
+        file.seek(max(0, path.stat().st_size - 4096))
+        tail = file.read()
     if path.suffix == ".glb":
         return head.startswith(b"glTF") and f'"generator":"{SOFTWARE}"'.encode() in head
-    if path.suffix == ".svg":
+    if head.startswith(b"%PDF"):
+        return b"/Creator (" + SOFTWARE.encode() in tail
+    if path.suffix.lower() == ".svg":
         return f"<dc:title>{SOFTWARE}</dc:title>".encode() in head
     return head.startswith(b"\x89PNG") and b"Software\0" + SOFTWARE.encode() in head
 
 
 def save_figure(figure: Figure, path: Path, kind: str) -> None:
-    """Write a figure to a file of `kind` `svg` or `png`; equal figures give equal bytes. Raises `StorageError`."""
-    metadata = {"Date": None, "Creator": SOFTWARE} if kind == "svg" else {"Software": SOFTWARE}
-    fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none"}
+    """Write a figure as one of `FIGURE_KINDS`; equal figures give equal bytes. Raises `StorageError`."""
+    metadata = {
+        "png": {"Software": SOFTWARE},
+        "svg": {"Date": None, "Creator": SOFTWARE},
+        "pdf": {"CreationDate": None, "Creator": SOFTWARE},
+    }[kind]
+    fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none", "pdf.fonttype": 42}
     with mpl.rc_context(fixed), any_letters(), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize, to_rgba
+from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ _MARGIN_M = 0.25
 _BORESIGHT_M = 0.5
 _OVERVIEW_MAPS = 6
 _NUMBERED_RAYS = 9  # more numbers would cover each other
-_RAY_COLOURS, _SSIM_COLOURS = "plasma_r", "viridis"
+_SSIM_COLOURS = "viridis"
+_RAY_COLOURS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.2, 1, 256)), "rays")  # weak ones are dark
+_BACKGROUND = "#14161c"  # on which bright rays stand out, as maps do
 _GROUP_COLOURS = {
     "transmitters in sight": "#009e73",
     "transmitters in shadow": "#8a94a0",
@@ -56,8 +58,8 @@ Rgba = tuple[int, int, int, int]
 
 
 def ray_colour(level_db: float) -> Rgba:
-    """Colour of a ray, in figures and 3D models, by its power in dB relative to the strongest ray."""
-    return _bytes(mpl.colormaps[_RAY_COLOURS](_ray_scale()(level_db)))
+    """Colour of a ray, in figures and 3D models, by its power in dB below the strongest ray, which is brightest."""
+    return _bytes(_RAY_COLOURS(_ray_scale()(level_db)))
 
 
 def group_colour(name: str) -> Rgba:
@@ -72,7 +74,7 @@ def material_colour(material: str, opacity: int) -> Rgba:
 
 def plot_room(room: ShownRoom, path: Path) -> None:
     """Draw plan and elevation of a scene as PNG, with the numbers of its strongest rays. Raises `StorageError`."""
-    low_m, high_m = _bounds_m(room)
+    low_m, high_m = bounds_m(room)
     spans = high_m - low_m
     heights = [spans[up] for _, up in _VIEWS.values()]
     width_in = 9.0
@@ -108,7 +110,7 @@ def plot_overview(
 
     `maps` are linear power, one a carrier, with one title each. Raises `StorageError`.
     """
-    low_m, high_m = _bounds_m(room)
+    low_m, high_m = bounds_m(room)
     chosen = np.unique(np.linspace(0, len(maps) - 1, min(len(maps), _OVERVIEW_MAPS)).round().astype(int))
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
@@ -160,29 +162,36 @@ def _bytes(colour: Iterable[float]) -> Rgba:
     return red, green, blue, opacity
 
 
-def _bounds_m(room: ShownRoom) -> tuple[FloatArray, FloatArray]:
+def bounds_m(room: ShownRoom) -> tuple[FloatArray, FloatArray]:
+    """The lowest and the highest x, y and z of all that is drawn of a room, and a margin around it, in metres."""
     points_m = [mesh.vertices_m for mesh in room.meshes]
     points_m += [room.receiver_m[None], room.tx_position_m, *(ray.points_m for ray in room.rays)]
     all_m = np.concatenate(points_m)
     return all_m.min(axis=0) - _MARGIN_M, all_m.max(axis=0) + _MARGIN_M
 
 
-def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
+def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
+    """Draw the facets of a room and its receiver on axes that show two world axes, such as [0, 1] for a plan."""
+    axis.set_facecolor(_BACKGROUND)
     for facet in planar_facets(room.meshes):
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
         colour = _MATERIAL_COLOURS.get(str(room.meshes[facet.surface].material), _OTHER_MATERIAL)
         axis.plot(*outline.T, color=colour, linewidth=1.2)
+    _draw_receiver(axis, room, shown)
+
+
+def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
+    draw_outlines(axis, room, shown)
     for name, position_m in room.groups().items():
         size = float(np.clip(4000 / max(1, len(room.tx_position_m)), 0.5, 16))
         axis.scatter(*position_m[:, shown].T, s=size, color=_GROUP_COLOURS[name], alpha=0.55, linewidths=0)
     _draw_rays(axis, room.rays, shown)
-    _draw_receiver(axis, room, shown)
     axis.plot(*room.tx_m[shown], "*", color="black", markersize=13, markeredgecolor="white", zorder=6)
 
 
 def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
     """Draw rays, the strongest on top."""
-    colours = [mpl.colormaps[_RAY_COLOURS](_ray_scale()(ray.level_db)) for ray in rays]
+    colours = [_RAY_COLOURS(_ray_scale()(ray.level_db)) for ray in rays]
     lines = [ray.points_m[:, shown] for ray in rays]
     axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
     numbered = list(zip(lines, colours, strict=True))[:_NUMBERED_RAYS]

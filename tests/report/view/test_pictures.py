@@ -1,0 +1,178 @@
+"""What `xfreqbench plot` draws, and the colours of rays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from png_folders import imported, write_folder
+from screened_room import CARRIERS_GHZ, ONE_LIT_TX, ONE_SHADOWED_TX
+
+from xfreqbench.cli.data import plot
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError
+from xfreqbench.report.drawing import figures as drawing
+from xfreqbench.report.view import figures, power
+from xfreqbench.report.view.figures import plot_room, ray_colour
+from xfreqbench.report.view.plan import ViewPlan
+from xfreqbench.report.view.power import plot_power, received_power
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that are written, each also as it stood when it was."""
+    kept: list[Figure] = []
+
+    def keep(figure: Figure, path: Path, kind: str) -> None:
+        kept.append(figure)
+        save(figure, path, kind)
+
+    save = drawing.save_figure
+    for module in (drawing, figures, power):
+        monkeypatch.setattr(module, "save_figure", keep)
+    return kept
+
+
+def panels(figure: Figure) -> list[Any]:
+    """The axes that show something but the colour bar."""
+    return [axis for axis in figure.axes if axis.get_visible() and axis.get_label() != "<colorbar>"]
+
+
+def of_kind(axis: Any, kind: type) -> Any:
+    (found,) = (each for each in axis.collections if type(each) is kind)
+    return found
+
+
+def brightness(colour: Any) -> float:
+    return float(np.dot(colour[:3], (0.299, 0.587, 0.114)))
+
+
+def test_maps_say_which_transmitter_it_is_where_it_stands_and_of_which_data(
+    dataset: PasDataset, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    for tx, sight in ((ONE_LIT_TX, "in sight"), (ONE_SHADOWED_TX, "in shadow")):
+        plot(dataset.path, output=tmp_path / "maps.png", tx=tx)
+        x, y, z = dataset.tables["tx_position_m"][tx]
+        title = f"room.h5, scene screened\ntransmitter {tx} at ({x:.2f}, {y:.2f}, {z:.2f}) m, {sight}"
+        assert drawn[-1].get_suptitle() == title
+        assert [axis.get_title() for axis in panels(drawn[-1])] == ["2.4 GHz", "24.25 GHz", "77 GHz"]
+
+
+def test_chosen_carriers_are_drawn_in_their_order_with_their_own_maps(
+    dataset: PasDataset, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    plot(dataset.path, output=tmp_path / "maps.svg", tx=4, carriers="77,2.4", db_range=50)
+    shown = panels(drawn[0])
+    assert [axis.get_title() for axis in shown] == ["77 GHz", "2.4 GHz"]
+    for axis, carrier_hz in zip(shown, (77e9, 2.4e9), strict=True):
+        (row,) = np.flatnonzero((dataset.tx_index == 4) & (dataset.carrier_hz == carrier_hz))
+        expected_db = 10 * np.log10(np.maximum(dataset.pas(int(row))[0], 1e-5))
+        mesh = axis.collections[0]
+        np.testing.assert_allclose(np.reshape(mesh.get_array(), dataset.grid.shape), expected_db, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["power.png", "power.svg", "power.pdf"])
+def test_a_plan_has_a_square_for_every_transmitter_in_the_colour_of_its_power(
+    dataset: PasDataset, tmp_path: Path, drawn: list[Figure], name: str
+) -> None:
+    plot(dataset.path, output=tmp_path / name, of="power", db_range=60)
+    (figure,) = drawn
+    assert figure.get_suptitle() == "room.h5, scene screened\npower received from 35 transmitters"
+    for axis, carrier_ghz in zip(panels(figure), CARRIERS_GHZ, strict=True):
+        received = np.mean(np.abs(dataset.cfr[dataset.carrier_hz == carrier_ghz * 1e9]) ** 2, axis=1)
+        assert axis.get_title() == f"{carrier_ghz:g} GHz, strongest {10 * np.log10(received.max()):.0f} dB"
+        squares = of_kind(axis, PolyCollection)
+        level_db = dict(
+            zip(
+                (tuple(path.vertices[:4].mean(axis=0).round(6)) for path in squares.get_paths()),
+                squares.get_array(),
+                strict=True,
+            )
+        )
+        for place, power_now in zip(dataset.tables["tx_position_m"], received, strict=True):
+            expected_db = 10 * np.log10(power_now / received.max())
+            assert level_db[tuple(place[:2].round(6))] == pytest.approx(expected_db, abs=1e-4)
+        assert len(level_db) == 35
+        assert squares.get_clim() == (-60, 0)
+        corners = squares.get_paths()[0].vertices
+        np.testing.assert_allclose(np.ptp(corners, axis=0), 0.5)  # a grid of one metre; no square is larger
+
+
+def test_free_space_is_seen_in_the_power(dataset: PasDataset) -> None:
+    """Behind the metal screen arrives less than in the far corner in sight, and less at high carriers."""
+    received = {carrier: received_power(dataset, carrier * 1e9) for carrier in CARRIERS_GHZ}
+    for powers in received.values():
+        assert powers[ONE_SHADOWED_TX] < powers[ONE_LIT_TX]
+    medians = [np.median(received[carrier]) for carrier in CARRIERS_GHZ]
+    assert medians[0] > medians[1] > medians[2]
+
+
+def test_transmitters_above_each_other_share_a_square_with_their_mean(
+    view: ViewPlan, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    position_m = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [2.0, 1.0, 1.0], [3.0, 1.0, 1.0]])
+    room = replace(view.room, tx_position_m=position_m, in_sight=None, tx=0)
+    plot_power(room, np.array([[1.0, 3.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0]]), [1e9, 2e9], tmp_path / "p.pdf")
+    first, silent = panels(drawn[0])
+    np.testing.assert_allclose(of_kind(first, PolyCollection).get_array(), [10 * np.log10(0.5 / 2), 0])
+    assert silent.get_title() == "2 GHz, no path"
+    assert not len(of_kind(silent, PolyCollection).get_paths())
+
+
+def test_strong_rays_are_brighter_and_drawn_over_weak_ones(
+    view: ViewPlan, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    plot_room(view.room, tmp_path / "room.png")
+    levels_db = [ray.level_db for ray in view.room.rays]
+    assert len(levels_db) > 3
+    assert levels_db == sorted(levels_db, reverse=True)
+    for axis in panels(drawn[0]):
+        lines = of_kind(axis, LineCollection)
+        colours = lines.get_colors()  # the last is drawn over the others
+        assert len(colours) == len(levels_db)
+        assert [brightness(colour) for colour in colours] == sorted(map(brightness, colours))
+        strongest = lines.get_segments()[-1]
+        assert len(strongest) == len(view.room.rays[0].points_m)
+        assert brightness(axis.get_facecolor()) < brightness(colours[0])
+    shades = [brightness(ray_colour(level_db)) for level_db in np.linspace(-30, 0, 31)]
+    assert shades == sorted(shades)
+
+
+def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    output = tmp_path / "new.png"
+    with pytest.raises(UnknownNameError, match=r"no carrier '5 GHz'.*2.4 GHz, 24.25 GHz, 77 GHz"):
+        plot(dataset.path, output=output, carriers="2.4,5")
+    with pytest.raises(XFreqBenchError, match="--carriers takes carriers in GHz"):
+        plot(dataset.path, output=output, carriers="2.4;5")
+    for db_range in (0.0, -3.0, float("nan"), float("inf")):
+        with pytest.raises(XFreqBenchError, match="--db-range takes dB above 0"):
+            plot(dataset.path, output=output, db_range=db_range)
+    with pytest.raises(XFreqBenchError, match="holds transmitters 0 to 34, but 35"):
+        plot(dataset.path, output=output, tx=35)
+    with pytest.raises(XFreqBenchError, match="leave --tx out"):
+        plot(dataset.path, output=output, of="power", tx=1)
+    with pytest.raises(XFreqBenchError, match="end its name in"):
+        plot(dataset.path, output=tmp_path / "new.gif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_pdf_of_somebody_else_stays(dataset: PasDataset, tmp_path: Path) -> None:
+    (tmp_path / "talk.pdf").write_bytes(b"%PDF-1.4 mine")
+    with pytest.raises(OutputExistsError, match=r"talk\.pdf"):
+        plot(dataset.path, output=tmp_path / "talk.pdf", of="power")
+    assert (tmp_path / "talk.pdf").read_bytes() == b"%PDF-1.4 mine"
+
+
+def test_maps_alone_have_no_power(tmp_path: Path) -> None:
+    imported(write_folder(tmp_path / "png"), tmp_path / "maps.h5")
+    with pytest.raises(DataError, match="maps alone"):
+        plot(tmp_path / "maps.h5", output=tmp_path / "power.png", of="power")
+    plot(tmp_path / "maps.h5", output=tmp_path / "maps.png")
+    assert (tmp_path / "maps.png").exists()
