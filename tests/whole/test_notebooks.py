@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import nbformat
 import pytest
-from notebooks import NOTEBOOKS, execute, text_outputs, words_and_numbers
+from notebooks import NOTEBOOKS, execute, read, text_outputs, words_and_numbers
 
 TRAINS = "a_method_of_your_own"  # other processors round in other ways, and so it ends at another step
 TOLERANCE = 0.02  # of numbers that are printed with two digits, and of draws that rounding may tip
@@ -20,7 +19,7 @@ def test_there_are_three_notebooks() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_prints_what_is_stored_in_it(path: Path, tmp_path: Path) -> None:
-    stored, now = (text_outputs(each) for each in (nbformat.read(path, 4), execute(path, tmp_path)))
+    stored, now = (text_outputs(each) for each in (read(path), execute(path, tmp_path)))
     assert len(stored) == len(now)
     for before, after in zip(stored, now, strict=True):
         words, numbers = words_and_numbers(after)
@@ -34,8 +33,7 @@ def test_a_notebook_prints_what_is_stored_in_it(path: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_stored_with_outputs_and_tells_nothing_of_where_it_was_run(path: Path) -> None:
-    notebook = nbformat.read(path, 4)
-    nbformat.validate(notebook)
+    notebook = read(path)
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     assert any(cell.outputs for cell in cells)
@@ -45,7 +43,7 @@ def test_a_notebook_is_stored_with_outputs_and_tells_nothing_of_where_it_was_run
 
 def test_links_of_notebooks_lead_somewhere() -> None:
     for path in NOTEBOOKS:
-        told = "".join(cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "markdown")
+        told = "".join(cell.source for cell in read(path).cells if cell.cell_type == "markdown")
         for target in re.findall(r"\]\((?!https?://)([^)#\s]+)", told):
             assert (path.parent / target).exists(), f"{path.name}: {target}"
 
