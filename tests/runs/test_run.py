@@ -324,3 +324,26 @@ def test_what_a_first_step_compiles_is_not_on_the_clock(
     assert record.step == 3
     assert record.fit_seconds is not None
     assert record.fit_seconds < Compiling.compile_s
+
+
+class Waiting(Stepwise):
+    """Waits for others for most of its fit."""
+
+    def fit(self, train, budget, seed):
+        for progress in super().fit(train, budget, seed):
+            time.sleep(0.4)
+            yield progress
+
+
+def test_a_fit_that_got_little_of_a_core_is_told(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = {"data": dataset.path, "targets": "24.25", "budget": "3steps", "results": tmp_path}
+    runs.run(method=f"{__name__}:Waiting", **options)
+    (record,) = records.read(tmp_path / "records.jsonl").records
+    assert 0 < record.core_share < records.LEAST_CORE_SHARE
+    said = capsys.readouterr()
+    assert "1 of 1 fits had under 70% of a core" in said.err
+    assert "Fitted beside busy programs" in said.out
+    runs.run(method="nearest", **options)
+    assert "of a core" not in capsys.readouterr().err

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -20,6 +22,9 @@ from xfreqbench.cli.options import (
     target_carriers_hz,
 )
 from xfreqbench.errors import XFreqBenchError
+
+if TYPE_CHECKING:
+    from xfreqbench.runs.records import RunRecord
 
 
 @app.command(group=RUN, help_epilogue=example("methods xfreq-gs"))
@@ -183,6 +188,22 @@ def run(
         f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
         quiet,
     )
+    _warn_of_busy(records, quiet)
+
+
+def _warn_of_busy(records: Sequence[RunRecord], quiet: bool) -> None:
+    """Say on stderr which fits got too little of a core for their seconds to mean much."""
+    from xfreqbench.runs.records import LEAST_CORE_SHARE
+
+    starved = [record for record in records if record.core_share < LEAST_CORE_SHARE]
+    if starved and not quiet:
+        least = min(starved, key=lambda record: record.core_share)
+        print(
+            f"xfreqbench: {len(starved)} of {len(records)} fits had under {LEAST_CORE_SHARE:.0%} of a core, the least "
+            f"{least.core_share:.0%} ({least.job.method} on {least.job.split}): other programs were busy. Times mean "
+            "little, and budgets in seconds gave fewer steps; budgets in steps, as in --budget 500steps, do not mind.",
+            file=sys.stderr,
+        )
 
 
 def _raise_failures(failures: list[str], what: str) -> None:

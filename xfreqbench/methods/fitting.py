@@ -26,7 +26,8 @@ _RANGE_TOLERANCE = 1e-4  # rounding in float32 of a map that was divided by its 
 class Fit:
     """How a fit stands at a yield, or stood at its end.
 
-    `seconds` is the time that the method itself took, `share` the part of the budget that is spent.
+    `seconds` is the time that the method itself took, `processor_seconds` that of all cores in it, and `share` the part
+    of the budget that is spent.
     """
 
     step: int
@@ -34,22 +35,28 @@ class Fit:
     seconds: float
     share: float = 0.0
     counts: Mapping[str, float] = field(default_factory=dict)
+    processor_seconds: float = 0.0
 
 
 Observer = Callable[[Fit | None, Fit], None]
 
 
 class Stopwatch:
-    """Adds up the time spent within its `with` blocks, in `seconds`, starting from a given number of seconds."""
+    """Adds up the time spent within its `with` blocks in `seconds`, and in `processor_seconds` that of this process.
 
-    def __init__(self, seconds: float = 0.0) -> None:
-        self.seconds = seconds
+    Both start from given numbers.
+    """
+
+    def __init__(self, seconds: float = 0.0, processor_seconds: float = 0.0) -> None:
+        self.seconds, self.processor_seconds = seconds, processor_seconds
 
     def __enter__(self) -> None:
-        self._started_s = time.perf_counter()
+        self._started_s = time.perf_counter(), time.process_time()
 
     def __exit__(self, *_: object) -> None:
-        self.seconds += time.perf_counter() - self._started_s
+        wall_s, processor_s = self._started_s
+        self.seconds += time.perf_counter() - wall_s
+        self.processor_seconds += time.process_time() - processor_s
 
 
 def fit_within(
@@ -92,7 +99,7 @@ class _RunningFit:
     ) -> None:
         self._method, self._budget, self._spent = method, budget, spent
         self._last = spent
-        self._clock = Stopwatch(spent.seconds if spent else 0.0)
+        self._clock = Stopwatch(*((spent.seconds, spent.processor_seconds) if spent else ()))
         with self._clock:
             self._yields: Any = iter(method.fit(train, budget, seed))
 
@@ -115,7 +122,8 @@ class _RunningFit:
             raise MethodError(
                 f"{_name(self._method)}.fit yielded nothing; it must yield Progress at least once."
             )
-        return replace(self._last, seconds=self._clock.seconds)
+        clock = self._clock
+        return replace(self._last, seconds=clock.seconds, processor_seconds=clock.processor_seconds)
 
     def _next(self, share: float | None) -> object:
         with self._clock:
@@ -128,6 +136,7 @@ class _RunningFit:
         if self._spent and self._last is self._spent and progress.step <= self._spent.step:
             self._last = None  # it started anew
             self._clock.seconds -= self._spent.seconds
+            self._clock.processor_seconds -= self._spent.processor_seconds
         before, self._last = self._last, self._stands(progress)
         _require_finite(before, self._last)
         return before, self._last
@@ -136,7 +145,9 @@ class _RunningFit:
         seconds = self._clock.seconds
         counts = {name: float(count) for name, count in progress.counts.items()}
         share = self._budget.share(progress.step, seconds)
-        return Fit(int(progress.step), float(progress.loss), seconds, share, counts)
+        return Fit(
+            int(progress.step), float(progress.loss), seconds, share, counts, self._clock.processor_seconds
+        )
 
 
 def _takes_share(steps: Any) -> bool:

@@ -40,11 +40,12 @@ class Checkpoint(SealedModel):
     counts: dict[str, float]
     curve: tuple[CurvePoint, ...]
     sha256: dict[str, str]
+    processor_seconds: Amount = 0.0
 
     @property
     def fit(self) -> Fit:
         """The state from which `fit_within` goes on."""
-        return Fit(self.step, self.loss, self.seconds, self.share, self.counts)
+        return Fit(self.step, self.loss, self.seconds, self.share, self.counts, self.processor_seconds)
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,7 @@ class CheckpointFolder:
             counts=dict(fit.counts),
             curve=curve,
             sha256=sha256,
+            processor_seconds=fit.processor_seconds,
         )
 
     def _refusal(self, fault: str) -> DataError:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from math import nan
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +22,7 @@ from xfreqbench.system.files import exclusive, read_bytes, require_regular, stor
 from xfreqbench.system.machine import git_commit, hardware, software
 
 NUM_QUANTILES = 101
+LEAST_CORE_SHARE = 0.7  # of a core, below which seconds of a fit say little
 _RECORD_START = b'{"'
 _BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
@@ -107,6 +109,7 @@ class RunRecord(SealedModel):
     * `nearest_trained_m` is the median distance from a tested transmitter to the nearest trained one.
     * `code_sha256` is the hash of the method's code, see `xfreqbench.methods.registry.code_sha256`.
     * `findings` is what the method says it has learned.
+    * `fit_processor_seconds` is the time of all cores during the fit; see `core_share`.
 
     If `external` is given, nothing was fitted or timed here: `fit_seconds`, `predict_ms_per_map` and `parameters` are
     as declared, or None; `peak_memory_mib` is None, `step` is 0 and `hardware` is empty. Only the scores were computed
@@ -146,6 +149,19 @@ class RunRecord(SealedModel):
     findings: dict[str, Any] = Field(default_factory=dict)
     external: External | None = None
     recipe: Annotated[str, Field(pattern=r"^([0-9]{1,9}|data)-[0-9a-f]{64}$")] | None = None
+    fit_processor_seconds: Amount | None = None
+
+    @property
+    def core_share(self) -> float:
+        """Processor time of the fit by its wall time; nan where it is not known, and for fits of under a second.
+
+        It is below 1 where other programs were busy, or the method waited for something. What a method computes on a
+        GPU or in other processes does not count, so there it is nan too.
+        """
+        if self.fit_processor_seconds is None or self.fit_seconds is None or self.fit_seconds < 1:
+            return nan
+        is_here = str(self.config.get("device", "cpu")).startswith("cpu")
+        return self.fit_processor_seconds / self.fit_seconds if is_here else nan
 
 
 class BenchPoint(BaseModel):

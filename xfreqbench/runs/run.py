@@ -90,6 +90,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FittingCallback | None =
         config=task.config,
         step=fit.step,
         fit_seconds=fit.seconds,
+        fit_processor_seconds=fit.processor_seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
         peak_memory_mib=peak_memory_mib,
         parameters=_num_parameters(task, method),

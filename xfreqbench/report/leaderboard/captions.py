@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from xfreqbench.data.splits import VALIDATIONS
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit
 from xfreqbench.report.leaderboard.published import reduced_statement
-from xfreqbench.runs.records import RunRecord
+from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
 
 def leak_statement(board: Board) -> str:
@@ -58,8 +58,8 @@ def origin_statement(board: Board) -> str:
 
 
 def notes(rows: Sequence[BoardRow]) -> list[str]:
-    """Notes below a table: on rows that were predicted elsewhere, and on reduced re-implementations."""
-    return [note for note in (_external_note(rows), reduced_statement(rows)) if note]
+    """Notes below a table: on rows predicted elsewhere, reduced re-implementations, and fits on a busy machine."""
+    return [note for note in (_external_note(rows), reduced_statement(rows), _busy_note(rows)) if note]
 
 
 def machine_names(records: Sequence[RunRecord]) -> list[str]:
@@ -94,6 +94,21 @@ def _external_note(rows: Sequence[BoardRow]) -> str:
     return (
         "External rows were predicted elsewhere and are scored here like every other; their times and "
         f"parameters are declared by their authors, or absent (–). {sources}."
+    )
+
+
+def _busy_note(rows: Sequence[BoardRow]) -> str:
+    """Which rows have fits that got too little of a core; empty where none has."""
+    low = {
+        row.label: [each.core_share for each in row.records if each.core_share < LEAST_CORE_SHARE]
+        for row in rows
+    }
+    busy = [f"{label} ({min(shares):.0%})" for label, shares in low.items() if shares]
+    if not busy:
+        return ""
+    return (
+        f"Fitted beside busy programs, under {LEAST_CORE_SHARE:.0%} of a core, so that seconds say little: "
+        f"{', '.join(busy)}."
     )
 
 
