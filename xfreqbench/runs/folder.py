@@ -19,7 +19,8 @@ from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, appen
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import exclusive, require_regular, require_space, storage_errors
 
-_RECORDS, _PREDICTIONS, _CHECKPOINTS = "records.jsonl", "predictions", "checkpoints"
+RECORDS_NAME = "records.jsonl"
+_PREDICTIONS, _CHECKPOINTS = "predictions", "checkpoints"
 
 
 class ResultsFolder:
@@ -29,7 +30,7 @@ class ResultsFolder:
     only after it has changed.
     """
 
-    def __init__(self, path: Path, records_name: str = _RECORDS) -> None:
+    def __init__(self, path: Path, records_name: str = RECORDS_NAME) -> None:
         self.path = path
         self.records_path = path / records_name
         self._stored = StoredRecords(())
@@ -105,7 +106,7 @@ class ResultsFolder:
     def require_writable(self) -> None:
         """Make the folders; raises `StorageError` where a record or predictions could not be stored in them."""
         for folder in (self.path, self.path / _PREDICTIONS):
-            require_space(folder / _RECORDS, 1)
+            require_space(folder / RECORDS_NAME, 1)
             with storage_errors(folder), tempfile.TemporaryFile(dir=folder):
                 pass
         if self.records_path.exists():

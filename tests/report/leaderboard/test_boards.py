@@ -10,9 +10,9 @@ from xfreqbench.report.leaderboard.boards import (
     boards,
     median_ssim,
     pooled_quantiles,
-    short_commit,
     short_name,
 )
+from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.runs.records import Job
 
 

@@ -66,6 +66,7 @@ def records_of(texts: dict[str, str]) -> tuple[list[RunRecord], list[BenchRecord
         "git_commit": texts["hardware"],
         "findings": {texts["findings"]: texts["findings"]},
         "config": {"name": texts["option"]},
+        "recipe": f"1-{'d' * 64}",
     }
     runs = [record.model_copy(update=common) for record in make_records()]
     own = make_record(method, 0.7, **common)
@@ -73,6 +74,8 @@ def records_of(texts: dict[str, str]) -> tuple[list[RunRecord], list[BenchRecord
     declared = {"sha256": "a" * 64, "hardware": texts["hardware"], "url": texts["url"]}
     runs.append(external(method=method, external=declared, **common | {"hardware": {}}))
     runs[-2] = runs[-2].model_copy(update=common)
+    guest = {"hardware": {"processor": f"other {texts['hardware']}"}, "dataset_sha256": "c" * 64}
+    runs.append(make_record(f"guest {method}", 0.6, **common | guest))
     label = texts["label"].replace("`", "'")  # code in the notes and cells of a measurement is its own
     point = BenchPoint(series=label, label=label, x=1.0, y=2.0)
     figure = BenchFigure(x_label=label, y_label=label, log_x=True, points=(point,))

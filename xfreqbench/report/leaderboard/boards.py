@@ -6,7 +6,8 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import chain, count, groupby
 from math import inf, isnan, nan
 from statistics import mean, stdev
@@ -14,15 +15,26 @@ from typing import Any
 
 import numpy as np
 
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import PROTOCOLS, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.report.leaderboard.origins import (
+    Origin,
+    RecordKey,
+    data_identities,
+    data_name,
+    origin_labels,
+    record_key,
+    short_commit,
+)
 from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 
-Configured = tuple[str, str, str | None]  # label, config as JSON, hash of the code
+Configured = tuple[str, str, str | None, str]  # label, config as JSON, hash of the code, of the data's bytes
 Runs = dict[tuple[str, int], RunRecord]  # by split and seed
-GroupKey = tuple[str, str, str]  # scene, data set's sha256, protocol
+GroupKey = tuple[str, str, str]  # scene, identity of the data, protocol
+Identity = Callable[[RunRecord], str]
 _MAX_STEM_BYTES = 150  # a name of a file may have 255
 Quantity = Callable[[RunRecord], float]
 
@@ -104,15 +116,21 @@ class BoardRow:
 
 @dataclass(frozen=True)
 class Board:
-    """Rows that may be ranked together: they share a data set, a protocol, and the versions of protocol and metrics."""
+    """Rows that may be ranked together: they share a data set, a protocol, and the versions of protocol and metrics.
+
+    `data` identifies the data set by its recipe, or by the sha256 of its bytes; see `data_identities`. `settings` are
+    those of the data of the oldest record. `sources` names the results that a record lies in, where those of
+    the board lie in several.
+    """
 
     scene: str
-    dataset_sha256: str
+    data: str
     protocol: str
     pas_kind: str
     settings: Mapping[str, Any]
     splits: tuple[str, ...]
     rows: tuple[BoardRow, ...]
+    sources: Mapping[RecordKey, str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -125,10 +143,29 @@ class Board:
         return [record for row in self.rows for record in row.records]
 
     @property
+    def data_name(self) -> str:
+        """The data set as it is shown: `office@1-3f9c2ab1`, or digits of a hash."""
+        return data_name(self.scene, self.data)
+
+    def is_of(self, dataset: PasDataset) -> bool:
+        """Whether the records are of a data set, whatever processor made its last digits."""
+        same_bytes = any(record.dataset_sha256 == dataset.sha256 for record in self.records)
+        return same_bytes or self.data == dataset.recipe.id
+
+    @cached_property
+    def origins(self) -> Mapping[Origin, str]:
+        """A label for each origin of its records; empty where one machine made all of them from one file of data."""
+        return origin_labels(self.records, self.origin)
+
+    def origin(self, record: RunRecord) -> Origin:
+        """The machine, code, data and results that a record comes from."""
+        return Origin.of(record, self.sources)
+
+    @property
     def slug(self) -> str:
         """What the file names of its figures begin with."""
         named = file_stem(re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}"))
-        return f"{named}-{self.dataset_sha256[:8]}"
+        return f"{named}-{self.data_name.rpartition('@')[2] if '-' in self.data else self.data[:8]}"
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of the trivial predictors on a split; nan unless all of them were run."""
@@ -167,18 +204,29 @@ class Board:
         return sorted(rows, key=lambda row: (-row.average(splits, median_ssim), row.label))
 
 
-def boards(records: Iterable[RunRecord]) -> list[Board]:
+def boards(
+    records: Iterable[RunRecord],
+    sources: Mapping[RecordKey, str] | None = None,
+    identity: Identity | None = None,
+) -> list[Board]:
     """One board for each data set and protocol, by scene, data set and the order of `PROTOCOLS`, then of `VALIDATIONS`.
 
-    Of a job that was run twice, the later record counts. Raises `DataError` where records of a board are of
-    different versions of the protocol or of the metrics.
+    Data sets are told apart by `identity`, which is `data_identities` of the records where it is absent, and
+    `sources` tells which results records lie in. Of a job that was run twice, the later record counts; of the same
+    job on other bytes of the same data there is another row, but for trivial predictors, whose first stays. Raises
+    `DataError` where records of a board are of different versions of the protocol or of the metrics, or test other
+    samples.
     """
-    ordered = sorted(records, key=lambda record: (*_group_key(record), record.time_utc, record.id))
-    grouped = [_board(key, list(group)) for key, group in groupby(ordered, _group_key)]
+    every = list(records)
+    data = identity or data_identities(every)
+
+    def key(record: RunRecord) -> GroupKey:
+        return record.scene, data(record), record.job.protocol
+
+    ordered = sorted(every, key=lambda record: (*key(record), record.time_utc, record.id))
+    grouped = [_board(of, list(group), sources or {}) for of, group in groupby(ordered, key)]
     order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
-    return sorted(
-        grouped, key=lambda board: (board.scene, board.dataset_sha256, order.get(board.protocol, len(order)))
-    )
+    return sorted(grouped, key=lambda board: (board.scene, board.data, order.get(board.protocol, len(order))))
 
 
 def file_stem(text: str) -> str:
@@ -208,22 +256,13 @@ def short_name(split: str) -> str:
     return split.removeprefix(max(starts, key=len, default=""))
 
 
-def short_commit(commit: str | None) -> str:
-    """The first seven digits of a commit with the mark of an edited source; `?` where the commit is unknown."""
-    digits, plus, changes = (commit or "?").partition("+")
-    return digits[:7] + plus + changes
+def comparable(record: RunRecord, identity: Identity) -> tuple[object, ...]:
+    """What two records have to have in common to be ranked together; `identity` is that of their data."""
+    versions = record.protocol_version, record.metrics_version
+    return record.scene, identity(record), record.job.protocol, *versions
 
 
-def comparable(record: RunRecord) -> tuple[object, ...]:
-    """What two records have to have in common to be ranked together."""
-    return *_group_key(record), record.protocol_version, record.metrics_version
-
-
-def _group_key(record: RunRecord) -> GroupKey:
-    return record.scene, record.dataset_sha256, record.job.protocol
-
-
-def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
+def _board(key: GroupKey, records: Sequence[RunRecord], sources: Mapping[RecordKey, str]) -> Board:
     versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
     if len(versions) > 1:
         described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
@@ -232,6 +271,7 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
             "ranked together. Delete the older lines and run those jobs again."
         )
     splits = sorted({record.job.split for record in records}, key=_natural)
+    _require_same_samples(key, records)
 
     def place(row: BoardRow) -> tuple[float, str]:
         average = row.average(splits, median_ssim)
@@ -239,18 +279,38 @@ def _board(key: GroupKey, records: Sequence[RunRecord]) -> Board:
 
     rows = sorted(_rows(records), key=place)
     data = records[0]  # all records of a board describe the same data set
-    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows))
+    named = {sources.get(record_key(record), "") for record in records}
+    told = sources if len(named) > 1 else {}
+    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
+
+
+def _require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
+    """Raise `DataError` for records of two files of data that test other samples on a split of the same name."""
+    first: dict[str, RunRecord] = {}
+    for each in records:
+        known = first.setdefault(each.job.split, each)
+        if each.dataset_sha256 != known.dataset_sha256 and each.split_sha256 != known.split_sha256:
+            raise DataError(
+                f"Records {known.id} and {each.id} of {data_name(*key[:2])} test other samples on the split "
+                f"{each.job.split!r} ({known.num_test} and {each.num_test}), so that they cannot be ranked together: "
+                "the data of one lack paths that those of the other have. Generate them anew with the default solver "
+                "and number of rays, or leave out the results of one."
+            )
 
 
 def _rows(records: Sequence[RunRecord]) -> list[BoardRow]:
-    """One row for each label, configuration and code; rows of equal labels are told apart by their commits."""
+    """One row for each label, configuration, code and file of data; rows of equal labels are told apart."""
     by_config: dict[Configured, Runs] = {}
     editions = _editions(records)
     for record in records:
         label = _label(record)
         source = editions[label, record.external.sha256] if record.external else record.code_sha256
-        key = label, json.dumps(record.config, sort_keys=True), source
-        by_config.setdefault(key, {})[record.job.split, record.job.seed] = record
+        is_fitted = not (_is_trivial(record) or record.external)
+        config, data = json.dumps(record.config, sort_keys=True), record.dataset_sha256 if is_fitted else ""
+        found = by_config.setdefault((label, config, source, data), {})
+        known = found.setdefault((record.job.split, record.job.seed), record)
+        if known.dataset_sha256 == record.dataset_sha256:
+            found[record.job.split, record.job.seed] = record
     return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
 
 
@@ -276,18 +336,26 @@ def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
 def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
     """The runs of each row by a label of its own.
 
-    Equal labels get their commit added, and then a number where they are still equal; external predictions get the
-    first digits of their file's hash in place of a commit.
+    Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
+    are still equal; external predictions get the first digits of their file's hash in place of a commit.
     """
+    versions = {key: _version(next(iter(found.values()))) for key, found in by_config.items()}
     times = Counter(label for label, *_ in by_config)
+    data_of: dict[tuple[str, str], set[str]] = {}
+    for key, version in versions.items():
+        data_of.setdefault((key[0], version), set()).add(key[3])
     named: dict[str, Runs] = {}
-    for (label, *_), found in by_config.items():
-        record = next(iter(found.values()))
-        version = record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+    for key, found in by_config.items():
+        (label, *_, data), version = key, versions[key]
         name = label if times[label] == 1 else f"{label} @ {version}"
+        name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
         others = (f"{name} #{number}" for number in count(2))
         named[next(each for each in chain([name], others) if each not in named)] = found
     return named
+
+
+def _version(record: RunRecord) -> str:
+    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
 
 
 def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from xfreqbench.data.splits import VALIDATIONS
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit
+from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.published import reduced_statement
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
@@ -39,13 +40,16 @@ def data_statement(board: Board) -> str:
     settings = board.settings
     parts = [f"{board.pas_kind} maps"]
     if "solver" in settings:
-        parts.append(f"{settings['solver']} solver")
+        solvers = dict.fromkeys(str(record.settings.get("solver")) for record in board.records)
+        parts.append(f"{' and '.join(sorted(solvers))} solver")
     if isinstance(settings.get("interactions"), list):
         parts.append(" and ".join(map(str, settings["interactions"])) or "no interactions")
     if "max_depth" in settings:
         parts.append(f"depth {settings['max_depth']}")
-    told = ", ".join(parts).replace("`", "'")  # backticks are ours
-    return f"Data set `{board.dataset_sha256[:16]}`: {told}"
+    name, told = (
+        text.replace("`", "'") for text in (board.data_name, ", ".join(parts))
+    )  # backticks are ours
+    return f"Data set `{name}`: {told}"
 
 
 def origin_statement(board: Board) -> str:
@@ -57,22 +61,24 @@ def origin_statement(board: Board) -> str:
     return f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
 
 
-def notes(rows: Sequence[BoardRow]) -> list[str]:
-    """Notes below a table: on rows predicted elsewhere, reduced re-implementations, and fits on a busy machine."""
-    return [note for note in (_external_note(rows), reduced_statement(rows), _busy_note(rows)) if note]
+def notes(board: Board, rows: Sequence[BoardRow]) -> list[str]:
+    """Notes below a table of some rows of a board.
+
+    They tell the origins of the rows, where the board has several, whose word stands for rows that were predicted
+    elsewhere, what reduced re-implementations leave out, and which fits ran on a busy machine.
+    """
+    told = (
+        _origins_note(board, rows),
+        _external_note(rows),
+        reduced_statement(rows),
+        _busy_note(rows),
+    )
+    return [note for note in told if note]
 
 
 def machine_names(records: Sequence[RunRecord]) -> list[str]:
     """The machines on which records were made, each once, sorted; external records have none."""
     return sorted({machine_name(record.hardware) for record in records if record.external is None})
-
-
-def machine_name(hardware: Mapping[str, str]) -> str:
-    """A machine in one line: its processor, cores, system and GPUs."""
-    parts = dict(hardware)
-    if "cores" in parts:
-        parts["cores"] += " core" if parts["cores"] == "1" else " cores"
-    return ", ".join(parts.values())
 
 
 def span(numbers: tuple[int, int]) -> str:
@@ -83,6 +89,13 @@ def span(numbers: tuple[int, int]) -> str:
 
 def _counted(name: str, values: Sequence[object]) -> str:
     return f"{name}{'s' if len(values) > 1 else ''} {', '.join(map(str, values))}"
+
+
+def _origins_note(board: Board, rows: Sequence[BoardRow]) -> str:
+    """What the labels of origins stand for, and what does not compare; empty where there is one origin."""
+    shown = {board.origin(record) for row in rows for record in row.records}
+    told = "; ".join(f"{label}: {origin}" for origin, label in board.origins.items() if origin in shown)
+    return f"Origins: {told}. Times compare on one machine alone." if told else ""
 
 
 def _external_note(rows: Sequence[BoardRow]) -> str:

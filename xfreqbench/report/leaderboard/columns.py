@@ -67,19 +67,30 @@ COSTS = {
 }
 
 _OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
-RANKING = ("rank", "method", "splits", "average", "seed spread", "skill", "seeds", *COSTS, "published")
-BRIEF = ("rank", "name", "splits", "average", "skill", "budget")
+RANKING = (
+    "rank",
+    "method",
+    "origin",
+    "splits",
+    "average",
+    "seed spread",
+    "skill",
+    "seeds",
+    *COSTS,
+    "published",
+)
+BRIEF = ("rank", "name", "origin", "splits", "average", "skill", "budget")
 ONE_SPLIT = (
-    *("rank", "method", "ssim", "mean", "p10", *_OTHER_METRICS),
+    *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seeds", *COSTS, "published"),
 )
 TABLE = (
-    *("best rank", "worst rank", "method", "budget", "ssim", "mean", "p10", *_OTHER_METRICS),
+    *("best rank", "worst rank", "method", "origin", "budget", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seed spread", "seeds", *COSTS, "published"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
 PAGE = (
-    *("rank", "method", "splits", "average", "p10", "skill", "seeds"),
+    *("rank", "method", "origin", "splits", "average", "p10", "skill", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
     *("seconds", "milliseconds", "memory", "parameters"),
 )
@@ -134,6 +145,13 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         PUBLISHED_TITLE, "median SSIM in the paper", lambda row: published_cell(row, splits)
     )
     known = [published] if any(map(published.text, comparison.rows)) else []
+    origins = comparison.board.origins
+
+    def origin_text(row: BoardRow) -> str:
+        told = {origins[comparison.board.origin(record)] for record in row.records}
+        return " ".join(label for label in origins.values() if label in told)
+
+    origin = LeaderboardColumn("origin", "machine, code and data, told below the table", origin_text)
     return {
         "rank": [rank],
         "best rank": [_place_column(comparison, 0)],
@@ -142,6 +160,7 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         "name": [name],
         "budget": [budget],
         "seeds": [seeds],
+        "origin": [origin] if origins else [],
         "published": known,
     }
 

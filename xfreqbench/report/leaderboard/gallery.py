@@ -106,7 +106,7 @@ def _open(board: Board) -> PasDataset | None:
             dataset = open_dataset(path)
         except DataError:
             continue
-        if dataset.sha256 == board.dataset_sha256:
+        if board.is_of(dataset):
             return dataset
     return None
 
@@ -180,7 +180,7 @@ def _missing_data(board: Board) -> str:
     made = (
         f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
     )
-    return f"No pictures: {path}, sha256 {board.dataset_sha256[:16]}…, is not here. `{made}` makes it."
+    return f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it."
 
 
 def _missing_predictions(board: Board, absent: list[str]) -> str:

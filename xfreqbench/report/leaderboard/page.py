@@ -9,10 +9,10 @@ from typing import Any
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.templates import render
-from xfreqbench.report.leaderboard.captions import machine_name
 from xfreqbench.report.leaderboard.columns import COSTS
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.gallery import gallery, scales
+from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.report.leaderboard.page_content import CHART_COSTS, board_content, figure_content
 from xfreqbench.report.leaderboard.page_tables import board_tables, page_facts
 from xfreqbench.report.leaderboard.results import RankedResults, read_results

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_commit, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
 from xfreqbench.report.leaderboard.columns import PAGE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
+from xfreqbench.report.leaderboard.origins import short_commit
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
 def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     """Data sets, machines, commits and dates of all records, each fact with its lines."""
     records = [record for board in ranked for record in board.records]
-    data = {f"{board.scene}, {board.pas_kind} maps, sha256 {board.dataset_sha256[:16]}" for board in ranked}
+    data = {f"{board.scene}, {board.pas_kind} maps, {_told(board)}" for board in ranked}
     commits = {short_commit(record.git_commit) for record in records}
     days = sorted({record.time_utc[:10] for record in records})
     return {
@@ -53,6 +54,10 @@ def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     }
 
 
+def _told(board: Board) -> str:
+    return board.data_name if "@" in board.data_name else f"sha256 {board.data_name}"
+
+
 def _set_table(comparison: Comparison) -> SetTable:
     trivial = [row for row in comparison.rows if row.is_trivial]  # the best first
     return SetTable(
@@ -60,5 +65,5 @@ def _set_table(comparison: Comparison) -> SetTable:
         columns=leaderboard_columns(comparison, PAGE),
         rows=comparison.rows,
         best_trivial=trivial[0] if trivial else None,
-        notes=notes(comparison.rows),
+        notes=notes(comparison.board, comparison.rows),
     )

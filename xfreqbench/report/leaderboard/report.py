@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
-from xfreqbench.report.leaderboard.boards import Board, boards, file_stem, short_commit
+from xfreqbench.report.leaderboard.boards import Board, boards, file_stem
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
     leak_statement,
-    machine_name,
     origin_statement,
 )
 from xfreqbench.report.leaderboard.columns import BRIEF
@@ -26,6 +25,7 @@ from xfreqbench.report.leaderboard.figures import (
     require_own_figures,
 )
 from xfreqbench.report.leaderboard.legend import legend
+from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import overview_markdown
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results

@@ -9,7 +9,8 @@ from pathlib import Path
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
-from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.report.leaderboard.origins import RecordKey, data_identities, record_key
+from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
 
@@ -41,12 +42,27 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
                 f"{folder.records_path} holds no records. Run `xfreqbench run` first, or mend the path."
             )
         _require_scores(folder.records_path, folder.records)
-    found = (record for folder in folders for record in folder.records)
-    records = {(record.id, record.job, record.time_utc): record for record in found}
+    names = _names(folders)
+    records: dict[RecordKey, RunRecord] = {}
+    sources: dict[RecordKey, str] = {}
+    for folder, name in zip(folders, names, strict=True):
+        for record in folder.records:
+            records.setdefault(record_key(record), record)
+            sources.setdefault(record_key(record), name)
     benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
     every = tuple(records.values())  # each once, though several folders may hold it
-    return RankedResults(folders, every, boards(every), benches, num_truncated)
+    ranked = boards(every, sources if len(folders) > 1 else None)
+    return RankedResults(folders, every, ranked, benches, num_truncated)
+
+
+def _names(folders: Sequence[ResultsFolder]) -> list[str]:
+    """What results are called beside others: their folder or file, or its whole path where two are called the same."""
+    paths = [
+        folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders
+    ]
+    short = [path.absolute().stem for path in paths]
+    return short if len({*short}) == len({*paths}) else [path.as_posix() for path in paths]
 
 
 def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
@@ -54,8 +70,10 @@ def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord
 
     Those of other versions of protocol or metrics, which cannot be ranked beside them, are left out.
     """
-    keys = set(map(comparable, records))
-    return [each for each in ResultsFolder(results).stored.records if comparable(each) in keys]
+    stored = ResultsFolder(results).stored.records
+    identity = data_identities(stored)
+    keys = {comparable(record, identity) for record in records}
+    return [each for each in stored if comparable(each, identity) in keys]
 
 
 def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import isnan
 from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, boards, comparable, median_ssim, short_name
+from xfreqbench.report.leaderboard.boards import (
+    Board,
+    BoardRow,
+    Identity,
+    boards,
+    comparable,
+    median_ssim,
+    short_name,
+)
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
+from xfreqbench.report.leaderboard.origins import data_identities
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
@@ -56,7 +66,9 @@ def compare_results(a: Path, b: Path) -> str:
     a method that has one row in either set, or the only rows of both. Raises `DataError` where there are no
     records, or none that may be compared.
     """
-    of_a, of_b = (_boards(records_at(path)) for path in (a, b))
+    records = [records_at(path) for path in (a, b)]
+    identity = data_identities(chain(*records))
+    of_a, of_b = (_boards(each, identity) for each in records)
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
         raise DataError(f"Nothing in {a} and {b} can be compared: {_told(of_a)}; and {_told(of_b)}.")
@@ -79,8 +91,9 @@ def records_at(path: Path) -> Sequence[RunRecord]:
     return list(chosen.values())
 
 
-def _boards(records: Sequence[RunRecord]) -> _Boards:
-    return {comparable(board.records[0]): board for board in boards(records)}
+def _boards(records: Sequence[RunRecord], identity: Identity) -> _Boards:
+    ranked = boards(records, identity=identity)
+    return {comparable(board.records[0], identity): board for board in ranked}
 
 
 def _section(a: Board, b: Board) -> str:
@@ -161,7 +174,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
 def _told(found: _Boards) -> str:
     """Data sets, protocols and methods of a set of results."""
     return "; ".join(
-        f"{board.title} of data {board.dataset_sha256[:8]}, versions {board.records[0].protocol_version} and "
+        f"{board.title} of data {board.data_name}, versions {board.records[0].protocol_version} and "
         f"{board.records[0].metrics_version} of protocol and metrics ({', '.join(row.label for row in board.rows)})"
         for board in found.values()
     )

@@ -55,7 +55,13 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
         else "Median SSIM, best first"
     )
     caption = f"{where}; order within overlapping ranks means nothing:"
-    return "\n\n".join([caption, _leaderboard(comparison, columns), *map(paragraph, notes(comparison.rows))])
+    return "\n\n".join(
+        [
+            caption,
+            _leaderboard(comparison, columns),
+            *map(paragraph, notes(comparison.board, comparison.rows)),
+        ]
+    )
 
 
 def split_tables(board: Board, resampling: Resampling) -> list[str]:
@@ -108,7 +114,7 @@ def _split_parts(board: Board, split: str, resampling: Resampling) -> list[str]:
     caption = f"{record.num_test} samples{left_out}. Medians where nothing else is said, means over seeds."
     title = f"### {heading(short_name(split))}"
     alone = (
-        [*map(paragraph, notes(comparison.rows)), *_pair_table(comparison)]
+        [*map(paragraph, notes(comparison.board, comparison.rows)), *_pair_table(comparison)]
         if split in board.lone_splits()
         else []
     )

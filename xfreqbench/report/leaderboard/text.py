@@ -41,8 +41,8 @@ class Leaderboard:
     def to_pandas(self) -> Any:
         """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.
 
-        The first columns say which table it is: scene, protocol, kind of maps, sha256 of the data, and the splits as
-        a tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
+        The first columns say which table it is: scene, protocol, kind of maps, name of the data, and the splits as a
+        tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
         interval of 95 % is known, its ends are in two more columns, `skill low` and `skill high`. Raises
         `XFreqBenchError` where pandas is not installed.
         """
@@ -82,7 +82,7 @@ def _rows(comparison: Comparison) -> list[dict[str, Any]]:
         "scene": board.scene,
         "protocol": board.protocol,
         "maps": board.pas_kind,
-        "data sha256": board.dataset_sha256,
+        "data": board.data_name,
         "splits": comparison.splits,
     }
     return [

@@ -1,0 +1,175 @@
+"""Records of several people stand on one board where their data have one recipe, and each row says whose it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from leaderboard_records import leaderboard_markdown, of_three_seeds, rows_of, with_job
+from places import ROOT
+from stored_records import SPLITS, external, make_record
+
+from xfreqbench.data.recipe import Recipe
+from xfreqbench.errors import DataError
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.origins import data_identities
+from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.side_by_side import compare_results
+from xfreqbench.runs.benchmark import plan_benchmark
+from xfreqbench.runs.records import append, read
+
+RECIPE = "1-" + "3f9c2ab1" * 8
+OTHER = {
+    "dataset_sha256": "c" * 64,
+    "hardware": {"processor": "Intel Xeon", "cores": "16"},
+    "git_commit": "beef" * 10,
+    "time_utc": "2026-02-01T00:00:00+00:00",
+}
+
+
+def ours(method="ours", ssim=0.9, split=SPLITS[0], **changes):
+    return make_record(method, ssim, split, **{"recipe": RECIPE, "code_sha256": "e" * 64, **changes})
+
+
+def theirs(method="ours", ssim=0.8, split=SPLITS[0], **changes):
+    return ours(method, ssim, split, **{**OTHER, **changes})
+
+
+def test_data_of_one_recipe_are_one_board_whatever_their_bytes() -> None:
+    (board,) = boards([ours(), theirs("other method")])
+    assert board.data_name == "office@1-3f9c2ab1"
+    assert board.slug == "office-lofo-1-3f9c2ab1"
+    assert {row.label for row in board.rows} == {"ours", "other method"}
+    assert len(boards([ours(), theirs(recipe="1-" + "0" * 64)])) == 2
+    assert len(boards([ours(), theirs(scene="two_rooms")])) == 2
+
+
+def test_records_without_a_recipe_are_told_apart_by_the_bytes_of_their_data() -> None:
+    assert len(boards([make_record(), make_record(dataset_sha256="c" * 64)])) == 2
+    (board,) = boards([make_record()])
+    assert (board.data, board.data_name) == ("a" * 64, "a" * 16)
+
+
+def test_an_older_record_joins_the_recipe_that_another_record_names_for_its_bytes() -> None:
+    older = make_record("older")
+    assert len(boards([older, theirs()])) == 2  # nothing says that these bytes are of that recipe
+    (board,) = boards([older, ours(), theirs("third")])
+    assert {row.label for row in board.rows} == {"older", "ours", "third"}
+    assert data_identities([older, ours()])(older) == RECIPE
+
+
+def test_each_row_says_which_machine_and_code_made_it_where_there_are_several() -> None:
+    markdown = leaderboard_markdown([ours(), theirs("third"), *(ours(method) for method in TRIVIAL)])
+    assert {rows_of(markdown, name)[0]["origin"] for name in ("ours", *TRIVIAL)} == {"m1"}
+    assert rows_of(markdown, "third")[0]["origin"] == "m2"
+    first, second = (
+        "AMD EPYC, 2 cores, commit ?, data aaaaaaaa",
+        "Intel Xeon, 16 cores, commit beefbee, data cccccccc",
+    )
+    assert f"Origins: m1: {first}; m2: {second}. Times compare on one machine alone." in markdown
+    alone = leaderboard_markdown([ours(), ours("third", git_commit="beef" * 10)])
+    assert "origin" not in alone.partition("## What the columns say")[0]
+
+
+def test_predictions_made_elsewhere_are_of_no_machine() -> None:
+    markdown = leaderboard_markdown([ours(), theirs("third"), external(recipe=RECIPE)])
+    assert "predicted elsewhere, commit ?, data aaaaaaaa" in markdown
+    assert rows_of(markdown, "theirs (external)")[0]["origin"] == "m1"  # the labels follow times and ids
+
+
+def test_the_same_method_on_two_machines_is_two_rows_and_a_trivial_predictor_one() -> None:
+    seeds = [with_job(ours(ssim=0.9), seed=seed) for seed in range(3)]
+    again = [with_job(theirs(ssim=0.7, git_commit=None), seed=seed) for seed in range(3)]
+    (board,) = boards([*seeds, *again, ours("nearest", 0.5), theirs("nearest", 0.6)])
+    values = {
+        row.label: row.average(SPLITS[:1], lambda record: record.scores["ssim"].median) for row in board.rows
+    }
+    assert values == pytest.approx(
+        {"ours @ ?, data aaaaaaa": 0.9, "ours @ ?, data ccccccc": 0.7, "nearest": 0.5}
+    )
+    (board,) = boards([ours("nearest", 0.5), ours("nearest", 0.6, time_utc=OTHER["time_utc"])])
+    assert (
+        board.rows[0].records[0].scores["ssim"].median == 0.6
+    )  # on the same bytes, the later counts as ever
+
+
+def test_rows_of_two_machines_are_compared_pair_by_pair() -> None:
+    shared = {"recipe": RECIPE, "code_sha256": "e" * 64}
+    of_theirs = [each.model_copy(update=OTHER) for each in of_three_seeds("better", 0.1, 10)]
+    every = [each.model_copy(update=shared) for each in (*of_three_seeds("ours", 0.0, 0), *of_theirs)]
+    markdown = leaderboard_markdown(every)
+    assert rows_of(markdown, "better")[0]["rank"] == "1"
+    assert rows_of(markdown, "ours")[0]["rank"] == "2"
+
+
+def test_records_that_test_other_samples_are_refused_and_named() -> None:
+    fewer = theirs("third", split_sha256="d" * 64, num_test=99)
+    with pytest.raises(DataError, match=r"of office@1-3f9c2ab1 test other samples .* \(100 and 99\)"):
+        boards([ours(), fewer])
+
+
+def test_both_solvers_of_a_board_are_named() -> None:
+    traced = {"solver": "sionna", "interactions": ["specular"], "max_depth": 1}
+    markdown = leaderboard_markdown([ours(), theirs("third", settings=traced)])
+    assert "Data set `office@1-3f9c2ab1`: power maps, image and sionna solver, specular, depth 1." in markdown
+
+
+def stored(folder: Path, *records) -> Path:
+    folder.mkdir()
+    for record in records:
+        append(folder / "records.jsonl", record)
+    return folder
+
+
+def test_where_results_are_given_side_by_side_a_row_says_in_which_it_lies(tmp_path: Path) -> None:
+    a, b = stored(tmp_path / "reference", ours()), stored(tmp_path / "alice", theirs("third"))
+    (board,) = read_results([a, b]).boards
+    told = [str(origin) for origin in board.origins]
+    assert [text.rpartition(", from ")[2] for text in told] == ["reference", "alice"]
+    (alone,) = read_results(stored(tmp_path / "both", ours(), theirs("third"))).boards
+    assert all("from" not in str(origin) for origin in alone.origins)
+    same = stored(tmp_path / "elsewhere", ours(), theirs("third"))
+    named = read_results([same, b, a]).boards[0].origins
+    assert all("from" not in str(origin) for origin in named)  # all of them lie in the first
+
+
+def test_results_of_the_same_name_are_named_by_their_paths(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    paths = stored(tmp_path / "a" / "results", ours()), stored(tmp_path / "b" / "results", theirs("third"))
+    (board,) = read_results(paths).boards
+    assert [str(origin).rpartition(", from ")[2] for origin in board.origins] == [
+        path.as_posix() for path in paths
+    ]
+
+
+def test_results_of_two_machines_are_compared_side_by_side(tmp_path: Path) -> None:
+    a, b = stored(tmp_path / "a", ours(ssim=0.9)), stored(tmp_path / "b", theirs(ssim=0.8))
+    assert "| 0.9000 | 0.8000 | -0.1000 |" in " ".join(compare_results(a, b).split())
+
+
+@pytest.mark.slow
+def test_the_reference_records_are_joined_by_data_of_the_same_recipe(tmp_path: Path) -> None:
+    """They were written before records named recipes; the recipe of their data is that of the standard benchmark."""
+    reference = ROOT / "baselines" / "reference_results.jsonl"
+    plans = plan_benchmark("standard", tmp_path / "data", tmp_path / "results").plans
+    before = boards(read(reference).records)
+    assert all("-" not in board.data for board in before if board.records[0].recipe is None)
+    for scene, plan in plans.items():
+        recipe = Recipe.of_scene(
+            plan.scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere()
+        )
+        known = next(
+            each for each in read(reference).records if (each.scene, each.job.protocol) == (scene, "lofo")
+        )
+        guest = known.model_copy(
+            update=OTHER | {"id": "guest", "job": with_job(known, method="guest").job, "recipe": recipe.id}
+        )
+        path = stored(tmp_path / scene, guest)
+        joined = [board for board in read_results([reference, path]).boards if board.scene == scene]
+        (lofo,) = [board for board in joined if board.protocol == "lofo"]
+        assert len(joined) == len([board for board in before if board.scene == scene])
+        assert lofo.data_name == recipe.name
+        assert {row.job.method for row in lofo.rows} > {"guest", known.job.method}
