@@ -47,7 +47,7 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
     sources: dict[RecordKey, str] = {}
     for folder, name in zip(folders, names, strict=True):
         for record in folder.records:
-            records.setdefault(record_key(record), record)
+            records[record_key(record)] = record
             sources.setdefault(record_key(record), name)
     benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
