@@ -64,18 +64,16 @@ def test_each_row_says_which_machine_and_code_made_it_where_there_are_several() 
     markdown = leaderboard_markdown([ours(), theirs("third"), *(ours(method) for method in TRIVIAL)])
     assert {rows_of(markdown, name)[0]["origin"] for name in ("ours", *TRIVIAL)} == {"m1"}
     assert rows_of(markdown, "third")[0]["origin"] == "m2"
-    first, second = (
-        "AMD EPYC, 2 cores, commit ?, data aaaaaaaa",
-        "Intel Xeon, 16 cores, commit beefbee, data cccccccc",
-    )
-    assert f"Origins: m1: {first}; m2: {second}. Times compare on one machine alone." in markdown
+    first, second = "AMD EPYC, 2 cores, data aaaaaaaa: m1", "Intel Xeon, 16 cores, data cccccccc: m2"
+    told = f"Origins: {first} (commit ?); {second} (commit beefbee). Times compare on one machine alone."
+    assert told in markdown
     alone = leaderboard_markdown([ours(), ours("third", git_commit="beef" * 10)])
     assert "origin" not in alone.partition("## What the columns say")[0]
 
 
 def test_predictions_made_elsewhere_are_of_no_machine() -> None:
     markdown = leaderboard_markdown([ours(), theirs("third"), external(recipe=RECIPE)])
-    assert "predicted elsewhere, commit ?, data aaaaaaaa" in markdown
+    assert "predicted elsewhere, data aaaaaaaa: m1 (commit ?)" in markdown
     assert rows_of(markdown, "theirs (external)")[0]["origin"] == "m1"  # the labels follow times and ids
 
 
@@ -126,13 +124,13 @@ def stored(folder: Path, *records) -> Path:
 def test_where_results_are_given_side_by_side_a_row_says_in_which_it_lies(tmp_path: Path) -> None:
     a, b = stored(tmp_path / "reference", ours()), stored(tmp_path / "alice", theirs("third"))
     (board,) = read_results([a, b]).boards
-    told = [str(origin) for origin in board.origins]
-    assert [text.rpartition(", from ")[2] for text in told] == ["reference", "alice"]
+    assert [origin.source for origin in board.origins] == ["reference", "alice"]
+    assert [*board.origins][1].place == "Intel Xeon, 16 cores, data cccccccc, from alice"
     (alone,) = read_results(stored(tmp_path / "both", ours(), theirs("third"))).boards
-    assert all("from" not in str(origin) for origin in alone.origins)
+    assert all("from" not in origin.place for origin in alone.origins)
     same = stored(tmp_path / "elsewhere", ours(), theirs("third"))
     named = read_results([same, b, a]).boards[0].origins
-    assert all("from" not in str(origin) for origin in named)  # all of them lie in the first
+    assert all("from" not in origin.place for origin in named)  # all of them lie in the first
 
 
 def test_results_of_the_same_name_are_named_by_their_paths(tmp_path: Path) -> None:
@@ -140,9 +138,7 @@ def test_results_of_the_same_name_are_named_by_their_paths(tmp_path: Path) -> No
         (tmp_path / name).mkdir()
     paths = stored(tmp_path / "a" / "results", ours()), stored(tmp_path / "b" / "results", theirs("third"))
     (board,) = read_results(paths).boards
-    assert [str(origin).rpartition(", from ")[2] for origin in board.origins] == [
-        path.as_posix() for path in paths
-    ]
+    assert [origin.source for origin in board.origins] == [path.as_posix() for path in paths]
 
 
 def test_results_of_two_machines_are_compared_side_by_side(tmp_path: Path) -> None:

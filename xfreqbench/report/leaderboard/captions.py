@@ -94,7 +94,11 @@ def _counted(name: str, values: Sequence[object]) -> str:
 def _origins_note(board: Board, rows: Sequence[BoardRow]) -> str:
     """What the labels of origins stand for, and what does not compare; empty where there is one origin."""
     shown = {board.origin(record) for row in rows for record in row.records}
-    told = "; ".join(f"{label}: {origin}" for origin, label in board.origins.items() if origin in shown)
+    by_place: dict[str, list[str]] = {}
+    for origin, label in board.origins.items():
+        if origin in shown:
+            by_place.setdefault(origin.place, []).append(f"{label} (commit {origin.commit})")
+    told = "; ".join(f"{place}: {', '.join(labels)}" for place, labels in by_place.items())
     return f"Origins: {told}. Times compare on one machine alone." if told else ""
 
 

@@ -35,10 +35,12 @@ class Origin(NamedTuple):
         source = sources.get(record_key(record), "")
         return cls(machine, short_commit(record.git_commit), record.dataset_sha256, source)
 
-    def __str__(self) -> str:
-        source = f", from {self.source}" if self.source else ""
+    @property
+    def place(self) -> str:
+        """The machine, the file of data and the results in words, without the commit."""
         machine = "predicted elsewhere" if self.machine is None else self.machine
-        return f"{machine}, commit {self.commit}, data {self.dataset_sha256[:8]}{source}"
+        source = f", from {self.source}" if self.source else ""
+        return f"{machine}, data {self.dataset_sha256[:8]}{source}"
 
 
 def machine_name(hardware: Mapping[str, str]) -> str:
