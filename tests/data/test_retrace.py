@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from fuzzing import xfreqbench
 from plans import SETTINGS, small_plan
+from synthetic import append_all, make_header
 
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.retrace import require_origin
+from xfreqbench.data.retrace import require_origin, traced_scene
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, SceneError
+from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.model import load_scene, shipped_folder
 from xfreqbench.tracing.tracer import Channel
 
 
@@ -89,3 +92,16 @@ def test_without_its_meshes_nothing_can_be_traced(traced: PasDataset) -> None:
     other = replace(traced, header=replace(traced.header, scene_sha256="0" * 64))
     with pytest.raises(SceneError, match="not those that the data were traced among"):
         require_origin(other, 1)
+
+
+def test_the_meshes_of_a_shipped_scene_are_found_wherever_the_data_are(tmp_path: Path) -> None:
+    lounge = load_scene("lounge")
+    header = replace(
+        make_header(num_tx=1),
+        scene_json=lounge.canonical_json,
+        scene_sha256=meshes_sha256(surface_meshes(lounge)),
+        settings=lounge.mirror_settings,
+    )
+    with PasWriter(tmp_path / "lounge.h5", header) as writer:
+        append_all(writer, header)
+    assert traced_scene(open_dataset(tmp_path / "lounge.h5")).folder == shipped_folder().absolute()

@@ -16,7 +16,7 @@ from xfreqbench.data.paths import SamplePaths
 from xfreqbench.data.trace import Tracing, traced
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
-from xfreqbench.scene.model import Scene
+from xfreqbench.scene.model import Scene, shipped_folder
 from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
 from xfreqbench.types import IntArray
@@ -63,12 +63,12 @@ def require_origin(
 
 
 def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
-    """The scene that was traced, its meshes in `folder`, or else beside the data or in the working folder.
+    """The scene that was traced, its meshes in `folder`, or else beside the data, in the working folder or shipped.
 
     Raises `DataError` where no scene is stored, and `SceneError` where its surfaces are not those that were traced.
     """
     scene = dataset.scene
-    for place in [folder] if folder else [dataset.path.parent, Path.cwd()]:
+    for place in [folder] if folder else [dataset.path.parent, Path.cwd(), shipped_folder()]:
         placed = replace(scene, folder=place.absolute())
         if _are_the_meshes(placed, dataset.header.scene_sha256):
             return placed

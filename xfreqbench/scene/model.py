@@ -289,9 +289,13 @@ def shipped_scenes() -> dict[str, str]:
     return {path.stem: tomllib.loads(read_text(path))["description"] for path in _shipped_files()}
 
 
+def shipped_folder() -> Path:
+    """Where the scenes that ship with the toolkit are, with their meshes."""
+    return Path(str(files("xfreqbench.scenes")))
+
+
 def _shipped_files() -> Iterator[Path]:
-    folder = Path(str(files("xfreqbench.scenes")))
-    return iter(sorted(folder.glob("*.toml")))
+    return iter(sorted(shipped_folder().glob("*.toml")))
 
 
 @checked
