@@ -80,7 +80,7 @@ class FingerprintMatch:
             return f"not compared: {self.why_not}"
         in_common = f"{self.num_tx} transmitters × {self.num_carriers} carriers in common"
         if self.difference == 0:
-            return f"equal to the last digit ({in_common})"
+            return f"equal to the last digit at half of the transmitters or more ({in_common})"
         return (
             f"{self.difference_db:.0f} dB off, a median relative field error of {self.difference:.1e} at "
             f"{format_ghz(self.worst_carrier_hz)}, the worst carrier ({in_common})"
