@@ -21,6 +21,7 @@ from xfreqbench.units import format_ghz
 
 _MAX_COLUMNS = 3
 _LARGEST_SQUARE_M = 0.5
+_MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the squares
 _SAME_PLACE_M = 1e-3  # in the plan
 
 
@@ -60,8 +61,8 @@ def plot_power(
         axis.set_visible(False)
     for axis, of_carrier, carrier in zip(axes, power, carrier_hz, strict=False):
         mean = np.bincount(which, of_carrier) / number
-        squares = _draw_squares(axis, place_m, mean, range_db)
         draw_outlines(axis, room, [0, 1])
+        squares = _draw_squares(axis, place_m, mean, range_db)
         axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), aspect="equal")
         axis.set(xlabel="x (m)", ylabel="y (m)")
         strongest = f"strongest {10 * np.log10(mean.max()):.0f} dB" if mean.any() else "no path"
@@ -90,6 +91,7 @@ def _draw_squares(
     level_db = 10 * np.log10(power[order] / power.max()) if len(order) else np.zeros(0)
     outlines_m: Any = place_m[order, None] + corners
     colours: dict[str, Any] = {"array": level_db, "cmap": "viridis", "clim": (-range_db, 0), "linewidths": 0}
-    squares = PolyCollection(outlines_m, **colours)
+    above_lines = 3 if len(axis.lines) > _MANY_LINES else 1
+    squares = PolyCollection(outlines_m, zorder=above_lines, **colours)
     axis.add_collection(squares)
     return squares
