@@ -29,12 +29,14 @@ def shape_of(path: Path) -> tuple[int, int]:
 
 
 def read_levels(path: Path) -> Levels:
-    """Grey levels (R, C) of a PNG, from 0 to 255; raises `DataError`."""
-    with _opened(path) as image:
-        try:
+    """Grey levels (R, C) of a PNG, from 0 to 255, every byte checked by the file's sums; raises `DataError`."""
+    try:
+        with _opened(path) as image:
+            image.verify()  # decoding alone does not look at the sums of pixels
+        with _opened(path) as image:
             return np.array(image)
-        except (OSError, SyntaxError, ValueError) as error:
-            raise _unreadable(path, error) from error
+    except (OSError, SyntaxError, ValueError) as error:
+        raise _unreadable(path, error) from error
 
 
 def write_levels(path: Path, levels: Levels) -> None:

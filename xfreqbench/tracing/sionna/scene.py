@@ -18,15 +18,17 @@ from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, comple
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.patches import mirror_patches
+from xfreqbench.system.signals import interrupted_afterwards
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
 from xfreqbench.types import FloatArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
 
 ensure_llvm()
 
-import drjit  # noqa: E402  (Dr.Jit looks for LLVM when it is imported)
-import mitsuba  # noqa: E402
-import sionna.rt  # noqa: E402
+with interrupted_afterwards():  # what is imported halfway aborts the process when it is imported again
+    import drjit  # Dr.Jit looks for LLVM when it is imported
+    import mitsuba
+    import sionna.rt
 
 dr: Any = drjit  # their stubs know no variant, so most of what is called here has no type there
 mi: Any = mitsuba
