@@ -44,6 +44,7 @@ _BENCH_SECTIONS = {
     "savings": "Savings",
     "scale-out": "Scale-out",
     "stress": "Stress",
+    "chaos": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
 _MEASUREMENTS_PAGE = "measurements.md"
