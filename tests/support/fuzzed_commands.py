@@ -51,7 +51,12 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "run": {"data": ("data set",), "results": RESULTS},
     "benchmark": {"data": ("data set",), "results": RESULTS},
-    "report": {"results": ("records", "stored predictions", "data set"), "output": WRITTEN, "html": WRITTEN},
+    "report": {
+        "results": ("records", "stored predictions", "data set"),
+        "output": WRITTEN,
+        "html": WRITTEN,
+        "details": WRITTEN,
+    },
     "compare": {"a": ("records",), "b": ("records",)},
     "new-method": {"output": WRITTEN},
     "findings": {"results": ("records",), "data": ("data set",), "output": WRITTEN},
@@ -115,7 +120,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "benchmark": (_BENCHMARK,),
         "report": (
             "report results -o new/board.md -q",
-            "report results/records.jsonl results -o new/board.md -q",
+            "report results/records.jsonl results -o new/board.md --details new/all -q",
             _REPORT,
         ),
         "compare": ("compare results/records.jsonl results", "compare results/f results"),

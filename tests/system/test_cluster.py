@@ -226,6 +226,7 @@ def _told(results: Path) -> dict[tuple[str, str, int], RunRecord]:
     """Records without what time and machine make of them."""
     blank: dict[str, Any] = {
         "fit_seconds": 0.0,
+        "fit_processor_seconds": 0.0,
         "predict_ms_per_map": 0.0,
         "peak_memory_mib": 0.0,
         "hardware": {},
