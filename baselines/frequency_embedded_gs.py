@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from xfreqbench.methods.learning.low_rank import Trend
+
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 
@@ -13,7 +15,7 @@ class FrequencyEmbeddedGSConfig(XFreqGSConfig):
     """Options: the carrier is an input, but there is no latent and no spread of footprints by the carrier."""
 
     latent: int = 0
-    trend: Literal["root", "log", "none"] = "none"
+    trend: Trend = "none"
     max_spread: float = 1.0
     blend: Literal["auto", "none"] = "none"
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import pytest
 import torch
 from torch import Tensor
 
 from xfreqbench.methods.learning.encoding import Scaling
-from xfreqbench.methods.learning.low_rank import NUM_SHAPES, Codes, LowRankConfig, LowRankNetwork
+from xfreqbench.methods.learning.low_rank import NUM_SHAPES, Codes, LowRankConfig, LowRankNetwork, Trend
 from xfreqbench.methods.learning.network import Attributes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-Trend = Literal["root", "log", "none"]
 TRENDS = get_args(Trend)
 NUM_GAUSSIANS, RANK = 7, 3
 SMALL = LowRankConfig(rank=RANK, width=5, tx_octaves=1, position_octaves=1, tx_levels=1)

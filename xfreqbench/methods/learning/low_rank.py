@@ -25,6 +25,7 @@ from xfreqbench.methods.learning.network import Attributes, NetworkConfig
 _CLEAR = 4.0  # logit of |δ| at the start, 0.98, so that the direct wave's Gaussians hardly shade each other
 _HEAD = 0.1  # of the usual weights of the last layer at the start
 _GRID_GAIN = 4.0  # of features of places, as inputs beside sines
+Trend = Literal["root", "log", "none"]
 NUM_SHAPES = 3  # |δ|, arg δ, λ
 
 
@@ -40,9 +41,7 @@ class LowRankConfig(NetworkConfig):
     width: Annotated[int, Limits(ge=1)] = 192
     layers: Annotated[int, Limits(ge=1)] = 1
     max_spread: Annotated[float, Limits(ge=1)] = 1.3
-    trend: Annotated[
-        Literal["root", "log", "none"], Doc("what of the carrier scales a trend; none: it is an input")
-    ] = "root"
+    trend: Annotated[Trend, Doc("what of the carrier scales a trend; none: it is an input")] = "root"
 
 
 @dataclass(frozen=True, eq=False)

@@ -164,7 +164,7 @@ class Board:
     @property
     def slug(self) -> str:
         """What the file names of its figures begin with."""
-        named = file_stem(re.sub(r"[^\w-]+", "-", f"{self.scene}-{self.protocol}"))
+        named = slug_of(f"{self.scene}-{self.protocol}")
         return f"{named}-{self.data_name.rpartition('@')[2] if '-' in self.data else self.data[:8]}"
 
     def best_trivial(self, split: str) -> float:
@@ -227,6 +227,11 @@ def boards(
     grouped = [_board(of, list(group), sources or {}) for of, group in groupby(ordered, key)]
     order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
     return sorted(grouped, key=lambda board: (board.scene, board.data, order.get(board.protocol, len(order))))
+
+
+def slug_of(text: str) -> str:
+    """The beginning of a text as the name of a file, with a hyphen for all that is no letter, digit or underscore."""
+    return file_stem(re.sub(r"[^\w-]+", "-", text))
 
 
 def file_stem(text: str) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
-from xfreqbench.report.leaderboard.boards import Board, boards, file_stem
+from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
     leak_statement,
@@ -95,10 +95,7 @@ def write_report(
     and `StorageError`.
     """
     found = read_results(results)
-    whole = _Page(
-        output_md, "Benchmark", report_markdown(found.boards, found.benches), found.boards, found.benches
-    )
-    pages = [whole] if details is None else _pages(found, output_md, details)
+    pages = [_whole(found, output_md)] if details is None else _pages(found, output_md, details)
     kept = [_kept_text(page) for page in pages]
     for page in pages:
         require_own_figures(page.boards, page.benches, page.path.parent)
@@ -111,12 +108,18 @@ def write_report(
     return WrittenReport((*(page.path for page in pages), *figures), found.num_truncated)
 
 
+def _whole(found: RankedResults, output_md: Path) -> _Page:
+    """The one page of a report without details."""
+    text = report_markdown(found.boards, found.benches)
+    return _Page(output_md, "Benchmark", text, found.boards, found.benches)
+
+
 def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     """The short report, a page for each scene, and one of the measurements."""
     by_scene: dict[str, list[Board]] = {}
     for board in found.boards:
         by_scene.setdefault(board.scene, []).append(board)
-    names = {scene: file_stem(re.sub(r"[^\w-]+", "-", scene)) + ".md" for scene in by_scene}
+    names = {scene: slug_of(scene) + ".md" for scene in by_scene}
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     links = {scene: f"{folder}/{name}" for scene, name in names.items()}
     short = overview_markdown(found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}")
@@ -138,19 +141,17 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> str:
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
-    was_run = [each for each in benches if each.bench == _WHAT_WAS_RUN]
-    sections = [
-        *_bench_section(_WHAT_WAS_RUN_TITLE, was_run),
-        *map(_board_section, ranked),
-        *_bench_sections(benches),
-        legend(),
-    ]
-    return "\n\n".join(sections) + "\n"
+    sections = [_what_was_run(benches), map(_board_section, ranked), _bench_sections(benches), [legend()]]
+    return "\n\n".join(chain.from_iterable(sections)) + "\n"
 
 
 def _measurements_markdown(benches: Sequence[BenchRecord]) -> str:
-    was_run = [each for each in benches if each.bench == _WHAT_WAS_RUN]
-    return "\n\n".join([*_bench_section(_WHAT_WAS_RUN_TITLE, was_run), *_bench_sections(benches)]) + "\n"
+    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
+
+
+def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
+    """The section of the benchmark's own records, which say which runs there were."""
+    return _bench_section(_WHAT_WAS_RUN_TITLE, [each for each in benches if each.bench == _WHAT_WAS_RUN])
 
 
 def _board_section(board: Board) -> str:
