@@ -16,22 +16,28 @@ sync_api = pytest.importorskip(
 _CHROMIUM = shutil.which("chromium")
 _FLAGS = (
     "--no-sandbox",
-    "--disable-gpu",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
 )
+_WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
+_WITH_WEBGL = (
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)  # on the processor
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 needs_chromium = pytest.mark.skipif(_CHROMIUM is None, reason="there is no chromium to open the page with")
 
 
 @contextmanager
-def launched() -> Iterator[Any]:
-    """A browser, closed at the end."""
+def launched(webgl: bool = False) -> Iterator[Any]:
+    """A browser, closed at the end; with `webgl` it draws in 3D, on the processor."""
+    flags = [*_FLAGS, *(_WITH_WEBGL if webgl else _WITHOUT_WEBGL)]
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=_CHROMIUM, args=_FLAGS)
+        browser = playwright.chromium.launch(executable_path=_CHROMIUM, args=flags)
         yield browser
         browser.close()
 

@@ -69,6 +69,11 @@ def test_every_picture_is_loaded_and_described(page) -> None:
     assert all(width > 400 and letters > 20 for width, letters in pictures)
 
 
+def test_without_webgl_there_is_no_viewer_and_the_picture_stays(page) -> None:
+    assert page.locator("#orbit").count() == 1 and not page.locator("#orbit").is_visible()
+    assert page.locator("img").first.is_visible()
+
+
 def test_the_model_is_linked_and_there(page) -> None:
     link = page.locator("a").evaluate("link => link.href")
     assert Path(link.removeprefix("file://")).read_bytes()[:4] == b"glTF"

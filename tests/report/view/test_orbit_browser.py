@@ -1,0 +1,107 @@
+"""The orbit viewer of a view's page in headless Chromium, which draws in 3D on the processor, without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import launched, needs_chromium, opened, set_screen
+from PIL import Image
+
+from xfreqbench.report.drawing.document import Picture
+from xfreqbench.report.view.figures import ray_colour
+from xfreqbench.report.view.page import view_page
+from xfreqbench.report.view.plan import ViewPlan
+from xfreqbench.report.view.room import RAY_RANGE_DB
+
+pytestmark = needs_chromium
+
+BACKGROUND = (20, 22, 28)
+DRAWN = {"scene.png": Picture("scene.png", "what is drawn", b"")}
+SMOOTHED = 40  # levels by which a pixel at a line's rim may differ from the line's colour
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    with launched(webgl=True) as browser:
+        yield browser
+
+
+def pixels(page) -> np.ndarray:
+    """What the canvas shows within its rim, (rows, columns, 3), once it is drawn and rests."""
+    last = b""
+    for _ in range(50):
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        shot = page.locator("#orbit canvas").screenshot()
+        drawn = np.asarray(Image.open(BytesIO(shot)).convert("RGB"))[5:-5, 5:-5]  # focus is shown around it
+        if shot == last and drawn.std() > 1:  # a canvas that is not drawn yet has one colour
+            return drawn
+        last = shot
+    raise AssertionError("the canvas is never drawn, or never rests")
+
+
+def num_near(drawn: np.ndarray, colour: tuple[int, ...]) -> int:
+    return int((abs(drawn.astype(int) - colour[:3]).max(axis=-1) < SMOOTHED).sum())
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("device", ["desktop", "phone"])
+def test_room_rays_and_both_ends_are_drawn(browser, folder: Path, device: str, scheme: str) -> None:
+    with opened(browser, folder / "index.html") as page:
+        set_screen(page, device, scheme)
+        drawn = pixels(page)
+        assert page.locator("#orbit canvas").is_visible()
+    assert drawn.shape[1] > 0.8 * {"desktop": 1060, "phone": 366}[device]
+    assert 0.1 < (abs(drawn.astype(int) - BACKGROUND).max(axis=-1) > 5).mean() < 0.9
+    for colour in (ray_colour(0.0), (255, 255, 255), (213, 94, 0)):  # strongest ray, transmitter, receiver
+        assert num_near(drawn, colour) > 10
+
+
+def test_drag_wheel_and_keys_turn_it_and_home_brings_it_back(browser, folder: Path) -> None:
+    with opened(browser, folder / "index.html") as page:
+        seen = [pixels(page)]
+        box = page.locator("#orbit canvas").bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 100)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] / 2 + 120, box["y"] + 140)
+        page.mouse.up()
+        seen.append(pixels(page))
+        for key in ("ArrowLeft", "ArrowUp", "+"):
+            page.keyboard.press(key)  # the canvas has the focus since it was dragged
+            seen.append(pixels(page))
+        page.mouse.wheel(0, 200)
+        seen.append(pixels(page))
+        page.keyboard.press("Home")
+        back = pixels(page)
+    changed = [(before != after).any(axis=-1).mean() for before, after in pairwise(seen)]
+    assert min(changed) > 0.01
+    assert (back == seen[0]).all()
+
+
+def test_the_wheel_scrolls_the_page_until_the_viewer_is_clicked(browser, folder: Path) -> None:
+    with opened(browser, folder / "index.html") as page:
+        box = page.locator("#orbit canvas").bounding_box()
+        page.mouse.move(box["x"] + 50, box["y"] + 50)
+        page.mouse.wheel(0, 300)
+        page.wait_for_timeout(500)
+        assert page.evaluate("scrollY") > 0
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["strong first", "weak first"])
+def test_a_strong_ray_is_drawn_over_a_weak_one(browser, view: ViewPlan, tmp_path: Path, order: int) -> None:
+    """Two rays along one line: where both are, the strong one's colour is seen and nothing of the weak one."""
+    strong = replace(view.room.rays[0], level_db=0.0)
+    weak = replace(strong, level_db=-RAY_RANGE_DB)
+    found = []
+    for rays in ([strong, weak], [weak]):
+        shown = replace(view, dataset=None, room=replace(view.room, rays=rays[::order]))
+        drawn = tmp_path / f"{len(rays)}.html"
+        drawn.write_text(view_page(shown, None, DRAWN, "scene.glb"), "utf-8")
+        with opened(browser, drawn) as page:
+            found.append([num_near(pixels(page), ray_colour(ray.level_db)) for ray in (strong, weak)])
+    assert found[0][0] > 100 and found[0][1] < 0.1 * found[1][1]
