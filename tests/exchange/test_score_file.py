@@ -190,3 +190,26 @@ def test_the_commands_hand_out_score_and_say_what_is_missing(
     assert f"{path} does without lofo-2.4GHz, lofo-77GHz, which its protocol has too" in shown
     assert "mine (external): a cluster" in shown
     assert "without dataset_sha256" not in shown
+
+
+def test_a_split_on_validation_is_handed_out_predicted_and_scored_as_its_run_is(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    split_file, results = tmp_path / "split.h5", tmp_path / "results"
+    exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", on="validation", maps=True)
+    (validation,) = make_splits(dataset, "lofo", [24.25e9], on="validation")
+    (tested,) = make_splits(dataset, "lofo", [24.25e9])
+    with h5py.File(split_file) as file:
+        assert list(file) == [validation.name]
+        handed_out = file[validation.name]
+        assert not np.isin([*handed_out["train_row"], *handed_out["test_row"]], tested.test).any()
+    nearest = fitted("nearest", dataset, validation)
+    path = write_predictions(tmp_path / "predictions.h5", split_file, nearest.predict)
+    exchange.score(path, data=Path(dataset.path), results=results)
+    (scored,) = stored(results)
+    job = Job(str(dataset.path), "nearest", "lofo-validation", "lofo-validation-24.25GHz")
+    ran = run_job(job, tmp_path / "run")
+    assert (scored.job.protocol, scored.job.split) == (ran.job.protocol, ran.job.split)
+    assert (scored.split_sha256, scored.scores) == (ran.split_sha256, ran.scores)
+    missing = "lofo-validation-2.4GHz, lofo-validation-77GHz"
+    assert f"{path} does without {missing}, which its protocol has too" in capsys.readouterr().out

@@ -65,6 +65,7 @@ RUN_OPTIONS = {
         "json:dumps",
     ],
     "--protocol": ["", "Lofo", "sparse", "all"],
+    "--on": ["", "tests", "Validation", "test,validation"],
     "--targets": ["", ",", "all,1", "1e300", "nan", "3", "1,1", "-1"],
     "--seed": ["", ",", "-1", "0,,1", "1.5", "9" * 5000, "9" * 40, "²", "٣", "1e3"],
     "--budget": [

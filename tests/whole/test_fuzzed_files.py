@@ -61,7 +61,7 @@ def test_no_folder_of_png_maps_ends_in_a_traceback() -> None:
 
 
 def test_no_option_text_of_split_ends_in_a_traceback() -> None:
-    texts = {name: RUN_OPTIONS[name] for name in ("--data", "--protocol", "--targets")}
+    texts = {name: RUN_OPTIONS[name] for name in ("--data", "--protocol", "--targets", "--on")}
 
     def handed_out(options: dict[str, str]) -> None:
         with sentinel_folder() as folder, contextlib.chdir(folder):

@@ -11,6 +11,7 @@ from xfreqbench.cli.options import (
     EXCHANGE,
     Output,
     Quiet,
+    ScoredOnOption,
     app,
     example,
     print_table,
@@ -179,6 +180,7 @@ def split(
         str | None,
         Parameter(help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
+    on: ScoredOnOption = "test",
     maps: Annotated[
         bool,
         Parameter(
@@ -194,7 +196,7 @@ def split(
     from xfreqbench.system.bars import progress_bars
 
     dataset = open_dataset(data)
-    handout = Handout(dataset, make_splits(dataset, protocol, target_carriers_hz(targets)), maps)
+    handout = Handout(dataset, make_splits(dataset, protocol, target_carriers_hz(targets), on), maps)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
         is_new = write_handout(handout, output, *bars)
     names = ", ".join(each.name for each in handout.splits)

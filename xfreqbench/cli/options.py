@@ -40,6 +40,14 @@ Executor = Annotated[
         help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster."
     ),
 ]
+ScoredOnOption = Annotated[
+    Literal["test", "validation"],
+    Parameter(
+        name="--on",
+        help="test: the protocol's test rows; validation: some of its training rows, to choose settings by. "
+        "They stand on a board of their own.",
+    ),
+]
 _PIPED_WIDTH = 160  # columns of text for a table that goes to a file or another program
 
 

@@ -15,6 +15,7 @@ from xfreqbench.cli.options import (
     Executor,
     Output,
     Quiet,
+    ScoredOnOption,
     app,
     example,
     print_table,
@@ -140,13 +141,7 @@ def run(
             "2.4,24.25,77."
         ),
     ] = None,
-    on: Annotated[
-        Literal["test", "validation"],
-        Parameter(
-            help="test: the protocol's test rows; validation: some of its training rows, to choose settings by. "
-            "They stand on a board of their own."
-        ),
-    ] = "test",
+    on: ScoredOnOption = "test",
     seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
     budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
     device: Annotated[
