@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import tomllib
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from places import ROOT
 
 
@@ -10,3 +12,16 @@ def test_every_package_is_in_the_wheel() -> None:
     folders = {path.parent for path in (ROOT / "xfreqbench").rglob("__init__.py")}
     packages = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
     assert set(listed) == packages | {"xfreqbench.baselines", "xfreqbench.examples", "xfreqbench.scenes"}
+
+
+def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
+    """`constraints.txt` pins versions of dependencies; `pyproject.toml` says which ones may be installed."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = dict(line.split("==") for line in lines if "==" in line and not line.startswith("#"))
+    pinned = {canonicalize_name(name): version.strip() for name, version in pinned.items()}
+    needed = [Requirement(each) for each in project["dependencies"]]
+    allowed = {each.name: each.specifier.contains(pinned[canonicalize_name(each.name)]) for each in needed}
+    assert all(allowed.values()), allowed
+    (trimesh,) = (each for each in needed if each.name == "trimesh")
+    assert not trimesh.specifier.contains("4.8.2")  # the last one whose three.js names no licence

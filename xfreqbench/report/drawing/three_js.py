@@ -37,7 +37,7 @@ _LIBRARY = re.compile(
 def three_js() -> str | None:
     """The library, which defines the global `THREE`, under its licence: some 600 KB, to stand in a `script` element.
 
-    None if the installed trimesh brings none that names its licence, as before 2025: what shows it must do without.
+    None if the installed trimesh brings none that names its licence, as before 4.8.3: what shows it must do without.
     """
     package, archive, template = _VIEWER
     try:
