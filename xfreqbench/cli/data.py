@@ -64,7 +64,10 @@ def generate(
     ] = None,
     tx_positions: Annotated[
         Path | None,
-        Parameter(help="CSV of x,y,z in metres, one transmitter a line, instead of the scene's grid."),
+        Parameter(
+            help="Instead of the scene's grid: a CSV of x,y,z in metres, one transmitter a line, or a data set (.h5), "
+            "whose transmitters are taken."
+        ),
     ] = None,
     solver: Solver = "auto",
     interactions: Interactions = DEFAULT_INTERACTIONS,
@@ -145,9 +148,13 @@ def generate(
 
 
 def _read_positions(path: Path | None) -> Any:
-    """Positions (T, 3) in metres from a CSV file; None without a file. Raises `XFreqBenchError`."""
+    """Positions (T, 3) in metres from a CSV file or a data set; None without a file. Raises `XFreqBenchError`."""
     if path is None:
         return None
+    if path.suffix == ".h5":
+        from xfreqbench.data.dataset import open_dataset
+
+        return open_dataset(path).tables["tx_position_m"]
     import io
     import warnings
 

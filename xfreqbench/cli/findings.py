@@ -36,6 +36,12 @@ def findings(
     *,
     data: RunData,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for tables, figures and model.")],
+    room: Annotated[
+        Path | None,
+        Parameter(
+            help="Folder for the learned room as a scene, room.toml and room.glb, which generate traces."
+        ),
+    ] = None,
     record: RecordChoice = NEWEST,
     quiet: Quiet = False,
 ) -> None:
@@ -48,6 +54,8 @@ def findings(
     """
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.report.findings.compared import ComparedFindings, choose_record
+    from xfreqbench.report.findings.room import learned_surfaces
+    from xfreqbench.report.findings.room_files import claim_room, write_room
     from xfreqbench.report.findings.write import (
         missing_rows,
         plane_rows,
@@ -57,7 +65,12 @@ def findings(
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
+    if room is not None:
+        surfaces = learned_surfaces(compared)
+        claim_room(chosen.id, room)
     paths = write_findings(compared, output)
+    if room is not None:
+        paths += write_room(compared, surfaces, room)
     if not quiet:
         print_table(compared.title, *plane_rows(compared))
         print_table("Planes of the scene that were not found", *missing_rows(compared))

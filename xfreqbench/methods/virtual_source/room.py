@@ -12,6 +12,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from torch import Tensor, nn
 
 from xfreqbench.methods.virtual_source.config import SourceConfig
+from xfreqbench.methods.virtual_source.faces import Cells, faces
 from xfreqbench.methods.virtual_source.images import Antenna, Mirrors, Touch, Traces, sequences, trace
 from xfreqbench.methods.virtual_source.presence import NOTHING, Presence
 from xfreqbench.methods.virtual_source.search.planes import Plane
@@ -203,12 +204,51 @@ class LearnedRoom(nn.Module):
             touched = traces.bounce[traces.is_real].flattened()
             planes = [self._finding(index, touched, array_m) for index in range(len(self.normal))]
             power = self._power_of(self.sequence, _some(self.trained_m), self.trained_hz)
+            found = faces(self._cells(traces), self.trained_m.numpy())
         images = [
             {"planes": [plane for plane in sequence if plane >= 0], "power": value}
             for sequence, value in zip(self.sequence.tolist(), power.tolist(), strict=True)
         ]
         images.sort(key=lambda image: image["power"], reverse=True)
-        return {"receiver_m": array_m.tolist(), "planes": planes, "images": images}
+        told = [
+            {**face._asdict(), "corners_m": (array_m.numpy() + face.corners_m).tolist()} for face in found
+        ]
+        return {"receiver_m": array_m.tolist(), "planes": planes, "images": images, "faces": told}
+
+    def _cells(self, traces: Traces) -> list[Cells]:
+        """The cells of every plane, and the power of the training paths that touch them.
+
+        That of a path is what it would be if the touched cell were full and the slabs reflected everything.
+        """
+        presence, bounce = self.presence, traces.bounce
+        if not len(self.normal):
+            return []
+        share = presence.logits.softmax(-1)
+        held = 1 - presence.shares(bounce.flattened())[:, NOTHING].reshape(bounce.plane.shape)
+        held = torch.where(bounce.plane >= 0, held, 1.0)
+        spread = traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M)
+        others = torch.stack(
+            [
+                torch.cat([held[..., :one], held[..., one + 1 :]], -1).prod(-1)
+                for one in range(held.shape[-1])
+            ],
+            dim=-1,
+        )
+        power = (spread.float()[..., None] * others).square()
+        is_touched = (bounce.plane >= 0) & traces.is_real[..., None]
+        plane, point_m = bounce.plane[is_touched], bounce.point_m[is_touched]
+        limit = torch.tensor(share.shape[1:3]) - 1
+        place = (
+            ((point_m - presence.low_m[plane]) / presence.cell_m).round().long().clamp_min(0).minimum(limit)
+        )
+        seen = torch.zeros(share.shape[:3]).index_put((plane, *place.T), power[is_touched], accumulate=True)
+        tables = (self.normal, self.distance_m, self.mirrors.axes, presence.low_m, share, seen)
+        return [
+            Cells(normal, float(distance_m), axes, low_m, presence.cell_m, shares, powers)
+            for normal, distance_m, axes, low_m, shares, powers in zip(
+                *(each.numpy().astype(float) for each in tables), strict=True
+            )
+        ]
 
     def _finding(self, index: int, touched: Touch, array_m: Float[Tensor, "3"]) -> dict[str, Any]:
         """One plane of the findings, from where the training paths bounce off it."""

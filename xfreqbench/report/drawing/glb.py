@@ -43,9 +43,12 @@ class GlbModel:
         """Add a surface of a scene, as the node `surface NAME`."""
         self._add(f"surface {mesh.name}", trimesh.Trimesh(mesh.vertices_m, mesh.triangles), colour)
 
-    def add_rectangle(self, name: str, corners_m: Float[FloatArray, "4 3"], colour: Colour) -> None:
-        """Add a rectangle; its corners are given in order around it."""
-        self._add(name, trimesh.Trimesh(corners_m, [[0, 1, 2], [0, 2, 3]], process=False), colour)
+    def add_polygon(
+        self, name: str, corners_m: Float[FloatArray, "n 3"], colour: Colour, material: str | None = None
+    ) -> None:
+        """Add a convex polygon, its corners in order around it, under the name of a material where one is given."""
+        fan = [[0, corner, corner + 1] for corner in range(1, len(corners_m) - 1)]
+        self._add(name, trimesh.Trimesh(corners_m, fan, process=False), colour, material)
 
     def add_ball(self, name: str, centre_m: Float[FloatArray, "3"], radius_m: float, colour: Colour) -> None:
         """Add a sphere."""
@@ -81,10 +84,10 @@ class GlbModel:
         with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
 
-    def _add(self, name: str, shape: trimesh.Trimesh, colour: Colour) -> None:
+    def _add(self, name: str, shape: trimesh.Trimesh, colour: Colour, material: str | None = None) -> None:
         mode = "OPAQUE" if colour[3] == 255 else "BLEND"
-        material = PBRMaterial(baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
-        shape.visual = trimesh.visual.TextureVisuals(material=material)  # type: ignore[no-untyped-call]
+        look = PBRMaterial(name=material, baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
+        shape.visual = trimesh.visual.TextureVisuals(material=look)  # type: ignore[no-untyped-call]
         self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
 
 
@@ -110,7 +113,7 @@ def write_glb(
     for mesh in meshes:
         model.add_surface(mesh)
     for name, corners_m in rectangles_m.items():
-        model.add_rectangle(name, corners_m, _PLANE)
+        model.add_polygon(name, corners_m, _PLANE)
     for name, point_m in points_m.items():
         model.add_ball(name, point_m, _RADIUS_M, _POINT)
     model.write(path)

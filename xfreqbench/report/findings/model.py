@@ -65,6 +65,19 @@ class FoundPlane(_Stored):
         return np.array(self.normal) / np.linalg.norm(self.normal)
 
 
+class FoundFace(_Stored):
+    """A part of a plane that one of its slabs fills: a convex polygon, its corners in turn, in world axes.
+
+    `seen` is the share of it that paths of the training rows tell of, and `is_wall` says that it bounds the room.
+    """
+
+    plane: int
+    slab: int
+    corners_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+    seen: Number
+    is_wall: bool
+
+
 class FoundImage(_Stored):
     """Images of transmitters in a sequence of planes; `power` is relative to the line of sight."""
 
@@ -78,6 +91,7 @@ class StoredFindings(_Stored):
     planes: tuple[FoundPlane, ...]
     receiver_m: Vector
     images: tuple[FoundImage, ...]
+    faces: tuple[FoundFace, ...] = ()  # absent in records written before they were found
 
     @model_validator(mode="after")
     def _planes_and_images_exist(self) -> StoredFindings:
@@ -85,6 +99,11 @@ class StoredFindings(_Stored):
             raise ValueError("a plane's normal is the zero vector")
         if any(not 0 <= index < len(self.planes) for image in self.images for index in image.planes):
             raise ValueError(f"an image names a plane that is not among the {len(self.planes)}")
+        for face in self.faces:
+            if not 0 <= face.plane < len(self.planes) or not 0 <= face.slab < len(
+                self.planes[face.plane].slabs
+            ):
+                raise ValueError(f"a face names slab {face.slab} of plane {face.plane}, which is not there")
         return self
 
     @property

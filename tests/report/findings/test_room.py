@@ -1,0 +1,207 @@
+"""A learned room as a scene: written, read, traced, and compared with the room that it was learned from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, SIZE_M, plane
+from stored_records import make_record
+
+from xfreqbench.cli.data import generate
+from xfreqbench.cli.findings import findings as findings_command
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.report.findings.compared import ComparedFindings
+from xfreqbench.report.findings.materials import SlabNames
+from xfreqbench.report.findings.model import FoundSlab
+from xfreqbench.report.findings.room import learned_surfaces
+from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.scene.materials import ITU_MATERIALS
+from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import load_scene
+
+CARRIERS_HZ = [2.4e9, 24.25e9]
+WRITTEN = {"room.toml", "room.glb"}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    plan = plan_generation(SCENE, CARRIERS_HZ, SETTINGS, num_transmitters=6)
+    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+
+
+def slab(material: str, thickness_m: float) -> dict[str, float]:
+    """What a run would have learned of a slab if it had made no error."""
+    band = ITU_MATERIALS[material][0]
+    return {
+        "share": 1.0,
+        "permittivity": band.a,
+        "conductivity_s_m": band.c,
+        "conductivity_power": band.d,
+        "thickness_m": thickness_m,
+    }
+
+
+def found(error_m: float = 0.0, seen: float = 1.0) -> dict[str, object]:
+    """Every surface of the box as a plane with one face, `error_m` too far from the array."""
+    planes, faces = [], []
+    for index, surface in enumerate(SCENE.surface):
+        low_m, high_m = np.array(surface.min_m), np.array(surface.max_m)
+        axis = int(np.flatnonzero(low_m == high_m)[0])
+        one, other = (each for each in range(3) if each != axis)
+        corners_m = np.array([low_m] * 4)
+        corners_m[1:3, one], corners_m[2:, other] = high_m[one], high_m[other]
+        corners_m[:, axis] += error_m * np.sign(low_m[axis] - ARRAY_M[axis])
+        slabs = [slab(surface.material, surface.thickness_m)]
+        planes.append(plane("xyz"[axis], float(low_m[axis]), error_m, slabs=slabs))
+        told = {"plane": index, "slab": 0, "corners_m": corners_m.tolist(), "seen": seen}
+        faces.append({**told, "is_wall": surface.name != "screen"})
+    return {**ALL_PLANES, "planes": planes, "faces": faces}
+
+
+def record_of(dataset: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
+    return make_record("virtual-source", dataset_sha256=dataset.sha256, findings=findings, **changes)
+
+
+def write(dataset: PasDataset, folder: Path, findings: dict[str, object], **changes: object) -> Path:
+    """Run the command; returns the folder of the room."""
+    (folder / "results").mkdir(exist_ok=True)
+    append(folder / "results" / "records.jsonl", record_of(dataset, findings, **changes))
+    output, room = folder / "page", folder / "room"
+    findings_command(folder / "results", data=dataset.path, output=output, room=room, quiet=True)
+    return room
+
+
+def traced(room: Path, dataset: PasDataset, output: Path) -> PasDataset:
+    generate(
+        str(room / "room.toml"),
+        output=output,
+        freqs="2.4,24.25",
+        tx_positions=dataset.path,
+        solver="image",
+        max_depth=3,
+        quiet=True,
+    )
+    return open_dataset(output)
+
+
+def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    again = traced(write(dataset, tmp_path, found()), dataset, tmp_path / "again.h5")
+    np.testing.assert_array_equal(again.tx_position_m, dataset.tx_position_m)
+    truth = dataset.tables["cfr"]
+    # corners are float32: 2e-7 m of a path, 1e-4 rad at 24 GHz, over some reflections
+    assert np.abs(again.tables["cfr"] - truth).max() < 1e-3 * np.abs(truth).max()
+    np.testing.assert_allclose(again.pas(), dataset.pas(), atol=5e-3)
+
+
+def test_a_room_with_planes_a_centimetre_off_is_heard_to_be_another(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    again = traced(write(dataset, tmp_path, found(error_m=0.01)), dataset, tmp_path / "again.h5")
+    assert np.abs(again.pas() - dataset.pas()).max() > 0.05
+
+
+def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    room = write(dataset, tmp_path, found(seen=0.01))
+    assert {path.name for path in room.iterdir()} == WRITTEN
+    scene = load_scene(room / "room.toml")
+    assert scene.receiver == dataset.header.receiver
+    assert scene.transmitters == SCENE.transmitters
+    meshes = surface_meshes(scene)
+    assert [mesh.material for mesh in meshes] == [surface.material for surface in SCENE.surface]
+    for mesh, surface in zip(meshes, SCENE.surface, strict=True):
+        if mesh.material != "concrete":  # of which 0.1 m let nothing through
+            assert mesh.thickness_m == pytest.approx(surface.thickness_m, rel=0.01)
+    text = (room / "room.toml").read_text()
+    assert "|ΔR| 0.000" in text
+    assert "unseen: face 6 of plane 6" in text
+
+
+def test_metal_is_known_by_what_it_reflects() -> None:
+    names = SlabNames(CARRIERS_HZ)
+    metal = FoundSlab(
+        share=1.0, permittivity=8.0, conductivity_s_m=500.0, conductivity_power=0.5, thickness_m=0.1
+    )
+    nearest, second = names.nearest(metal)[:2]
+    assert nearest.material == "metal"
+    assert nearest.distance < 0.2 < second.distance
+
+
+@pytest.mark.parametrize(
+    ("material", "thickness_m"), [("glass", 0.008), ("plasterboard", 0.1), ("wood", 0.015)]
+)
+def test_a_material_is_known_by_its_own_reflection_at_every_thickness(
+    material: str, thickness_m: float
+) -> None:
+    learned = FoundSlab.model_validate(slab(material, thickness_m))
+    nearest = SlabNames(CARRIERS_HZ).nearest(learned)[0]
+    assert nearest.material == material
+    assert nearest.thickness_m == pytest.approx(thickness_m)
+    assert nearest.distance < 1e-9  # the same arithmetic twice
+
+
+def test_a_face_on_which_a_transmitter_stands_is_left_out(dataset: PasDataset) -> None:
+    findings = found()
+    tx_m = dataset.tables["tx_position_m"][0]
+    square_m = np.array([[-0.2, -0.2, 0.0], [0.2, -0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, 0.2, 0.0]])
+    through_m = (tx_m + square_m).tolist()
+    told = {"plane": 0, "slab": 0, "seen": 1.0, "is_wall": False, "corners_m": through_m}
+    findings["faces"] = [*findings["faces"], told]  # type: ignore[misc]
+    compared = ComparedFindings.of(record_of(dataset, findings), dataset)
+    assert len(learned_surfaces(compared)) == len(SCENE.surface)
+
+
+def test_a_room_without_faces_is_refused_before_anything_is_written(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    with pytest.raises(DataError, match="has no faces from which a room could be made"):
+        write(dataset, tmp_path, ALL_PLANES)
+    assert not (tmp_path / "page").exists()
+    assert not (tmp_path / "room").exists()
+
+
+@pytest.mark.parametrize(
+    "change", [{"plane": 9}, {"slab": 1}, {"corners_m": [[0, 0, 0], [1, 0, 0]]}], ids=str
+)
+def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[str, object]) -> None:
+    findings = found()
+    findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
+    with pytest.raises(DataError, match="are no planes and images"):
+        ComparedFindings.of(record_of(dataset, findings), dataset)
+
+
+def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    room = write(dataset, tmp_path, found())
+    before = {path.name: path.read_bytes() for path in room.iterdir()}
+    assert write(dataset, tmp_path, found()) == room
+    assert {path.name: path.read_bytes() for path in room.iterdir()} == before
+    with pytest.raises(OutputExistsError, match="was not written for record other"):
+        write(dataset, tmp_path, found(), id="other", time_utc="2027-01-01T00:00:00+00:00")
+    assert {path.name: path.read_bytes() for path in room.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", sorted(WRITTEN))
+def test_a_file_of_someone_else_stays(dataset: PasDataset, tmp_path: Path, name: str) -> None:
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / name).write_text("mine")
+    with pytest.raises(OutputExistsError, match=f"{name} exists"):
+        write(dataset, tmp_path, found())
+    assert (tmp_path / "room" / name).read_text() == "mine"
+    assert not (tmp_path / "page").exists()
+
+
+def test_the_box_is_as_large_as_its_surfaces(dataset: PasDataset) -> None:
+    surfaces = learned_surfaces(ComparedFindings.of(record_of(dataset, found()), dataset))
+    length_m, width_m, height_m = SIZE_M
+    shell_m2 = 2 * (length_m * width_m + length_m * height_m + width_m * height_m)
+    assert sum(each.area_m2 for each in surfaces if each.is_wall) == pytest.approx(shell_m2)

@@ -1,0 +1,106 @@
+"""Writes a learned room as a scene that can be traced: a TOML file, and the GLB that it names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from xfreqbench.report.drawing.figures import is_own_drawing
+from xfreqbench.report.drawing.glb import Colour, GlbModel
+from xfreqbench.report.findings.compared import ComparedFindings
+from xfreqbench.report.findings.room import RoomSurface
+from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
+from xfreqbench.system.files import require_own, require_space, write_text
+
+ROOM, SHAPE = "room.toml", "room.glb"
+_COLOURS: dict[str, Colour] = {
+    "concrete": (150, 150, 150, 110),
+    "plasterboard": (222, 203, 165, 110),
+    "glass": (86, 180, 233, 110),
+    "wood": (166, 110, 60, 160),
+    "chipboard": (196, 145, 85, 160),
+    "metal": (60, 70, 90, 220),
+}
+_OTHER: Colour = (0, 158, 115, 140)
+
+
+def claim_room(record_id: str, folder: Path) -> None:
+    """See that a room can be written into a folder: nothing is there, or a room of the same record.
+
+    Raises `OutputExistsError` where something else is there, and `StorageError`.
+    """
+    fault = f"was not written for record {record_id}"
+
+    def fault_of(path: Path) -> str | None:
+        first = (
+            (folder / ROOM).read_text("utf-8", "replace").partition("\n")[0]
+            if (folder / ROOM).is_file()
+            else ""
+        )
+        is_ours = path.name == ROOM or is_own_drawing(path)
+        return None if is_ours and first == _first_line(record_id) else fault
+
+    for name in (SHAPE, ROOM):
+        require_own(folder / name, fault_of)
+    require_space(folder / ROOM, 1)
+
+
+def write_room(compared: ComparedFindings, surfaces: Sequence[RoomSurface], folder: Path) -> list[Path]:
+    """Write a room of the data's array and transmitters into a folder, which `claim_room` has looked at.
+
+    Returns the paths of the scene and of its shape. Raises `StorageError`.
+    """
+    model = GlbModel()
+    for surface in surfaces:
+        colour = _COLOURS.get(surface.material, _OTHER)
+        model.add_polygon(surface.name, surface.corners_m, colour, surface.slab_name)
+    write_text(folder / ROOM, _toml(compared, surfaces))
+    model.write(folder / SHAPE)
+    return [folder / ROOM, folder / SHAPE]
+
+
+def _first_line(record_id: str) -> str:
+    return f"# The room that record {record_id} has learned."
+
+
+def _toml(compared: ComparedFindings, surfaces: Sequence[RoomSurface]) -> str:
+    scene, job = compared.dataset.scene, compared.record.job
+    parts = [
+        _first_line(compared.record.id),
+        _table(
+            {
+                "name": f"{scene.name}-learned",
+                "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
+                "scene": SHAPE,
+                "mirrors": "facets",
+            }
+        ),
+        "[receiver]\n"
+        + _table(TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")),
+        "[transmitters]\n"
+        + _table(TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")),
+    ]
+    for name, own in sorted(_by_slab(surfaces).items()):
+        unseen = [surface.name for surface in own if surface.is_unseen]
+        note = f"# |ΔR| {max(surface.distance for surface in own):.3f} from what was learned" + (
+            f"; unseen: {', '.join(unseen)}" if unseen else ""
+        )
+        entry = {"name": name, "itu": own[0].material, "thickness_m": own[0].thickness_m}
+        parts.append(f"[[material]]  {note}\n{_table(entry)}")
+    return "\n".join(parts)
+
+
+def _by_slab(surfaces: Sequence[RoomSurface]) -> dict[str, list[RoomSurface]]:
+    slabs: dict[str, list[RoomSurface]] = {}
+    for surface in surfaces:
+        slabs.setdefault(surface.slab_name, []).append(surface)
+    return slabs
+
+
+def _table(content: Mapping[str, Any]) -> str:
+    """Lines of TOML, which writes numbers, texts and lists of them as JSON does."""
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in content.items())
