@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from xfreqbench.scene.materials import ITU_MATERIALS
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -58,3 +59,32 @@ def findings_of(*planes: dict[str, object]) -> dict[str, object]:
 
 ALL_PLANES = findings_of(*(plane(*wall) for wall in WALLS))
 WITHOUT_FLOOR = findings_of(*(plane(*wall) for wall in WALLS[1:]))
+
+
+def slab(material: str, thickness_m: float) -> dict[str, float]:
+    """What a run would have learned of a slab if it had made no error."""
+    band = ITU_MATERIALS[material][0]
+    return {
+        "share": 1.0,
+        "permittivity": band.a,
+        "conductivity_s_m": band.c,
+        "conductivity_power": band.d,
+        "thickness_m": thickness_m,
+    }
+
+
+def found_room(error_m: float = 0.0, seen: float = 1.0) -> dict[str, object]:
+    """Every surface of the box as a plane with one face, `error_m` too far from the array."""
+    planes, faces = [], []
+    for index, surface in enumerate(SCENE.surface):
+        low_m, high_m = np.array(surface.min_m), np.array(surface.max_m)
+        axis = int(np.flatnonzero(low_m == high_m)[0])
+        one, other = (each for each in range(3) if each != axis)
+        corners_m = np.array([low_m] * 4)
+        corners_m[1:3, one], corners_m[2:, other] = high_m[one], high_m[other]
+        corners_m[:, axis] += error_m * np.sign(low_m[axis] - ARRAY_M[axis])
+        slabs = [slab(surface.material, surface.thickness_m)]
+        planes.append(plane("xyz"[axis], float(low_m[axis]), error_m, slabs=slabs))
+        told = {"plane": index, "slab": 0, "corners_m": corners_m.tolist(), "seen": seen}
+        faces.append({**told, "is_wall": surface.name != "screen"})
+    return {**ALL_PLANES, "planes": planes, "faces": faces}

@@ -42,10 +42,18 @@ def findings(
             help="Folder for the learned room as a scene, room.toml and room.glb, which generate traces."
         ),
     ] = None,
+    refine: Annotated[
+        bool,
+        Parameter(
+            help="Change the room, within minutes, until what is traced in it is nearest to some training rows."
+        ),
+    ] = True,
     record: RecordChoice = NEWEST,
     quiet: Quiet = False,
 ) -> None:
     """Compare the planes, materials and images that a run found with the scene of its data.
+
+    With --room, what was found also becomes a scene, which is traced at some tested rows and scored.
 
     Parameters
     ----------
@@ -56,24 +64,35 @@ def findings(
     from xfreqbench.report.findings.compared import ComparedFindings, choose_record
     from xfreqbench.report.findings.room import learned_surfaces
     from xfreqbench.report.findings.room_files import claim_room, write_room
+    from xfreqbench.report.findings.room_fit import refined_room
+    from xfreqbench.report.findings.room_score import HEADER as ROOM_COLUMNS
+    from xfreqbench.report.findings.room_score import score_rooms, score_rows
     from xfreqbench.report.findings.write import (
         missing_rows,
         plane_rows,
         small_missing,
         write_findings,
     )
+    from xfreqbench.system.bars import progress_bars
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
+    surfaces = None if room is None else learned_surfaces(compared)
     if room is not None:
-        surfaces = learned_surfaces(compared)
         claim_room(chosen.id, room)
     paths = write_findings(compared, output)
-    if room is not None:
-        paths += write_room(compared, surfaces, room)
+    if room is not None and surfaces is not None:
+        rooms = {"traced in the room, as found": surfaces}
+        if refine:
+            with progress_bars("changes", ["refining the room"], quiet) as (progress,):
+                surfaces = rooms["traced in the room, refined"] = refined_room(compared, surfaces, progress)
+        scores = score_rows(score_rooms(results, compared, rooms))
+        paths += write_room(compared, surfaces, scores, room)
     if not quiet:
         print_table(compared.title, *plane_rows(compared))
         print_table("Planes of the scene that were not found", *missing_rows(compared))
+        if room is not None:
+            print_table("The room at tested rows", ROOM_COLUMNS, scores)
     say(small_missing(compared), quiet)
     for path in paths:
         say(f"wrote {path}", quiet)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, SIZE_M, plane
+from found_box import ALL_PLANES, SCENE, SETTINGS, SIZE_M, found_room, slab
 from stored_records import make_record
 
 from xfreqbench.cli.data import generate
@@ -20,7 +20,6 @@ from xfreqbench.report.findings.materials import SlabNames
 from xfreqbench.report.findings.model import FoundSlab
 from xfreqbench.report.findings.room import learned_surfaces
 from xfreqbench.runs.records import RunRecord, append
-from xfreqbench.scene.materials import ITU_MATERIALS
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
 
@@ -34,35 +33,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
 
 
-def slab(material: str, thickness_m: float) -> dict[str, float]:
-    """What a run would have learned of a slab if it had made no error."""
-    band = ITU_MATERIALS[material][0]
-    return {
-        "share": 1.0,
-        "permittivity": band.a,
-        "conductivity_s_m": band.c,
-        "conductivity_power": band.d,
-        "thickness_m": thickness_m,
-    }
-
-
-def found(error_m: float = 0.0, seen: float = 1.0) -> dict[str, object]:
-    """Every surface of the box as a plane with one face, `error_m` too far from the array."""
-    planes, faces = [], []
-    for index, surface in enumerate(SCENE.surface):
-        low_m, high_m = np.array(surface.min_m), np.array(surface.max_m)
-        axis = int(np.flatnonzero(low_m == high_m)[0])
-        one, other = (each for each in range(3) if each != axis)
-        corners_m = np.array([low_m] * 4)
-        corners_m[1:3, one], corners_m[2:, other] = high_m[one], high_m[other]
-        corners_m[:, axis] += error_m * np.sign(low_m[axis] - ARRAY_M[axis])
-        slabs = [slab(surface.material, surface.thickness_m)]
-        planes.append(plane("xyz"[axis], float(low_m[axis]), error_m, slabs=slabs))
-        told = {"plane": index, "slab": 0, "corners_m": corners_m.tolist(), "seen": seen}
-        faces.append({**told, "is_wall": surface.name != "screen"})
-    return {**ALL_PLANES, "planes": planes, "faces": faces}
-
-
 def record_of(dataset: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
     return make_record("virtual-source", dataset_sha256=dataset.sha256, findings=findings, **changes)
 
@@ -72,7 +42,9 @@ def write(dataset: PasDataset, folder: Path, findings: dict[str, object], **chan
     (folder / "results").mkdir(exist_ok=True)
     append(folder / "results" / "records.jsonl", record_of(dataset, findings, **changes))
     output, room = folder / "page", folder / "room"
-    findings_command(folder / "results", data=dataset.path, output=output, room=room, quiet=True)
+    findings_command(
+        folder / "results", data=dataset.path, output=output, room=room, refine=False, quiet=True
+    )
     return room
 
 
@@ -92,7 +64,7 @@ def traced(room: Path, dataset: PasDataset, output: Path) -> PasDataset:
 def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    again = traced(write(dataset, tmp_path, found()), dataset, tmp_path / "again.h5")
+    again = traced(write(dataset, tmp_path, found_room()), dataset, tmp_path / "again.h5")
     np.testing.assert_array_equal(again.tx_position_m, dataset.tx_position_m)
     truth = dataset.tables["cfr"]
     # corners are float32: 2e-7 m of a path, 1e-4 rad at 24 GHz, over some reflections
@@ -103,14 +75,14 @@ def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(
 def test_a_room_with_planes_a_centimetre_off_is_heard_to_be_another(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    again = traced(write(dataset, tmp_path, found(error_m=0.01)), dataset, tmp_path / "again.h5")
+    again = traced(write(dataset, tmp_path, found_room(error_m=0.01)), dataset, tmp_path / "again.h5")
     assert np.abs(again.pas() - dataset.pas()).max() > 0.05
 
 
 def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    room = write(dataset, tmp_path, found(seen=0.01))
+    room = write(dataset, tmp_path, found_room(seen=0.01))
     assert {path.name for path in room.iterdir()} == WRITTEN
     scene = load_scene(room / "room.toml")
     assert scene.receiver == dataset.header.receiver
@@ -123,6 +95,7 @@ def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(
     text = (room / "room.toml").read_text()
     assert "|ΔR| 0.000" in text
     assert "unseen: face 6 of plane 6" in text
+    assert "traced in the room, as found: SSIM 1.0000 (mean 1.0000) of 6 tested rows" in text
 
 
 def test_metal_is_known_by_what_it_reflects() -> None:
@@ -149,7 +122,7 @@ def test_a_material_is_known_by_its_own_reflection_at_every_thickness(
 
 
 def test_a_face_on_which_a_transmitter_stands_is_left_out(dataset: PasDataset) -> None:
-    findings = found()
+    findings = found_room()
     tx_m = dataset.tables["tx_position_m"][0]
     square_m = np.array([[-0.2, -0.2, 0.0], [0.2, -0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, 0.2, 0.0]])
     through_m = (tx_m + square_m).tolist()
@@ -172,7 +145,7 @@ def test_a_room_without_faces_is_refused_before_anything_is_written(
     "change", [{"plane": 9}, {"slab": 1}, {"corners_m": [[0, 0, 0], [1, 0, 0]]}], ids=str
 )
 def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[str, object]) -> None:
-    findings = found()
+    findings = found_room()
     findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
     with pytest.raises(DataError, match="are no planes and images"):
         ComparedFindings.of(record_of(dataset, findings), dataset)
@@ -181,12 +154,12 @@ def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[s
 def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    room = write(dataset, tmp_path, found())
+    room = write(dataset, tmp_path, found_room())
     before = {path.name: path.read_bytes() for path in room.iterdir()}
-    assert write(dataset, tmp_path, found()) == room
+    assert write(dataset, tmp_path, found_room()) == room
     assert {path.name: path.read_bytes() for path in room.iterdir()} == before
     with pytest.raises(OutputExistsError, match="was not written for record other"):
-        write(dataset, tmp_path, found(), id="other", time_utc="2027-01-01T00:00:00+00:00")
+        write(dataset, tmp_path, found_room(), id="other", time_utc="2027-01-01T00:00:00+00:00")
     assert {path.name: path.read_bytes() for path in room.iterdir()} == before
 
 
@@ -195,13 +168,13 @@ def test_a_file_of_someone_else_stays(dataset: PasDataset, tmp_path: Path, name:
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / name).write_text("mine")
     with pytest.raises(OutputExistsError, match=f"{name} exists"):
-        write(dataset, tmp_path, found())
+        write(dataset, tmp_path, found_room())
     assert (tmp_path / "room" / name).read_text() == "mine"
     assert not (tmp_path / "page").exists()
 
 
 def test_the_box_is_as_large_as_its_surfaces(dataset: PasDataset) -> None:
-    surfaces = learned_surfaces(ComparedFindings.of(record_of(dataset, found()), dataset))
+    surfaces = learned_surfaces(ComparedFindings.of(record_of(dataset, found_room()), dataset))
     length_m, width_m, height_m = SIZE_M
     shell_m2 = 2 * (length_m * width_m + length_m * height_m + width_m * height_m)
     assert sum(each.area_m2 for each in surfaces if each.is_wall) == pytest.approx(shell_m2)

@@ -39,16 +39,14 @@ class GlbModel:
     def __init__(self) -> None:
         self._scene = trimesh.Scene()
 
-    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE) -> None:
-        """Add a surface of a scene, as the node `surface NAME`."""
-        self._add(f"surface {mesh.name}", trimesh.Trimesh(mesh.vertices_m, mesh.triangles), colour)
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE, material: str | None = None) -> None:
+        """Add a surface of a scene, as the node `surface NAME`, under the name of a material where one is given."""
+        shape = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
+        self._add(f"surface {mesh.name}", shape, colour, material)
 
-    def add_polygon(
-        self, name: str, corners_m: Float[FloatArray, "n 3"], colour: Colour, material: str | None = None
-    ) -> None:
-        """Add a convex polygon, its corners in order around it, under the name of a material where one is given."""
-        fan = [[0, corner, corner + 1] for corner in range(1, len(corners_m) - 1)]
-        self._add(name, trimesh.Trimesh(corners_m, fan, process=False), colour, material)
+    def add_rectangle(self, name: str, corners_m: Float[FloatArray, "4 3"], colour: Colour) -> None:
+        """Add a rectangle; its corners are given in order around it."""
+        self._add(name, trimesh.Trimesh(corners_m, [[0, 1, 2], [0, 2, 3]], process=False), colour)
 
     def add_ball(self, name: str, centre_m: Float[FloatArray, "3"], radius_m: float, colour: Colour) -> None:
         """Add a sphere."""
@@ -113,7 +111,7 @@ def write_glb(
     for mesh in meshes:
         model.add_surface(mesh)
     for name, corners_m in rectangles_m.items():
-        model.add_polygon(name, corners_m, _PLANE)
+        model.add_rectangle(name, corners_m, _PLANE)
     for name, point_m in points_m.items():
         model.add_ball(name, point_m, _RADIUS_M, _POINT)
     model.write(path)

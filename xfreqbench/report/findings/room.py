@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.materials import SlabNames
+from xfreqbench.report.findings.materials import NamedSlab, SlabNames
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.placement import MIN_SEPARATION_M
 from xfreqbench.scene.visibility import distance_to_surfaces
@@ -17,30 +19,48 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what learning began with
+_ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
 
 
 @dataclass(frozen=True, eq=False)
 class RoomSurface:
-    """A convex polygon of a learned room, its corners in turn, with the P.2040 material nearest to what was learned.
+    """A convex polygon of a learned room, its corners in turn, of a P.2040 material; or the box behind it.
 
-    `distance` is that of the reflection coefficients, as `NamedSlab` has it; `seen` is that of `FoundFace`.
+    `normal` points away from the array. `depth_m` is that of the box, 0 for the polygon alone; `open_sides` are its
+    sides, by their first corner, that lie in walls. `seen` is that of `FoundFace`.
     """
 
-    name: str
+    number: int
     plane: int
+    found_slab: int
+    normal: Float[FloatArray, "3"]
     corners_m: Float[FloatArray, "n 3"]
-    material: str
-    thickness_m: float
-    distance: float
+    slab: NamedSlab
     seen: float
     is_wall: bool
+    depth_m: float = 0.0
+    open_sides: tuple[int, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What it is, and in which plane it was found."""
+        kind = "wall" if self.is_wall else "box" if self.depth_m else "face"
+        return f"{kind} {self.number} of plane {self.plane}"
 
     @property
     def mesh(self) -> SurfaceMesh:
-        """The polygon as a fan of triangles."""
-        number = np.arange(1, len(self.corners_m) - 1)
-        triangles = np.stack([np.zeros_like(number), number, number + 1], axis=1)
-        return SurfaceMesh(self.name, self.material, self.thickness_m, self.corners_m, triangles)
+        """The polygon as a fan of triangles, with the same behind it and the sides between, where it is a box."""
+        number = len(self.corners_m)
+        fan = np.array([[0, corner, corner + 1] for corner in range(1, number - 1)])
+        vertices_m, triangles = self.corners_m, [fan]
+        if self.depth_m:
+            vertices_m = np.concatenate([vertices_m, vertices_m + self.depth_m * self.normal])
+            sides = [(a, (a + 1) % number) for a in range(number) if a not in self.open_sides]
+            quads = [[[a, b, number + b], [a, number + b, number + a]] for a, b in sides]
+            triangles += [fan + number, np.array(quads, dtype=np.int64).reshape(-1, 3)]
+        return SurfaceMesh(
+            self.name, self.slab.material, self.slab.thickness_m, vertices_m, np.concatenate(triangles)
+        )
 
     @property
     def area_m2(self) -> float:
@@ -51,16 +71,22 @@ class RoomSurface:
     @property
     def slab_name(self) -> str:
         """Material and thickness in words, as in `glass 7.90 mm`."""
-        return f"{self.material} {self.thickness_m * 1e3:.2f} mm"
+        return f"{self.slab.material} {self.slab.thickness_m * 1e3:.2f} mm"
 
     @property
     def is_unseen(self) -> bool:
         """Whether too few paths tell of it for its material to mean anything."""
         return self.seen < _MIN_SEEN
 
-    def made_of(self, material: str, thickness_m: float, distance: float) -> RoomSurface:
-        """The same polygon of another slab."""
-        return replace(self, material=material, thickness_m=thickness_m, distance=distance)
+    def with_depth(self, depth_m: float, walls: Sequence[RoomSurface]) -> RoomSurface:
+        """The same polygon as the front of a box, which has no sides in walls."""
+        ends_m = np.stack([self.corners_m, np.roll(self.corners_m, -1, axis=0)], axis=1)
+        in_wall = np.zeros(len(ends_m), bool)
+        for wall in walls:
+            away_m = np.abs((ends_m - wall.corners_m[0]) @ wall.normal)
+            in_wall |= (away_m < _ON_WALL_M).all(1)
+        sides = tuple(np.flatnonzero(in_wall).tolist()) if depth_m else ()
+        return replace(self, depth_m=depth_m, open_sides=sides)
 
 
 def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
@@ -80,13 +106,24 @@ def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
         (face.plane, face.slab): names.nearest(findings.planes[face.plane].slabs[face.slab])[0]
         for face in findings.faces
     }
-    aperture_m = header.receiver.element_position_m(SPEED_OF_LIGHT_M_S / header.carrier_hz.min())
-    standing_m = np.concatenate([aperture_m, compared.dataset.tables["tx_position_m"]])
     surfaces = []
     for number, face in enumerate(findings.faces):
-        name = f"{'wall' if face.is_wall else 'face'} {number} of plane {face.plane}"
-        slab = nearest[face.plane, face.slab]
-        surface = RoomSurface(name, face.plane, np.array(face.corners_m), *slab, face.seen, face.is_wall)
-        if distance_to_surfaces([surface.mesh], standing_m).min() >= MIN_SEPARATION_M:
-            surfaces.append(surface)
-    return surfaces
+        slab, normal = nearest[face.plane, face.slab], findings.planes[face.plane].unit_normal
+        corners_m = np.array(face.corners_m)
+        surfaces.append(
+            RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall)
+        )
+    standing_m = standing(compared.dataset)
+    return [each for each in surfaces if is_clear(each, standing_m)]
+
+
+def standing(dataset: PasDataset) -> Float[FloatArray, "N 3"]:
+    """The places of the array's elements, at the lowest carrier, and of the transmitters, where no surface can be."""
+    header = dataset.header
+    aperture_m = header.receiver.element_position_m(SPEED_OF_LIGHT_M_S / header.carrier_hz.min())
+    return np.concatenate([aperture_m, dataset.tables["tx_position_m"]])
+
+
+def is_clear(surface: RoomSurface, standing_m: Float[FloatArray, "N 3"]) -> bool:
+    """Whether a surface is as far from all these places as a tracer demands."""
+    return bool(distance_to_surfaces([surface.mesh], standing_m).min() >= MIN_SEPARATION_M)

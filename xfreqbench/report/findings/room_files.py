@@ -49,16 +49,22 @@ def claim_room(record_id: str, folder: Path) -> None:
     require_space(folder / ROOM, 1)
 
 
-def write_room(compared: ComparedFindings, surfaces: Sequence[RoomSurface], folder: Path) -> list[Path]:
+def write_room(
+    compared: ComparedFindings,
+    surfaces: Sequence[RoomSurface],
+    scores: Sequence[tuple[str, ...]],
+    folder: Path,
+) -> list[Path]:
     """Write a room of the data's array and transmitters into a folder, which `claim_room` has looked at.
 
-    Returns the paths of the scene and of its shape. Raises `StorageError`.
+    `scores` are cells as `score_rows` returns them, which the scene's file tells in comments. Returns the paths of
+    the scene and of its shape. Raises `StorageError`.
     """
     model = GlbModel()
     for surface in surfaces:
-        colour = _COLOURS.get(surface.material, _OTHER)
-        model.add_polygon(surface.name, surface.corners_m, colour, surface.slab_name)
-    write_text(folder / ROOM, _toml(compared, surfaces))
+        colour = _COLOURS.get(surface.slab.material, _OTHER)
+        model.add_surface(surface.mesh, colour, surface.slab_name)
+    write_text(folder / ROOM, _toml(compared, surfaces, scores))
     model.write(folder / SHAPE)
     return [folder / ROOM, folder / SHAPE]
 
@@ -67,11 +73,17 @@ def _first_line(record_id: str) -> str:
     return f"# The room that record {record_id} has learned."
 
 
-def _toml(compared: ComparedFindings, surfaces: Sequence[RoomSurface]) -> str:
+def _toml(
+    compared: ComparedFindings, surfaces: Sequence[RoomSurface], scores: Sequence[tuple[str, ...]]
+) -> str:
     scene, job = compared.dataset.scene, compared.record.job
     parts = [
         _first_line(compared.record.id),
-        _table(
+        "".join(
+            f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n"
+            for what, median, mean, number in scores
+        )
+        + _table(
             {
                 "name": f"{scene.name}-learned",
                 "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
@@ -86,10 +98,10 @@ def _toml(compared: ComparedFindings, surfaces: Sequence[RoomSurface]) -> str:
     ]
     for name, own in sorted(_by_slab(surfaces).items()):
         unseen = [surface.name for surface in own if surface.is_unseen]
-        note = f"# |ΔR| {max(surface.distance for surface in own):.3f} from what was learned" + (
+        note = f"# |ΔR| {max(surface.slab.distance for surface in own):.3f} from what was learned" + (
             f"; unseen: {', '.join(unseen)}" if unseen else ""
         )
-        entry = {"name": name, "itu": own[0].material, "thickness_m": own[0].thickness_m}
+        entry = {"name": name, "itu": own[0].slab.material, "thickness_m": own[0].slab.thickness_m}
         parts.append(f"[[material]]  {note}\n{_table(entry)}")
     return "\n".join(parts)
 
