@@ -132,6 +132,18 @@ def test_a_face_on_which_a_transmitter_stands_is_left_out(dataset: PasDataset) -
     assert len(learned_surfaces(compared)) == len(SCENE.surface)
 
 
+def test_slivers_are_left_out_and_corners_that_are_one_count_once(dataset: PasDataset) -> None:
+    findings = found_room()
+    faces = [dict(face) for face in findings["faces"]]  # type: ignore[attr-defined]
+    corners_m = faces[0]["corners_m"]
+    faces[0]["corners_m"] = [corners_m[0], (np.array(corners_m[0]) + 1e-6).tolist(), *corners_m[1:]]
+    sliver_m = [[1.0, 1.0, 0.5], [2.0, 1.0, 0.5], [2.0, 1.001, 0.5]]
+    faces.append({**faces[-1], "corners_m": sliver_m})
+    told = ComparedFindings.of(record_of(dataset, {**findings, "faces": faces}), dataset)
+    surfaces = learned_surfaces(told)
+    assert [len(surface.corners_m) for surface in surfaces] == [4] * len(SCENE.surface)
+
+
 def test_a_room_without_faces_is_refused_before_anything_is_written(
     dataset: PasDataset, tmp_path: Path
 ) -> None:

@@ -20,6 +20,8 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what learning began with
 _ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
+_SAME_M = 0.01  # corners that are nearer to each other are one
+_LEAST_AREA_M2 = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,9 @@ class RoomSurface:
 
     @property
     def area_m2(self) -> float:
-        """Area of the polygon."""
+        """Area of the polygon; 0 where it has fewer than three corners."""
+        if len(self.corners_m) < 3:
+            return 0.0
         edges_m = self.corners_m[1:] - self.corners_m[0]
         return float(np.linalg.norm(np.cross(edges_m[:-1], edges_m[1:]).sum(0)) / 2)
 
@@ -92,7 +96,7 @@ class RoomSurface:
 def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
     """The faces of findings, each of the P.2040 material that is nearest over the carriers of the data.
 
-    A face on which the array or a transmitter of the data stands is left out. Raises `DataError` for findings
+    A face on which the array or a transmitter of the data stands is left out, and a sliver. Raises `DataError` for findings
     without faces.
     """
     findings, header = compared.findings, compared.dataset.header
@@ -110,11 +114,12 @@ def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
     for number, face in enumerate(findings.faces):
         slab, normal = nearest[face.plane, face.slab], findings.planes[face.plane].unit_normal
         corners_m = np.array(face.corners_m)
+        corners_m = corners_m[np.linalg.norm(corners_m - np.roll(corners_m, -1, axis=0), axis=1) > _SAME_M]
         surfaces.append(
             RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall)
         )
     standing_m = standing(compared.dataset)
-    return [each for each in surfaces if is_clear(each, standing_m)]
+    return [each for each in surfaces if each.area_m2 > _LEAST_AREA_M2 and is_clear(each, standing_m)]
 
 
 def standing(dataset: PasDataset) -> Float[FloatArray, "N 3"]:
