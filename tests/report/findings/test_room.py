@@ -19,6 +19,7 @@ from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.materials import SlabNames
 from xfreqbench.report.findings.model import FoundSlab
 from xfreqbench.report.findings.room import learned_surfaces
+from xfreqbench.report.findings.room_files import claim_room, write_room
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
@@ -166,13 +167,18 @@ def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[s
 def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    room = write(dataset, tmp_path, found_room())
-    before = {path.name: path.read_bytes() for path in room.iterdir()}
-    assert write(dataset, tmp_path, found_room()) == room
-    assert {path.name: path.read_bytes() for path in room.iterdir()} == before
+    mine, other = (
+        ComparedFindings.of(record_of(dataset, found_room(), id=name), dataset) for name in ("mine", "other")
+    )
+    written = []
+    for _ in range(2):
+        claim_room("mine", tmp_path)
+        write_room(mine, learned_surfaces(mine), [], tmp_path)
+        written.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
+    assert set(written[0]) == WRITTEN
+    assert written[0] == written[1]
     with pytest.raises(OutputExistsError, match="was not written for record other"):
-        write(dataset, tmp_path, found_room(), id="other", time_utc="2027-01-01T00:00:00+00:00")
-    assert {path.name: path.read_bytes() for path in room.iterdir()} == before
+        claim_room(other.record.id, tmp_path)
 
 
 @pytest.mark.parametrize("name", sorted(WRITTEN))

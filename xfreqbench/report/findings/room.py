@@ -96,8 +96,8 @@ class RoomSurface:
 def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
     """The faces of findings, each of the P.2040 material that is nearest over the carriers of the data.
 
-    A face on which the array or a transmitter of the data stands is left out, and a sliver. Raises `DataError` for findings
-    without faces.
+    A face on which the array or a transmitter of the data stands is left out, and a sliver. Raises `DataError` for
+    findings without faces.
     """
     findings, header = compared.findings, compared.dataset.header
     if not findings.faces:
