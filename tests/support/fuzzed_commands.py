@@ -23,6 +23,7 @@ _SLOW = (
     "residual",
     "benchmark",
     "bench ceiling",
+    "bench patches",
 )  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
@@ -71,12 +72,13 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench load": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
     "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
+    "bench patches": {"scene": SCENE, "output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
     *(
         (f"bench {name}", "records")
-        for name in ("generate", "render", "savings", "scale-out", "load", "peers", "ceiling")
+        for name in ("generate", "render", "savings", "scale-out", "load", "peers", "ceiling", "patches")
     ),
     ("stress", "records"),
 }
@@ -139,6 +141,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench generate": ("bench generate ./room.toml",),
         "bench reference": ("bench reference ./room.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./room.toml -o taken.h5 -q",),
+        "bench patches": ("bench patches ./room.toml --freqs 10 --tx 1 -q",),
     },
     "mesh": {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
@@ -150,6 +153,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),
+        "bench patches": ("bench patches ./mesh.toml --freqs 10 --tx 1 -q",),
     },
 }
 
