@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")"
 say() { printf '\n== %s\n' "$*"; }
 methods=${METHODS:-line-of-sight,nearest,mean-over-frequency,log-frequency,xfreq-gs,aperture-gs,virtual-source}
-budget=${BUDGET:-400steps} data=data/office-quick.h5 results=results/quickstart
+budget=${BUDGET:-quick} data=data/office-quick.h5 results=results/quickstart
 
 say "Installing; two minutes the first time, most of it downloads"
 [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
@@ -17,7 +17,7 @@ say "Tracing ${NUM_TX:-120} transmitters of the office at 10 carriers, from 1 to
 say "Drawing the room, rays and maps of a transmitter; ten seconds"
 .venv/bin/xfreqbench view "$data" --tx 60 --output "$results/view"
 
-say "Fitting at nine carriers and predicting the tenth, at 2.4, 24.25 and 77 GHz in turn, $budget a fit; a minute on two cores"
+say "Fitting at nine carriers and predicting the tenth, at 2.4, 24.25 and 77 GHz in turn, budget $budget; two minutes on two cores"
 .venv/bin/xfreqbench run --method "$methods" --data "$data" --protocol lofo --budget "$budget" --executor "$(nproc)" \
     --results "$results"
 

@@ -66,6 +66,10 @@ class VirtualSource(LearnedMethod):
             _field(self._training).budget = budget
         yield from super().fit(train, budget, seed)
 
+    def maps_a_step(self, train: PasDataset) -> int:
+        """How many training maps one step shows: those of some transmitters at every carrier."""
+        return self.config.batch_size * len(np.unique(train.carrier_hz))
+
     def batch_loss(self, training: Training, targets: Targets) -> Tensor:
         """Eq. 12 for all rows of some transmitters, plus a small weight on the contents of the cells."""
         field, generator = _field(training), training.generator

@@ -175,6 +175,23 @@ class Counting(Endless):
         yield Progress(1, 1.0, self.counts)
 
 
+class Mapping16(Endless):
+    def fit(self, train, budget, seed):
+        for step in range(1, 100):
+            yield Progress(step, 1.0, {"maps": 16 * step})
+
+
+def test_a_budget_in_maps_ends_with_the_step_that_reaches_it(train: PasDataset) -> None:
+    fit = fit_within(Mapping16(), train, Budget(max_maps=40), seed=0)
+    assert (fit.step, fit.maps, fit.share) == (3, 48, 48 / 40)
+    assert fit_within(Mapping16(), train, Budget(max_maps=40), seed=0, spent=fit) is fit
+
+
+def test_a_budget_in_maps_is_refused_by_a_method_that_does_not_count_them(train: PasDataset) -> None:
+    with pytest.raises(MethodError, match=r"64000 maps, but Endless\.fit does not tell"):
+        fit_within(Endless(), train, Budget(max_maps=64_000), seed=0)
+
+
 def test_a_count_whose_name_is_no_text_breaks_the_contract(train: PasDataset) -> None:
     method = Counting()
     method.counts = {"\udcff": 1.0}

@@ -11,7 +11,7 @@ from xfreqbench.methods.registry import build_method
 from xfreqbench.runs import benchmark as benchmarks
 from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
 from xfreqbench.runs.folder import ResultsFolder, read_records
-from xfreqbench.runs.presets import LEARNED, PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
+from xfreqbench.runs.presets import PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
 
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
@@ -61,7 +61,8 @@ def test_every_learned_method_meets_the_trivial_ones_on_the_same_splits(name: st
 
 @pytest.mark.parametrize("name", ["standard", "full"])
 def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: str) -> None:
-    blocks = [block for block in PRESETS[name].blocks if set(LEARNED) <= set(block.settings)]
+    compared = {Setting("xfreq-gs"), Setting("aperture-gs")}
+    blocks = [block for block in PRESETS[name].blocks if compared <= set(block.settings)]
     assert any(len(block.seeds) >= 3 and block.protocol == "lofo" for block in blocks)
     for scene in ("office", "two_rooms"):
         assert {block.protocol for block in blocks if block.scene == scene} == {
@@ -72,12 +73,12 @@ def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: st
         }
 
 
-def test_the_standard_preset_fits_in_two_and_three_quarter_hours_on_two_cores(
+def test_the_standard_preset_fits_in_three_hours_on_two_cores(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(benchmarks, "own_cores", lambda: [frozenset({0}), frozenset({1})])
     planned = plan_benchmark("standard", Path("nowhere"), Path("results"))
-    assert benchmarks.seconds_needed(planned) <= 2.75 * 3600
+    assert benchmarks.seconds_needed(planned) <= 3 * 3600
 
 
 def test_ablations_change_the_setting_that_they_name() -> None:

@@ -81,7 +81,7 @@ def test_names_and_subsets_are_refused_before_the_first_fit(dataset: PasDataset,
         xb.run(dataset, ["nearest", "neares"], results=tmp_path, **TARGET)  # type: ignore[arg-type]
     with pytest.raises(XFreqBenchError, match="subset of 2 of the"):
         xb.run(dataset[:2], "nearest", results=tmp_path)
-    with pytest.raises(MethodError, match="5m, 2h or 2000steps"):
+    with pytest.raises(MethodError, match="5m, 2h, 2000steps or 64000maps"):
         xb.run(dataset, "nearest", results=tmp_path, budget="long")
     assert not list(tmp_path.iterdir())
 

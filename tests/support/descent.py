@@ -56,7 +56,7 @@ class Descent:
             self.step += 1
             self.random_state = generator.bit_generator.state
             type(self).num_steps_done += 1
-            self.share = yield Progress(self.step, self._loss(gradient), {"maps": 1})
+            self.share = yield Progress(self.step, self._loss(gradient), {"maps": self.step})
 
     def _loss(self, gradient):
         return float((gradient**2).mean())

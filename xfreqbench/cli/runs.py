@@ -143,7 +143,13 @@ def run(
     ] = None,
     on: ScoredOnOption = "test",
     seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
-    budget: Annotated[str, Parameter(help="Fitting budget of every run: 300s, 5m, or 2000steps.")] = "5m",
+    budget: Annotated[
+        str,
+        Parameter(
+            help="Fitting budget of every run: 300s, 5m, 2000steps, 64000maps, or a lane of the leaderboard: quick "
+            "(64000maps), minutes (5m), converged (200000maps)."
+        ),
+    ] = "5m",
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
     ] = "cpu",
@@ -223,8 +229,8 @@ def benchmark(
     preset: Annotated[
         str,
         Parameter(
-            help="quick: minutes; standard: as in BENCHMARK.md; full: days, or many cores; carrier: whether xfreq-gs "
-            "gains by being told the carrier."
+            help="quick: minutes; standard: as in BENCHMARK.md; converged: longer fits; full: days, or many "
+            "cores; carrier: whether xfreq-gs gains by being told the carrier."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(

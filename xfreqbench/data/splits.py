@@ -214,17 +214,20 @@ def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
 
 
 def validation_tx(
-    train: PasDataset, generator: np.random.Generator, most: int | None = None
+    train: PasDataset,
+    generator: np.random.Generator,
+    most: int | None = None,
+    least: int = LEAST_VALIDATION_TX,
 ) -> Int[IntArray, "t"]:
     """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
 
-    They are four at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
+    They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
     """
     number = len(np.unique(train.tx_index))
     if number < LEAST_TRAINING_TX:
         return np.empty(0, np.int64)
     tenth = int(VALIDATION_SHARE * number)
-    return _drawn_tx(train, generator, max(LEAST_VALIDATION_TX, tenth if most is None else min(most, tenth)))
+    return _drawn_tx(train, generator, max(least, tenth if most is None else min(most, tenth)))
 
 
 def _drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:

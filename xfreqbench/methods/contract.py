@@ -26,10 +26,14 @@ Maps = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Budget:
-    """The limits of training, in steps, in seconds, or both; without one, the method decides when training ends."""
+    """The limits of training in steps, in seconds, or in maps; without one, the method decides when training ends.
+
+    A map counts each time a step shows it: a step on 128 of them spends 128.
+    """
 
     max_steps: Annotated[int, Field(gt=0, lt=2**63)] | None = None
     max_seconds: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    max_maps: Annotated[int, Field(gt=0, lt=2**63)] | None = None
 
     def __post_init__(self) -> None:
         """Raises `ArgumentError` for a limit that is no number above 0."""
@@ -40,9 +44,9 @@ class Budget:
                     "such as '5m' in place of a budget."
                 )
 
-    def share(self, step: int, seconds: float) -> float:
+    def share(self, step: int, seconds: float, maps: float = 0.0) -> float:
         """The part of the limit that is spent, 1 at its end; of two limits the one that is nearer, 0 without any."""
-        limits = (step, self.max_steps), (seconds, self.max_seconds)
+        limits = (step, self.max_steps), (seconds, self.max_seconds), (maps, self.max_maps)
         return max((spent / limit for spent, limit in limits if limit is not None), default=0.0)
 
     def timer(self, share: float) -> Callable[[], bool]:
@@ -56,19 +60,31 @@ class Budget:
         return lambda: time.perf_counter() >= end_s
 
 
-def parse_budget(text: str | None) -> Budget:
-    """The budget that a text such as `300s`, `5m`, `2h` or `2000steps` stands for; unlimited for None.
+LANES = {  # budgets with names: a benchmark ranks fits of one of them
+    "quick": Budget(max_maps=64_000),
+    "minutes": Budget(max_seconds=300.0),
+    "converged": Budget(max_maps=200_000),  # the paper's number of iterations, of one map each
+}
 
-    Raises `MethodError` for any other text.
+
+def parse_budget(text: str | None) -> Budget:
+    """The budget that a text such as `300s`, `5m`, `2h`, `2000steps` or `64000maps` stands for; unlimited for None.
+
+    It may be the name of one of the `LANES`. Raises `MethodError` for any other text.
     """
     if text is None:
         return Budget()
-    matched = re.fullmatch(r"(\d{1,15})\s*(steps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
+    if text.strip() in LANES:
+        return LANES[text.strip()]
+    matched = re.fullmatch(r"(\d{1,15})\s*(steps|maps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
     number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
     if float(number) == 0:
-        raise MethodError(f"A budget is written as in 300s, 5m, 2h or 2000steps, but {text!r} was given.")
-    if unit == "steps":
-        return Budget(max_steps=int(number))
+        raise MethodError(
+            f"A budget is written as in 300s, 5m, 2h, 2000steps or 64000maps, or is one of {', '.join(LANES)}, but "
+            f"{text!r} was given."
+        )
+    if unit in ("steps", "maps"):
+        return Budget(**{f"max_{unit}": int(number)})
     return Budget(max_seconds=float(number) * {"s": 1, "m": 60, "h": 3600}[unit])
 
 
@@ -76,7 +92,8 @@ def parse_budget(text: str | None) -> Budget:
 class Progress:
     """What a method yields while it trains: the steps done, its loss (nan if it has none), and `counts`.
 
-    `counts` are sizes that change during training, as in `{"gaussians": 1024}`.
+    `counts` are sizes that change during training, as in `{"gaussians": 1024}`. Of these, `maps` is the number of
+    training maps that all steps so far have shown; a budget in maps needs it.
     """
 
     step: int
@@ -108,8 +125,8 @@ class Method(Protocol):
 
         For a method that was loaded, `fit` goes on from where it was saved, with a higher step, or starts again;
         the first step that it yields shows which. The share of a yield arrives after the method was saved, so a
-        fit that goes on begins with `max(saved share, budget.share(saved step, 0.0))`, which is exact for a budget
-        of steps. Raise `DivergenceError` if something is no longer finite.
+        fit that goes on begins with `max(saved share, budget.share(saved step, 0.0, saved maps))`, which is
+        exact for a budget of steps or maps. Raise `DivergenceError` if something is no longer finite.
 
         Before the clock of a fit starts, a run lets another instance make one step on a few rows of `train`, so that
         compilation is charged to no method.

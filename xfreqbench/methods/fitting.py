@@ -37,6 +37,11 @@ class Fit:
     counts: Mapping[str, float] = field(default_factory=dict)
     processor_seconds: float = 0.0
 
+    @property
+    def maps(self) -> float:
+        """How many training maps the steps have shown; 0 where the method does not tell."""
+        return self.counts.get("maps", 0.0)
+
 
 Observer = Callable[[Fit | None, Fit], None]
 
@@ -79,9 +84,9 @@ def fit_within(
     again: `spent` then does not count, and `before` is None.
 
     Raises `MethodError` if the method yields nothing, or something other than `Progress`, and `DivergenceError`
-    for a loss that is infinite, or nan after it was finite.
+    for a loss that is infinite, or nan after it was finite. A budget in maps needs a method that counts them.
     """
-    if spent and budget.share(spent.step, spent.seconds) >= 1:
+    if spent and budget.share(spent.step, spent.seconds, spent.maps) >= 1:
         return spent
     running = _RunningFit(method, train, budget, seed, spent)
     with closing(running):
@@ -139,15 +144,25 @@ class _RunningFit:
             self._clock.processor_seconds -= self._spent.processor_seconds
         before, self._last = self._last, self._stands(progress)
         _require_finite(before, self._last)
+        self._require_maps(before, self._last)
         return before, self._last
 
     def _stands(self, progress: Progress) -> Fit:
         seconds = self._clock.seconds
         counts = {name: float(count) for name, count in progress.counts.items()}
-        share = self._budget.share(progress.step, seconds)
+        share = self._budget.share(progress.step, seconds, counts.get("maps", 0.0))
         return Fit(
             int(progress.step), float(progress.loss), seconds, share, counts, self._clock.processor_seconds
         )
+
+    def _require_maps(self, before: Fit | None, now: Fit) -> None:
+        """Raise `MethodError` where the budget is in maps, and a method that goes on does not count them."""
+        if self._budget.max_maps is not None and before is not None and now.maps <= before.maps:
+            raise MethodError(
+                f"The budget is {self._budget.max_maps} maps, but {_name(self._method)}.fit does not tell how many "
+                f"its steps have shown: {before.maps:g} after step {before.step} and {now.maps:g} after step "
+                f'{now.step}. Yield Progress(step, loss, {{"maps": …}}), or give a budget in steps or seconds.'
+            )
 
 
 def _takes_share(steps: Any) -> bool:

@@ -46,6 +46,8 @@ _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
 TracingProgress = Callable[[str, int, int], None]
 RunProgress = Callable[[int, int, Job], None]
+_TRIVIAL_S = 5.0  # of a run that fits nothing
+_SECONDS_A_MAP = 4e-4  # of training on one core, roughly: xfreq-gs takes 1e-4, wrf-gs-plus 2e-3
 
 
 @dataclass(frozen=True)
@@ -152,9 +154,11 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
 def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
     """Estimated seconds for all runs, as if none was done yet, and all measurements."""
     blocks = benchmark.preset.blocks
-    budgets_s = [parse_budget(block.budget).max_seconds or 0.0 for block in blocks]
+    budgets = [parse_budget(block.budget) for block in blocks]
+    budgets_s = [each.max_seconds or (each.max_maps or 0) * _SECONDS_A_MAP for each in budgets]
     runs_s = sum(
-        _num_runs(block) * (each + OVERHEAD_S) for block, each in zip(blocks, budgets_s, strict=True)
+        _num_runs(block) * (each + (OVERHEAD_S if block.budget else _TRIVIAL_S))
+        for block, each in zip(blocks, budgets_s, strict=True)
     )
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
     return runs_s / (num_places or benchmark.num_places) + benches_s

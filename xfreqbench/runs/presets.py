@@ -90,7 +90,6 @@ _SCENES = ("office", "two_rooms")
 _ALL_SCENES = (*_SCENES, "corridor")
 _PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
 _OTHER_GHZ = (1.0, 5.0, 10.0, 37.0, 47.0, 60.0, 94.0)  # the carriers that the paper does not test
-_VALIDATION_GHZ = (5.0, 47.0)  # the choice that aperture-gs is told the carrier was made at these
 
 
 def _trivial(protocol: str, scene: str) -> Block:
@@ -101,60 +100,56 @@ def _trivial(protocol: str, scene: str) -> Block:
 _TRIVIAL = tuple(_trivial(protocol, scene) for scene in _SCENES for protocol in _PROTOCOLS)
 
 QUICK = Preset(
-    description="a look at everything on 240 office transmitters, one seed, 10 s a fit",
+    description="a look at everything on 240 office transmitters, one seed, 64,000 maps a fit",
     blocks=(
         *(
             Block("office", protocol, TRIVIAL_SETTINGS, None)
             for protocol in ("lofo", "held-out-tx", "lofo-unseen-tx")
         ),
-        *(Block("office", protocol, LEARNED, "10s") for protocol in ("lofo", "held-out-tx")),
-        Block("office", "lofo", (VIRTUAL_SOURCE,), "30s"),
-        Block("office", "lofo-unseen-tx", LEARNED, "10s", targets_ghz=(24.25,)),
+        *(Block("office", protocol, LEARNED, "quick") for protocol in ("lofo", "held-out-tx")),
+        Block("office", "lofo", (VIRTUAL_SOURCE,), "quick"),
+        Block("office", "lofo-unseen-tx", LEARNED, "quick", targets_ghz=(24.25,)),
     ),
     left_out="two_rooms, the sparse protocol, ablations, more than one seed (so nothing learned is ranked), "
     "and the measurements of generator, renderer and stability",
     num_tx={"office": 240},
 )
+_OURS = (Setting("xfreq-gs"), Setting("aperture-gs"), VIRTUAL_SOURCE)
+_REDUCED = (Setting("fixed-frequency-gs"), Setting("frequency-embedded-gs"))
 STANDARD = Preset(
-    description="every method on two scenes, two in a third, half a minute a fit (virtual-source one, and five "
-    "for the paper's splits), three seeds where learned methods are ranked",
+    description="every method in the lane quick, 64,000 maps a fit, with three seeds: all on lofo in the office, the "
+    "paper's three and our two on lofo elsewhere, and xfreq-gs and our two on the other protocols; in the lane minutes "
+    "xfreq-gs and virtual-source on lofo in the office",
     blocks=(
         *_TRIVIAL,
         Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
-        Block("office", "lofo", (VIRTUAL_SOURCE,), "5m", SEEDS),
-        Block("office", "lofo", LEARNED, "30s", SEEDS),
-        Block("office", "lofo", NAMED, "30s", SEEDS),
-        Block("office", "lofo-unseen-tx", (VIRTUAL_SOURCE,), "1m"),
-        Block("office", "lofo-unseen-tx", LEARNED, "30s", SEEDS),
-        Block("office", "held-out-tx", (VIRTUAL_SOURCE,), "1m", SEEDS),
-        Block("office", "held-out-tx", LEARNED, "30s", SEEDS),
-        Block("office", "sparse", (VIRTUAL_SOURCE,), "1m"),
-        Block("office", "lofo", (VIRTUAL_SOURCE, *VIRTUAL_SOURCE_ABLATIONS), "1m", targets_ghz=(24.25,)),
-        Block("office", "held-out-tx", (Setting("virtual-source", ("sparsity=0",)),), "1m"),
-        Block("office", "lofo", (VIRTUAL_SOURCE,), "30s", targets_ghz="all"),
-        Block("two_rooms", "lofo", (VIRTUAL_SOURCE,), "1m"),
-        Block("two_rooms", "held-out-tx", (VIRTUAL_SOURCE,), "1m"),
-        Block("corridor", "lofo", (VIRTUAL_SOURCE,), "30s"),
-        Block("corridor", "lofo", (Setting("aperture-gs"),), "30s"),
-        Block("office", "lofo", (Setting("xfreq-gs"), *ABLATIONS), "400steps", SEEDS, targets_ghz=(24.25,)),
-        Block("office", "lofo", (BLIND_APERTURE,), "30s", SEEDS, targets_ghz=(24.25,)),
-        Block("two_rooms", "lofo", LEARNED, "30s", SEEDS),
-        Block("office", "lofo", LEARNED, "5m", targets_ghz=(24.25,)),
-        Block("office", "sparse", LEARNED, "30s"),
-        Block("two_rooms", "held-out-tx", LEARNED, "30s"),
-        Block("two_rooms", "lofo-unseen-tx", LEARNED, "30s"),
-        Block("two_rooms", "sparse", LEARNED, "30s"),
-        Block("office", "lofo", (Setting("aperture-gs"), Setting("xfreq-gs")), "30s", targets_ghz=_OTHER_GHZ),
-        Block("office", "lofo", (BLIND_APERTURE,), "30s", targets_ghz=_VALIDATION_GHZ),
+        Block("office", "lofo", (*_OURS, *_REDUCED, *NAMED), "quick", SEEDS),
+        *(Block("office", protocol, _OURS, "quick", SEEDS) for protocol in _PROTOCOLS[1:]),
+        *(Block(scene, "lofo", (*_OURS, *_REDUCED), "quick", SEEDS) for scene in ("two_rooms", "corridor")),
+        Block("office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS),
+        *(Block("two_rooms", protocol, _OURS, "quick", SEEDS) for protocol in _PROTOCOLS[2:]),
+        Block("two_rooms", "sparse", _OURS[:2], "quick", SEEDS),
+        Block("office", "lofo", (Setting("xfreq-gs"), *ABLATIONS), "quick", SEEDS, targets_ghz=(24.25,)),
+        Block("office", "lofo", (BLIND_APERTURE,), "quick", SEEDS, targets_ghz=(24.25,)),
+        Block("office", "lofo", VIRTUAL_SOURCE_ABLATIONS, "quick", targets_ghz=(24.25,)),
+        Block("office", "lofo", _OURS[:2], "quick", targets_ghz=_OTHER_GHZ),
     ),
-    left_out="fits of five minutes but one a method at 24.25 GHz, and those of virtual-source; more than one seed of "
-    "the sparse protocol, of two_rooms but for lofo, and of the seven carriers that the paper does not test, where "
-    "the two reduced baselines are left out too; the named systems but for the office's lofo; ablations at other "
-    "carriers and scenes; in the corridor all but lofo, one seed",
+    left_out="the lane converged (preset converged), and the lane minutes for other methods, protocols and scenes; the "
+    "reduced baselines and the named systems where they are not named above; more than one seed of the seven carriers "
+    "that the paper does not test and of the ablations of virtual-source; in the corridor all but lofo",
     benches=BENCHES,
 )
+CONVERGED = Preset(
+    description="every method on lofo in the office with 200,000 maps a fit, as many as the paper's fits have "
+    "iterations, three seeds",
+    blocks=(
+        _trivial("lofo", "office"),
+        Block("office", "lofo", (*_OURS, *_REDUCED, *NAMED), "converged", SEEDS),
+    ),
+    left_out="other scenes and protocols",
+)
 FULL = Preset(
-    description="every method and ablation on every protocol and carrier, three seeds, five minutes a fit",
+    description="every method and ablation on every protocol and carrier, three seeds, in the lane minutes",
     blocks=(
         *_TRIVIAL,
         *(
@@ -162,7 +157,7 @@ FULL = Preset(
                 scene,
                 protocol,
                 (VIRTUAL_SOURCE, *LEARNED, *NAMED, *ABLATIONS, BLIND_APERTURE),
-                "5m",
+                "minutes",
                 SEEDS,
                 _trivial(protocol, scene).targets_ghz,
             )
@@ -190,4 +185,10 @@ CARRIER = Preset(
     left_out="other methods and protocols, two thirds of the transmitters, and the other trends outside of the office",
     num_tx=dict.fromkeys(_ALL_SCENES, 480),
 )
-PRESETS: Mapping[str, Preset] = {"quick": QUICK, "standard": STANDARD, "full": FULL, "carrier": CARRIER}
+PRESETS: Mapping[str, Preset] = {
+    "quick": QUICK,
+    "standard": STANDARD,
+    "converged": CONVERGED,
+    "full": FULL,
+    "carrier": CARRIER,
+}

@@ -73,8 +73,8 @@ def run(
     `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
-    `budget` ends every fit, as in `300s`, `5m` or `2000steps`; None leaves the end to the method. `device` is where
-    methods that have the choice compute. `executor` is `serial`, a number of processes, or `dask://host:port`.
+    `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
+    method. `device` is where methods that have the choice compute. `executor` is `serial`, a number of processes, or `dask://host:port`.
     `progress` draws bars on stderr, or prints a line for each run where that is no terminal.
 
     Records and predictions go to the folder `results`. What is finished there is not run again, and a fit that was

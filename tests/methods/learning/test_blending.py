@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from xfreqbench.baselines.xfreq_gs import XFreqGS, XFreqGSConfig
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.blending import KINDS, Blend, Choice, Holdout
+from xfreqbench.methods.lookup import TransmitterLookup
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -47,7 +48,7 @@ def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
     return predict
 
 
-def test_one_carrier_inside_the_band_and_a_tenth_of_the_transmitters_are_held_out(
+def test_one_carrier_inside_the_band_and_some_transmitters_are_held_out(
     train: PasDataset, holdout: Holdout
 ) -> None:
     carriers = {kind: set(train.carrier_hz[rows] / 1e9) for kind, rows in holdout.rows.items()}
@@ -56,7 +57,7 @@ def test_one_carrier_inside_the_band_and_a_tenth_of_the_transmitters_are_held_ou
     assert held_out in {5.0, 10.0}
     assert carriers[KINDS[1]] == set(CARRIERS_GHZ) - {held_out}
     assert carriers[KINDS[2]] == {held_out}
-    assert len(transmitters[KINDS[1]]) == 4
+    assert len(transmitters[KINDS[1]]) == 8  # a tenth would be too few
     assert transmitters[KINDS[2]] <= transmitters[KINDS[1]]
     assert not transmitters[KINDS[0]] & transmitters[KINDS[1]]
     assert not set(train.tx_index[holdout.left]) & transmitters[KINDS[1]]
@@ -93,6 +94,41 @@ def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
     (alone,) = [each() for each in TRIVIAL if each.__name__ == name]
     next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
     np.testing.assert_allclose(blend.maps(noise[:1], *query), alone.predict(*query), atol=1e-6)
+
+
+def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
+    """A predictor that knows the truth of some transmitters, and has flat maps for the others."""
+    known_m = train.tx_position_m[np.isin(train.tx_index, list(transmitters))]
+    truth = truth_of(train)
+
+    class RightAt(TransmitterLookup):
+        def predict(self, tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+            is_known = (tx_position_m[:, None] == known_m).all(-1).any(1)
+            return np.where(is_known[:, None, None], truth(tx_position_m, carrier_hz), np.float32(1))
+
+    return RightAt
+
+
+def test_of_few_transmitters_the_predictor_is_the_one_that_is_best_at_all_of_them(
+    train: PasDataset, holdout: Holdout
+) -> None:
+    held_out = set(train.tx_index[holdout.rows[KINDS[1]]].tolist())
+    lucky, steady = right_at(train, held_out), right_at(train, set(train.tx_index.tolist()) - held_out)
+    lucky.__name__, steady.__name__ = "Lucky", "Steady"
+    flat = np.ones((64, *train.grid.shape), np.float32)
+    choices = Blend.chosen((lucky, steady), train, holdout, told(flat)).choices
+    assert [choices[kind].predictor for kind in KINDS] == ["Steady", "Steady", "Steady"]
+
+
+def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(
+    train: PasDataset, holdout: Holdout
+) -> None:
+    rows = holdout.rows[KINDS[1]]
+    one, some = set(train.tx_index[rows[:1]].tolist()), set(train.tx_index[rows].tolist())
+    for transmitters, weight in ((one, 0.0), (some, 1.0)):
+        learned = right_at(train, transmitters)()
+        blend = Blend.chosen((right_at(train, ()),), train, holdout, learned.predict)
+        assert blend.choices[KINDS[1]].weight == weight
 
 
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:

@@ -5,15 +5,11 @@ import math
 import pytest
 from stored_records import SPLITS, external, make_record
 
-from xfreqbench.methods.contract import TRIVIAL, Budget
-from xfreqbench.report.leaderboard.boards import (
-    boards,
-    median_ssim,
-    pooled_quantiles,
-    short_name,
-)
+from xfreqbench.methods.contract import LANES, TRIVIAL, Budget
+from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.origins import short_commit
-from xfreqbench.runs.records import Job
+from xfreqbench.report.leaderboard.rows import median_ssim
+from xfreqbench.runs.records import Job, RunRecord
 
 
 def seeded(ssim: float, seed: int, split: str = SPLITS[0], **changes):
@@ -129,8 +125,36 @@ def test_a_label_without_its_budget_is_that_of_a_run_without_one(options, budget
         job = Job("data.h5", "ours", "lofo", SPLITS[0], options, budget=budget)
         return only_row(make_record("ours", 0.9, SPLITS[0], job=job))
 
-    assert row(budget).label_without_budget == row(Budget()).label
+    assert row(budget).short_label == row(Budget()).label
     assert row(budget).budget in row(budget).label
+
+
+def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> None:
+    def fitted(name: str, budget: Budget, ssim: float) -> RunRecord:
+        return make_record(name, ssim, SPLITS[0], job=Job("data.h5", name, "lofo", SPLITS[0], budget=budget))
+
+    trivial = [make_record(name, 0.8, SPLITS[0]) for name in TRIVIAL]
+    quick, minutes, own = LANES["quick"], LANES["minutes"], Budget(max_steps=9)
+    records = [
+        *trivial,
+        *(fitted("ours", budget, 0.9) for budget in (quick, minutes, own, Budget())),
+        fitted("theirs", quick, 0.85),
+        external(method="elsewhere"),
+    ]
+    found = {
+        board.lane_title: [row.short_label for row in board.rows if not row.is_trivial]
+        for board in boards(records)
+    }
+    assert found == {
+        "quick (≤ 64,000 maps)": ["ours", "theirs"],
+        "": ["elsewhere (external)", "ours"],
+        "minutes (≤ 300 s)": ["ours"],
+        "≤ 9 steps": ["ours"],
+    }
+    assert all(board.best_trivial(SPLITS[0]) == 0.8 for board in boards(records))
+    assert len({board.slug for board in boards(records)}) == len(found)
+    (together,) = boards(records, by_budget=False)
+    assert len(together.rows) == len(TRIVIAL) + 6
 
 
 def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:

@@ -18,9 +18,10 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import map_png
-from xfreqbench.report.leaderboard.boards import boards, median_ssim
+from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.report.leaderboard.rows import median_ssim
 from xfreqbench.runs.records import append
 
 CONTENT = re.compile(r'<script type="application/json" id="content">(.*?)</script>', re.DOTALL)

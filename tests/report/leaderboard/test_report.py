@@ -25,7 +25,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_report(tmp_path / "results", tmp_path / name / "BENCHMARK.md")
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
-    assert [path.suffix for path in files] == [".md", ".svg", ".svg", ".svg"]
+    assert [path.suffix for path in files] == [".md", ".svg", ".svg", ".svg", ".svg"]
     for name in files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -35,12 +35,13 @@ def test_the_report_links_its_figures(tmp_path: Path) -> None:
     output, *figures = write_report(tmp_path, tmp_path / "BENCHMARK.md").paths
     assert [path.name for path in figures] == [
         "office-lofo-aaaaaaaa-cdf.svg",
-        "office-lofo-aaaaaaaa-time.svg",
+        "office-lofo-aaaaaaaa-64steps-cdf.svg",
+        "office-lofo-aaaaaaaa-64steps-time.svg",
         "bench-generate-error-against-run-time.svg",
     ]
     for figure in figures:
         assert f"](figures/{figure.name})" in output.read_text()
-    cdf, time, bench = (figure.read_text() for figure in figures)
+    cdf, _, time, bench = (figure.read_text() for figure in figures)
     assert "mean-over-frequency" in cdf
     assert "ours (≤ 64 steps)" in time
     assert "ms a sample" in bench
@@ -121,10 +122,10 @@ def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
 
 def test_a_figure_of_somebody_else_is_left_and_named(tmp_path: Path) -> None:
     store_all(tmp_path)
-    theirs = tmp_path / "figures" / "office-lofo-aaaaaaaa-time.svg"
+    theirs = tmp_path / "figures" / "office-lofo-aaaaaaaa-64steps-time.svg"
     theirs.parent.mkdir()
     theirs.write_bytes(b"<svg>mine</svg>")
-    with pytest.raises(OutputExistsError, match=r"aaaaaaaa-time\.svg exists and is no figure of"):
+    with pytest.raises(OutputExistsError, match=r"aaaaaaaa-64steps-time\.svg exists and is no figure of"):
         write_report(tmp_path, tmp_path / "BENCHMARK.md")
     assert theirs.read_bytes() == b"<svg>mine</svg>"
     assert [path.name for path in theirs.parent.iterdir()] == [theirs.name]

@@ -183,14 +183,22 @@ class LearnedMethod:
         if not len(targets):
             raise MethodError("No training row has a path; there is nothing to learn from.")
         own_share = training.step / self.config.steps
-        training.share = max(training.share, own_share, budget.share(training.step, 0.0))
+        maps = self.maps_a_step(train)
+        training.share = max(
+            training.share, own_share, budget.share(training.step, 0.0, maps * training.step)
+        )
         while training.step < self.config.steps:
             if holdout and training.share >= CHOOSE_AT:
                 self._blend = Blend.chosen(self.trivial, train, holdout, self._learned)
                 holdout, targets = None, Targets(train, training.beams, self.config.derive_targets)
             loss = self._step(training, targets)
-            spent = yield Progress(training.step, loss, training.field.counts())
+            counts = training.field.counts() | {"maps": maps * training.step}
+            spent = yield Progress(training.step, loss, counts)
             training.share = max(spent or 0.0, training.step / self.config.steps)
+
+    def maps_a_step(self, train: PasDataset) -> int:
+        """How many training maps one step shows."""
+        return int(self.config.batch_size)
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain, count, groupby
+from itertools import groupby
 from math import inf, isnan, nan
-from statistics import mean, stdev
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import PROTOCOLS, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
-from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.methods.contract import TRIVIAL
 from xfreqbench.report.leaderboard.origins import (
     Origin,
     RecordKey,
@@ -27,105 +24,37 @@ from xfreqbench.report.leaderboard.origins import (
     data_name,
     origin_labels,
     record_key,
-    short_commit,
 )
-from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
+from xfreqbench.report.leaderboard.rows import (
+    LANE_NAMES,
+    NO_LANE,
+    BoardRow,
+    board_rows,
+    is_trivial,
+    lane_of,
+    median_ssim,
+)
+from xfreqbench.runs.records import NUM_QUANTILES, RunRecord
 
-Configured = tuple[str, str, str | None, str]  # label, config as JSON, hash of the code, of the data's bytes
-Runs = dict[tuple[str, int], RunRecord]  # by split and seed
 GroupKey = tuple[str, str, str]  # scene, identity of the data, protocol
 Identity = Callable[[RunRecord], str]
 _MAX_STEM_BYTES = 150  # a name of a file may have 255
-Quantity = Callable[[RunRecord], float]
-
-
-@dataclass(frozen=True)
-class BoardRow:
-    """One configured method, with its records for each split: one for each seed, by increasing seed."""
-
-    label: str
-    by_split: Mapping[str, tuple[RunRecord, ...]]
-
-    @property
-    def job(self) -> Job:
-        """The job of its first record; the jobs of a row differ only in their split and seed."""
-        return self.records[0].job
-
-    @property
-    def records(self) -> list[RunRecord]:
-        """The records of all splits and seeds."""
-        return [record for records in self.by_split.values() for record in records]
-
-    @property
-    def budget(self) -> str:
-        """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
-        return "" if self.is_trivial else _budget(self.job)
-
-    @property
-    def label_without_budget(self) -> str:
-        """The label for a table that shows the budget in a column of its own."""
-        if not self.budget:
-            return self.label
-        return self.label.replace(f" ({self.budget})", "").replace(f", {self.budget}", "")
-
-    @property
-    def is_trivial(self) -> bool:
-        """Whether this is a trivial predictor without options. Budget and seed do not matter, as it is not fitted."""
-        return _is_trivial(self.records[0])
-
-    @property
-    def is_external(self) -> bool:
-        """Whether the predictions were made elsewhere and only scored here."""
-        return self.records[0].external is not None
-
-    @property
-    def family(self) -> str:
-        """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""
-        if self.is_trivial:
-            return "trivial"
-        if self.is_external:
-            return "external"
-        changed = [option for option in self.job.overrides if not option.startswith("device=")]
-        return "ablation" if changed else "learned"
-
-    def value(self, split: str, quantity: Quantity) -> float:
-        """Mean of a quantity over the seeds of a split; nan where the split was not run."""
-        return mean(map(quantity, self.by_split[split])) if split in self.by_split else nan
-
-    def average(self, splits: Sequence[str], quantity: Quantity) -> float:
-        """Mean of a quantity over splits; nan where one was not run, as means over other splits do not compare."""
-        return mean(self.value(split, quantity) for split in splits)
-
-    def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
-        """The smallest and the largest number of seeds that one of the splits was run with."""
-        numbers = [len(self.by_split.get(split, ())) for split in splits]
-        return min(numbers), max(numbers)
-
-    def seed_spread(self, splits: Sequence[str], quantity: Quantity) -> float:
-        """Standard deviation over seeds of the average over splits; nan with fewer than two seeds.
-
-        It takes the seeds that all the splits were run with.
-        """
-        values: dict[int, list[float]] = {}
-        for split in splits:
-            for record in self.by_split.get(split, ()):
-                values.setdefault(record.job.seed, []).append(quantity(record))
-        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
-        return stdev(averages) if len(averages) > 1 else nan
 
 
 @dataclass(frozen=True)
 class Board:
-    """Rows that may be ranked together: they share a data set, a protocol, and the versions of protocol and metrics.
+    """Rows that may be ranked together: they share data, protocol, budget, and the versions of protocol and metrics.
 
     `data` identifies the data set by its recipe, or by the sha256 of its bytes; see `data_identities`. `settings` are
     those of the data of the oldest record. `sources` names the results that a record lies in, where those of
-    the board lie in several.
+    the board lie in several. `lane` is the budget of its fits as text, `NO_LANE` where none has a budget; trivial
+    predictors, which are not fitted, stand on the board of every lane.
     """
 
     scene: str
     data: str
     protocol: str
+    lane: str
     pas_kind: str
     settings: Mapping[str, Any]
     splits: tuple[str, ...]
@@ -134,8 +63,15 @@ class Board:
 
     @property
     def title(self) -> str:
-        """Scene, protocol and kind of map, as a heading."""
-        return f"{self.scene} · {self.protocol} · {self.pas_kind} maps"
+        """Scene, protocol, kind of map and budget, as a heading."""
+        told = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
+        return " · ".join(filter(None, told))
+
+    @property
+    def lane_title(self) -> str:
+        """The budget of its fits, with the name of the lane if it has one: `quick (≤ 64,000 maps)`."""
+        name = LANE_NAMES.get(self.lane)
+        return f"{name} ({self.lane})" if name else self.lane
 
     @property
     def records(self) -> list[RunRecord]:
@@ -165,7 +101,8 @@ class Board:
     def slug(self) -> str:
         """What the file names of its figures begin with."""
         named = slug_of(f"{self.scene}-{self.protocol}")
-        return f"{named}-{self.data_name.rpartition('@')[2] if '-' in self.data else self.data[:8]}"
+        data = self.data_name.rpartition("@")[2] if "-" in self.data else self.data[:8]
+        return f"{named}-{data}" + (f"-{re.sub('[^0-9a-z]+', '', self.lane)}" if self.lane else "")
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of the trivial predictors on a split; nan unless all of them were run."""
@@ -208,14 +145,17 @@ def boards(
     records: Iterable[RunRecord],
     sources: Mapping[RecordKey, str] | None = None,
     identity: Identity | None = None,
+    *,
+    by_budget: bool = True,
 ) -> list[Board]:
-    """One board for each data set and protocol, by scene, data set and the order of `PROTOCOLS`, then of `VALIDATIONS`.
+    """One board for each data set, protocol and budget.
 
-    Data sets are told apart by `identity`, which is `data_identities` of the records where it is absent, and
-    `sources` tells which results records lie in. Of a job that was run twice, the later record counts; of the same
-    job on other bytes of the same data there is another row, but for trivial predictors, whose first stays. Raises
-    `DataError` where records of a board are of different versions of the protocol or of the metrics, or test other
-    samples.
+    They stand in the order of scenes, data sets, `PROTOCOLS` and then `VALIDATIONS`, the board with most runs first.
+    Without `by_budget` rows of all budgets share a board. Data sets are told apart by `identity`, which is
+    `data_identities` of the records where it is absent, and `sources` tells which results records lie in. Of a job
+    that was run twice, the later record counts; of the same job on other bytes of the same data there is another row,
+    but for trivial predictors, whose first stays. Raises `DataError` where records of a board are of different
+    versions of the protocol or of the metrics, or test other samples.
     """
     every = list(records)
     data = identity or data_identities(every)
@@ -224,9 +164,18 @@ def boards(
         return record.scene, data(record), record.job.protocol
 
     ordered = sorted(every, key=lambda record: (*key(record), record.time_utc, record.id))
-    grouped = [_board(of, list(group), sources or {}) for of, group in groupby(ordered, key)]
+    grouped = [
+        _board(of, lane, each, sources or {})
+        for of, group in groupby(ordered, key)
+        for lane, each in _by_lane(list(group), by_budget).items()
+    ]
     order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
-    return sorted(grouped, key=lambda board: (board.scene, board.data, order.get(board.protocol, len(order))))
+
+    def place(board: Board) -> tuple[object, ...]:
+        protocol = order.get(board.protocol, len(order))
+        return board.scene, board.data, protocol, -len(board.records), _natural(board.lane)
+
+    return sorted(grouped, key=place)
 
 
 def slug_of(text: str) -> str:
@@ -237,11 +186,6 @@ def slug_of(text: str) -> str:
 def file_stem(text: str) -> str:
     """The beginning of a text that is short enough for the name of a file."""
     return text.encode()[:_MAX_STEM_BYTES].decode("utf-8", "ignore")
-
-
-def median_ssim(record: RunRecord) -> float:
-    """The median SSIM of a record's test maps."""
-    return record.scores["ssim"].median
 
 
 def or_nan(value: float | None) -> float:
@@ -267,7 +211,18 @@ def comparable(record: RunRecord, identity: Identity) -> tuple[object, ...]:
     return record.scene, identity(record), record.job.protocol, *versions
 
 
-def _board(key: GroupKey, records: Sequence[RunRecord], sources: Mapping[RecordKey, str]) -> Board:
+def _by_lane(records: Sequence[RunRecord], by_budget: bool) -> dict[str, list[RunRecord]]:
+    """The records of each budget, each time with those of the trivial predictors, which need none."""
+    if not by_budget:
+        return {NO_LANE: list(records)}
+    lanes = dict.fromkeys(lane_of(record) for record in records if not is_trivial(record)) or {NO_LANE: None}
+    return {
+        lane: [record for record in records if is_trivial(record) or lane_of(record) == lane]
+        for lane in lanes
+    }
+
+
+def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapping[RecordKey, str]) -> Board:
     versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
     if len(versions) > 1:
         described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
@@ -282,11 +237,11 @@ def _board(key: GroupKey, records: Sequence[RunRecord], sources: Mapping[RecordK
         average = row.average(splits, median_ssim)
         return inf if isnan(average) else -average, row.label
 
-    rows = sorted(_rows(records), key=place)
+    rows = sorted(board_rows(records), key=place)
     data = records[0]  # all records of a board describe the same data set
     named = {sources.get(record_key(record), "") for record in records}
     told = sources if len(named) > 1 else {}
-    return Board(*key, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
+    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
 
 
 def _require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
@@ -301,95 +256,6 @@ def _require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
                 "the data of one lack paths that those of the other have. Generate them anew with the default solver "
                 "and number of rays, or leave out the results of one."
             )
-
-
-def _rows(records: Sequence[RunRecord]) -> list[BoardRow]:
-    """One row for each label, configuration, code and file of data; rows of equal labels are told apart."""
-    by_config: dict[Configured, Runs] = {}
-    editions = _editions(records)
-    for record in records:
-        label = _label(record)
-        source = editions[label, record.external.sha256] if record.external else record.code_sha256
-        is_fitted = not (_is_trivial(record) or record.external)
-        config, data = json.dumps(record.config, sort_keys=True), record.dataset_sha256 if is_fitted else ""
-        found = by_config.setdefault((label, config, source, data), {})
-        known = found.setdefault((record.job.split, record.job.seed), record)
-        if known.dataset_sha256 == record.dataset_sha256:
-            found[record.job.split, record.job.seed] = record
-    return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
-
-
-def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
-    """For each label and file of external predictions, the hash of the first file of its row.
-
-    Files of one method share a row, whether each holds a seed or a split, unless two hold the same split and seed.
-    """
-    files: dict[tuple[str, str], set[tuple[str, int]]] = {}
-    for record in records:
-        if record.external:
-            parts = files.setdefault((_label(record), record.external.sha256), set())
-            parts.add((record.job.split, record.job.seed))
-    editions: dict[tuple[str, str], str] = {}
-    taken: dict[tuple[str, str], set[tuple[str, int]]] = {}
-    for file, parts in files.items():
-        row = next((row for row in taken if row[0] == file[0] and not taken[row] & parts), file)
-        taken[row] = taken.get(row, set()) | parts
-        editions[file] = row[1]
-    return editions
-
-
-def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
-    """The runs of each row by a label of its own.
-
-    Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
-    are still equal; external predictions get the first digits of their file's hash in place of a commit.
-    """
-    versions = {key: _version(next(iter(found.values()))) for key, found in by_config.items()}
-    times = Counter(label for label, *_ in by_config)
-    data_of: dict[tuple[str, str], set[str]] = {}
-    for key, version in versions.items():
-        data_of.setdefault((key[0], version), set()).add(key[3])
-    named: dict[str, Runs] = {}
-    for key, found in by_config.items():
-        (label, *_, data), version = key, versions[key]
-        name = label if times[label] == 1 else f"{label} @ {version}"
-        name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
-        others = (f"{name} #{number}" for number in count(2))
-        named[next(each for each in chain([name], others) if each not in named)] = found
-    return named
-
-
-def _version(record: RunRecord) -> str:
-    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
-
-
-def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
-    by_split: dict[str, tuple[RunRecord, ...]] = {}
-    for split, seed in sorted(found):
-        by_split[split] = (*by_split.get(split, ()), found[split, seed])
-    return by_split
-
-
-def _label(record: RunRecord) -> str:
-    """The method's name and, in parentheses, options and budget that are not the defaults."""
-    job = record.job
-    if _is_trivial(record):
-        return job.method
-    if record.external:
-        return f"{job.method} (external)"
-    differences = sorted(job.overrides)
-    if job.budget != Budget():
-        differences.append(_budget(job))
-    return f"{job.method} ({', '.join(differences)})" if differences else job.method
-
-
-def _budget(job: Job) -> str:
-    limits = {"steps": job.budget.max_steps, "s": job.budget.max_seconds}
-    return ", ".join(f"≤ {limit:g} {unit}" for unit, limit in limits.items() if limit is not None)
-
-
-def _is_trivial(record: RunRecord) -> bool:
-    return record.job.method in TRIVIAL and not record.job.overrides and record.external is None
 
 
 def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from xfreqbench.data.splits import VALIDATIONS
-from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.published import reduced_statement
+from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
 

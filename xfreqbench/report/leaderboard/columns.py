@@ -9,10 +9,11 @@ from typing import Literal
 
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
-from xfreqbench.report.leaderboard.boards import BoardRow, Quantity, median_ssim, or_nan, short_name
+from xfreqbench.report.leaderboard.boards import or_nan, short_name
 from xfreqbench.report.leaderboard.captions import span
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_cell
+from xfreqbench.report.leaderboard.rows import BoardRow, Quantity, median_ssim
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,15 @@ _METRIC_TITLES = {  # with the number of decimals
     "beam_loss": ("beam loss", 3),
 }
 COSTS = {
+    "steps": Cost(
+        "steps", "steps of fitting", lambda record: record.step if record.step > 1 else nan, ",.0f"
+    ),
+    "maps": Cost(
+        "maps seen",
+        "training maps that all steps have shown",
+        lambda record: record.counts.get("maps", nan),
+        ",.0f",
+    ),
     "seconds": Cost("fit s", "seconds of fitting", lambda record: or_nan(record.fit_seconds), ".2f"),
     "milliseconds": Cost(
         "ms/map", "milliseconds per predicted map", lambda record: or_nan(record.predict_ms_per_map), ".2f"
@@ -79,13 +89,13 @@ RANKING = (
     *COSTS,
     "published",
 )
-BRIEF = ("rank", "name", "origin", "splits", "average", "skill", "budget")
+BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
 ONE_SPLIT = (
     *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seeds", *COSTS, "published"),
 )
 TABLE = (
-    *("best rank", "worst rank", "method", "origin", "budget", "ssim", "mean", "p10", *_OTHER_METRICS),
+    *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seed spread", "seeds", *COSTS, "published"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
@@ -129,11 +139,7 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         return best + worst / 1e4  # by the best place, then by the worst
 
     rank = LeaderboardColumn("rank", "places that the intervals leave open", rank_text, rank_value)
-    method = LeaderboardColumn("method", "with what differs from a plain run", lambda row: row.label)
-    name = LeaderboardColumn(
-        "method", "with what differs from a plain run but the budget", lambda row: row.label_without_budget
-    )
-    budget = LeaderboardColumn("budget", "what a fit may take at most", lambda row: row.budget or ABSENT)
+    method = LeaderboardColumn("method", "with what differs from a plain run", lambda row: row.short_label)
     seeds = LeaderboardColumn(
         "seeds",
         "runs of each split",
@@ -157,8 +163,6 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         "best rank": [_place_column(comparison, 0)],
         "worst rank": [_place_column(comparison, 1)],
         "method": [method],
-        "name": [name],
-        "budget": [budget],
         "seeds": [seeds],
         "origin": [origin] if origins else [],
         "published": known,

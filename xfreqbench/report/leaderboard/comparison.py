@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
-from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.report.leaderboard.boards import Board
+from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.types import FloatArray
 
 MIN_SEEDS = 3  # a learned method with fewer is not ranked

@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, file_stem, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.boards import Board, file_stem, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.learning_curves import Reached, best_trivial, learning_curves, split_front
+from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import BenchRecord
 
 FIGURES_FOLDER = "figures"  # beside the report

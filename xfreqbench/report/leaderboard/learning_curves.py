@@ -10,7 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, or_nan
+from xfreqbench.report.leaderboard.boards import Board, or_nan
+from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import CURVE_SHARES, CurvePoint, RunRecord, curve_positions
 
 Point = TypeVar("Point")
@@ -111,7 +112,8 @@ def _learning_curve(row: BoardRow, split: str, trivial: Reached | None) -> Learn
 
 def _by_share(record: RunRecord) -> list[CurvePoint | None]:
     *points, end = record.curve
-    spent = {point: record.job.budget.share(point.step, point.seconds) for point in points}
+    maps = record.counts.get("maps", 0.0) / max(1, record.step)  # of a step
+    spent = {point: record.job.budget.share(point.step, point.seconds, maps * point.step) for point in points}
     reached = {max(filter(spent[point].__ge__, CURVE_SHARES)): point for point in points}
     return [*map(reached.get, CURVE_SHARES), end]
 

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isnan
 
-from xfreqbench.report.drawing.markdown import ABSENT, heading, paragraph, prose, table
-from xfreqbench.report.leaderboard.boards import Board, BoardRow
+from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
+from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import BRIEF, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import figure_links
 from xfreqbench.report.leaderboard.legend import short_legend
+from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.runs.records import BenchRecord
 
@@ -33,18 +34,29 @@ def overview_markdown(
     measurements_page: str,
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each scene's page."""
-    compared = [_first_comparison(board) for board in ranked]
+    main = _main_boards(ranked)
+    compared = [_first_comparison(board) for board in main]
     shown = [each for each in compared if each.board.scene == _main_scene(ranked)]
     links = ", ".join(f"[{heading(scene)}]({link})" for scene, link in pages.items())
     parts = [
         *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
-        *([_skill_matrix(compared)] if len(ranked) > 1 else []),
+        *_budget_tables([board for board in ranked if board.scene == _main_scene(ranked)]),
+        *([_skill_matrix(compared)] if len(main) > 1 else []),
         *_time_figure([board for board in ranked if board.scene == _main_scene(ranked)], pages),
         f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
         *_measured_parts(benches, measurements_page),
         short_legend(),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _main_boards(ranked: Sequence[Board]) -> list[Board]:
+    """Of the boards of each data set and protocol, which differ in their budgets, the one with most runs."""
+    return list({_place(board): board for board in reversed(ranked)}.values())[::-1]
+
+
+def _place(board: Board) -> tuple[str, str, str]:
+    return board.scene, board.data, board.protocol
 
 
 def _first_comparison(board: Board) -> Comparison:
@@ -63,12 +75,40 @@ def _main_scene(ranked: Sequence[Board]) -> str:
 
 def _board_part(comparison: Comparison, page: str) -> str:
     board = comparison.board
-    title = f"## {heading(f'{board.scene} · {board.protocol}')}"
+    told = filter(None, (board.scene, board.protocol, board.lane_title))
+    title = f"## {heading(' · '.join(told))}"
     return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, BRIEF)}"
 
 
+def _budget_tables(ranked: Sequence[Board]) -> list[str]:
+    """For each protocol that was run with several budgets: the average of each method by budget."""
+    parts = []
+    for main in _main_boards(ranked):
+        lanes = [board for board in ranked if _place(board) == _place(main)]
+        if len(lanes) > 1:
+            parts.append(_budget_table(lanes, main))
+    return ["## Other budgets", *parts] if parts else []
+
+
+def _budget_table(lanes: Sequence[Board], main: Board) -> str:
+    splits = _first_comparison(main).splits
+    rows = {  # trivial predictors have one value in all columns, and a row in the table above
+        (row.short_label, lane.lane): number(row.average(splits, median_ssim), 4)
+        for lane in lanes
+        for row in lane.rows
+        if not row.is_trivial and row.family != "ablation" and set(splits) <= set(row.by_split)
+    }
+    header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
+    body = [
+        [label, *(rows.get((label, lane.lane), ABSENT) for lane in lanes)]
+        for label in sorted({label for label, _ in rows})
+    ]
+    words = heading(f"{main.scene} · {main.protocol}")
+    return f"{words}, average median SSIM on {', '.join(map(short_name, splits))}:\n\n{table(header, body)}"
+
+
 def _skill_matrix(compared: Sequence[Comparison]) -> str:
-    """The skill of each method on each board, of several budgets the best; trivial predictors are left out."""
+    """The skill of each method on each board; trivial predictors are left out."""
     best: list[dict[str, BoardRow]] = [{} for _ in compared]
     for comparison, by_method in zip(compared, best, strict=True):
         for row in reversed(comparison.rows):  # the best comes last
@@ -79,7 +119,9 @@ def _skill_matrix(compared: Sequence[Comparison]) -> str:
         [method, *map(_skill_cell, compared, (by_method.get(method) for by_method in best))]
         for method in sorted({method for by_method in best for method in by_method})
     ]
-    caption = "Average skill on the splits that most methods share; of several budgets the best:"
+    budgets = dict.fromkeys(each.board.lane_title for each in compared)
+    told = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
+    caption = f"Average skill on the splits that most methods share{told}:"
     return f"## Skill on every scene and protocol\n\n{caption}\n\n{table(header, rows)}"
 
 

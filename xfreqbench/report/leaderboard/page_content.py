@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.report.leaderboard.boards import (
-    Board,
-    BoardRow,
-    median_ssim,
-    pooled_quantiles,
-    short_name,
-)
+from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.gallery import Gallery
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
+from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
 Content = dict[str, Any]

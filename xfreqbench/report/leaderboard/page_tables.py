@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, short_name
+from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
 from xfreqbench.report.leaderboard.columns import PAGE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.origins import short_commit
+from xfreqbench.report.leaderboard.rows import BoardRow
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from xfreqbench.report.drawing.markdown import table
-from xfreqbench.report.leaderboard.boards import BoardRow
+from xfreqbench.report.leaderboard.rows import BoardRow
 
 PUBLISHED_TITLE = "published, other data"
 

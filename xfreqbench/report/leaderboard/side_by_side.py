@@ -10,20 +10,13 @@ from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import (
-    Board,
-    BoardRow,
-    Identity,
-    boards,
-    comparable,
-    median_ssim,
-    short_name,
-)
+from xfreqbench.report.leaderboard.boards import Board, Identity, boards, comparable, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
 from xfreqbench.report.leaderboard.origins import data_identities
 from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 
@@ -92,7 +85,7 @@ def records_at(path: Path) -> Sequence[RunRecord]:
 
 
 def _boards(records: Sequence[RunRecord], identity: Identity) -> _Boards:
-    ranked = boards(records, identity=identity)
+    ranked = boards(records, identity=identity, by_budget=False)
     return {comparable(board.records[0], identity): board for board in ranked}
 
 

@@ -17,7 +17,7 @@ from xfreqbench.report.drawing.markdown import (
     seconds,
     table,
 )
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, median_ssim, short_name
+from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
 from xfreqbench.report.leaderboard.columns import (
     ONE_SPLIT,
@@ -33,6 +33,7 @@ from xfreqbench.report.leaderboard.learning_curves import (
     num_sampled,
     split_front,
 )
+from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import CURVE_SHARES, RunRecord
 from xfreqbench.units import format_ghz
 

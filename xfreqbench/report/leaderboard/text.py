@@ -12,12 +12,13 @@ from pydantic import InstanceOf
 
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.drawing.templates import render
-from xfreqbench.report.leaderboard.boards import BoardRow, boards
+from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
 from xfreqbench.report.leaderboard.columns import BRIEF, TABLE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
 

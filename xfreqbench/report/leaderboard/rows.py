@@ -1,0 +1,202 @@
+"""The rows of a board: one for each configured method, with its records."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain, count
+from math import nan
+from statistics import mean, stdev
+
+from xfreqbench.methods.contract import LANES, TRIVIAL, Budget
+from xfreqbench.report.leaderboard.origins import short_commit
+from xfreqbench.runs.records import Job, RunRecord
+
+Configured = tuple[str, str, str | None, str]  # label, config as JSON, hash of the code, of the data's bytes
+Runs = dict[tuple[str, int], RunRecord]  # by split and seed
+Quantity = Callable[[RunRecord], float]
+NO_LANE = ""
+
+
+@dataclass(frozen=True)
+class BoardRow:
+    """One configured method, with its records for each split: one for each seed, by increasing seed."""
+
+    label: str
+    by_split: Mapping[str, tuple[RunRecord, ...]]
+
+    @property
+    def job(self) -> Job:
+        """The job of its first record; the jobs of a row differ only in their split and seed."""
+        return self.records[0].job
+
+    @property
+    def records(self) -> list[RunRecord]:
+        """The records of all splits and seeds."""
+        return [record for records in self.by_split.values() for record in records]
+
+    @property
+    def budget(self) -> str:
+        """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
+        return lane_of(self.records[0])
+
+    @property
+    def short_label(self) -> str:
+        """The label without the budget, for a board whose rows have the same."""
+        if not self.budget:
+            return self.label
+        return self.label.replace(f" ({self.budget})", "").replace(f", {self.budget}", "")
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether this is a trivial predictor without options. Budget and seed do not matter, as it is not fitted."""
+        return is_trivial(self.records[0])
+
+    @property
+    def is_external(self) -> bool:
+        """Whether the predictions were made elsewhere and only scored here."""
+        return self.records[0].external is not None
+
+    @property
+    def family(self) -> str:
+        """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""
+        if self.is_trivial:
+            return "trivial"
+        if self.is_external:
+            return "external"
+        changed = [option for option in self.job.overrides if not option.startswith("device=")]
+        return "ablation" if changed else "learned"
+
+    def value(self, split: str, quantity: Quantity) -> float:
+        """Mean of a quantity over the seeds of a split; nan where the split was not run."""
+        return mean(map(quantity, self.by_split[split])) if split in self.by_split else nan
+
+    def average(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Mean of a quantity over splits; nan where one was not run, as means over other splits do not compare."""
+        return mean(self.value(split, quantity) for split in splits)
+
+    def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
+        """The smallest and the largest number of seeds that one of the splits was run with."""
+        numbers = [len(self.by_split.get(split, ())) for split in splits]
+        return min(numbers), max(numbers)
+
+    def seed_spread(self, splits: Sequence[str], quantity: Quantity) -> float:
+        """Standard deviation over seeds of the average over splits; nan with fewer than two seeds.
+
+        It takes the seeds that all the splits were run with.
+        """
+        values: dict[int, list[float]] = {}
+        for split in splits:
+            for record in self.by_split.get(split, ()):
+                values.setdefault(record.job.seed, []).append(quantity(record))
+        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
+        return stdev(averages) if len(averages) > 1 else nan
+
+
+def board_rows(records: Sequence[RunRecord]) -> list[BoardRow]:
+    """One row for each label, configuration, code and file of data; rows of equal labels are told apart."""
+    by_config: dict[Configured, Runs] = {}
+    editions = _editions(records)
+    for record in records:
+        label = _label(record)
+        source = editions[label, record.external.sha256] if record.external else record.code_sha256
+        is_fitted = not (is_trivial(record) or record.external)
+        config, data = json.dumps(record.config, sort_keys=True), record.dataset_sha256 if is_fitted else ""
+        found = by_config.setdefault((label, config, source, data), {})
+        known = found.setdefault((record.job.split, record.job.seed), record)
+        if known.dataset_sha256 == record.dataset_sha256:
+            found[record.job.split, record.job.seed] = record
+    return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
+
+
+def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
+    """For each label and file of external predictions, the hash of the first file of its row.
+
+    Files of one method share a row, whether each holds a seed or a split, unless two hold the same split and seed.
+    """
+    files: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for record in records:
+        if record.external:
+            parts = files.setdefault((_label(record), record.external.sha256), set())
+            parts.add((record.job.split, record.job.seed))
+    editions: dict[tuple[str, str], str] = {}
+    taken: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for file, parts in files.items():
+        row = next((row for row in taken if row[0] == file[0] and not taken[row] & parts), file)
+        taken[row] = taken.get(row, set()) | parts
+        editions[file] = row[1]
+    return editions
+
+
+def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
+    """The runs of each row by a label of its own.
+
+    Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
+    are still equal; external predictions get the first digits of their file's hash in place of a commit.
+    """
+    versions = {key: _version(next(iter(found.values()))) for key, found in by_config.items()}
+    times = Counter(label for label, *_ in by_config)
+    data_of: dict[tuple[str, str], set[str]] = {}
+    for key, version in versions.items():
+        data_of.setdefault((key[0], version), set()).add(key[3])
+    named: dict[str, Runs] = {}
+    for key, found in by_config.items():
+        (label, *_, data), version = key, versions[key]
+        name = label if times[label] == 1 else f"{label} @ {version}"
+        name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
+        others = (f"{name} #{number}" for number in count(2))
+        named[next(each for each in chain([name], others) if each not in named)] = found
+    return named
+
+
+def _version(record: RunRecord) -> str:
+    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+
+
+def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
+    by_split: dict[str, tuple[RunRecord, ...]] = {}
+    for split, seed in sorted(found):
+        by_split[split] = (*by_split.get(split, ()), found[split, seed])
+    return by_split
+
+
+def _label(record: RunRecord) -> str:
+    """The method's name and, in parentheses, options and budget that are not the defaults."""
+    job = record.job
+    if is_trivial(record):
+        return job.method
+    if record.external:
+        return f"{job.method} (external)"
+    differences = sorted(job.overrides)
+    if job.budget != Budget():
+        differences.append(_budget(job.budget))
+    return f"{job.method} ({', '.join(differences)})" if differences else job.method
+
+
+def _budget(budget: Budget) -> str:
+    limits = {"steps": budget.max_steps, "s": budget.max_seconds, "maps": budget.max_maps}
+    return ", ".join(
+        f"≤ {limit:{',' if unit == 'maps' else 'g'}} {unit}"
+        for unit, limit in limits.items()
+        if limit is not None
+    )
+
+
+def lane_of(record: RunRecord) -> str:
+    """The budget as text; `NO_LANE` where there was none, and for trivial predictors and predictions made elsewhere."""
+    return NO_LANE if is_trivial(record) or record.external else _budget(record.job.budget)
+
+
+LANE_NAMES = {_budget(budget): name for name, budget in LANES.items()}
+
+
+def is_trivial(record: RunRecord) -> bool:
+    """Whether it is of a trivial predictor without options, run here."""
+    return record.job.method in TRIVIAL and not record.job.overrides and record.external is None
+
+
+def median_ssim(record: RunRecord) -> float:
+    """The median SSIM of a record's test maps."""
+    return record.scores["ssim"].median
