@@ -79,6 +79,41 @@ def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: l
     assert 'Choose from: "test", "validation"' in said, said
 
 
+@pytest.mark.parametrize(
+    ("words", "needed", "example"),
+    [
+        (
+            "view office.h5",
+            "needs --output or -o.",
+            "Example: xfreqbench view office.h5 --tx 7 -o office_view",
+        ),
+        (
+            "bench fingerprint empty",
+            "needs --output or -o.",
+            "Example: xfreqbench bench fingerprint office -o",
+        ),
+        (
+            "view office.h5 -o",
+            "-o requires an argument.",
+            "Example: xfreqbench view office.h5 --tx 7 -o office_view",
+        ),
+        (
+            "compare results",
+            "xfreqbench compare needs B.",
+            "Example: xfreqbench compare results/before results/after",
+        ),
+        ("vew", 'Did you mean "view"?', ""),
+    ],
+)
+def test_a_command_line_that_lacks_something_is_told_what_and_shown_an_example(
+    words: str, needed: str, example: str
+) -> None:
+    done = xfreqbench(*words.split())
+    said = " ".join((done.stderr + done.stdout).replace("│", " ").split())
+    assert done.returncode == 2
+    assert needed in said and example in said, said
+
+
 def test_an_unknown_option_names_the_nearest() -> None:
     done = xfreqbench("generate", "office", "-o", "x.h5", "--freq", "1")
     assert done.returncode != 0

@@ -4,15 +4,39 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Group, Parameter
+from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentError, Parameter
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
+if TYPE_CHECKING:
+    from rich.console import Group as RichGroup
+
+
+def _refusal(error: CycloptsError) -> RichGroup:
+    """What is wrong with a command line, in a panel, and below it the example of its command."""
+    from rich.console import Group as RichGroup
+    from rich.text import Text
+
+    chain = tuple(error.command_chain or ())
+    told: CycloptsError | str = error
+    if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
+        names = error.argument.names
+        needed = (
+            names[0].lstrip("-").upper() if error.argument.field_info.is_positional else " or ".join(names)
+        )
+        told = f"xfreqbench {' '.join(chain)} needs {needed}."
+    panel, command = CycloptsPanel(told), app
+    for name in chain:
+        command = command[name]
+    return RichGroup(panel, Text(command.help_epilogue)) if command.help_epilogue else RichGroup(panel)
+
+
 app = App(
     name="xfreqbench",
+    error_formatter=_refusal,
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
     suppress_keyboard_interrupt=False,
 )

@@ -327,7 +327,7 @@ def compare(a: Path, b: Path) -> None:
     Parameters
     ----------
     a
-        Results folder, file of records, or FOLDER/ID for one record.
+        Results folder, file of records, FOLDER/METHOD for those of one method, or FOLDER/ID for one record.
     b
         The same, to be compared with A.
     """

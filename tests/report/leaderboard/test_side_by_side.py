@@ -102,6 +102,18 @@ def test_few_seeds_are_said_to_be_few(tmp_path: Path) -> None:
     assert "fewer than" not in compare_results(b, b)
 
 
+def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
+    folder = stored(tmp_path / "results", make_records())
+    assert {record.job.method for record in records_at(folder / "ours")} == {"ours"}
+    tables = compare_results(folder / "nearest", folder / "ours")
+    assert first_row(tables, "nearest and ours")["splits"].count("GHz") == 3
+    methods = ", ".join(sorted({record.job.method for record in make_records()}))
+    with pytest.raises(
+        DataError, match=f"none of the methods of .*, which are {re.escape(methods)}, and begins"
+    ):
+        records_at(folder / "neerest")
+
+
 def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: Path) -> None:
     folder = stored(tmp_path / "results", make_records())
     (record,) = records_at(folder / "ours-lofo-77")
@@ -109,7 +121,7 @@ def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: P
     tables = compare_results(folder / "nearest-lofo-77", folder / "ours-lofo-77")
     assert numbers(first_row(tables, "nearest and ours")["B − A, 95 % interval"]) == [0.1]
     with pytest.raises(DataError, match=r"begins the ids of 3 records .* ours-lofo-2\.4GHz, ours-lofo-24"):
-        records_at(folder / "ours")
+        records_at(folder / "ours-lofo")
     with pytest.raises(DataError, match=r"begins the ids of 0 records .* and 9 more"):
         records_at(folder / "absent")
 

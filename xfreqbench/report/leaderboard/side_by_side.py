@@ -54,10 +54,10 @@ class RowPair:
 def compare_results(a: Path, b: Path) -> str:
     """Tables, as Markdown, of what two sets of results have in common, and how B differs from A.
 
-    Each is a results folder, a file of records, or a record by its folder and id, as `results/0123456789abcdef`, of
-    which the first digits do. Rows of one label (method, options and budget) are paired, and of the others those of
-    a method that has one row in either set, or the only rows of both. Raises `DataError` where there are no
-    records, or none that may be compared.
+    Each is a results folder, a file of records, those of one method by folder and name, as `results/nearest`, or one
+    record by folder and id, as `results/0123456789abcdef`, of which the first digits do. Rows of one label (method,
+    options and budget) are paired, and of the others those of a method that has one row in either set, or the only
+    rows of both. Raises `DataError` where there are no records, or none that may be compared.
     """
     records = [records_at(path) for path in (a, b)]
     identity = data_identities(chain(*records))
@@ -69,17 +69,21 @@ def compare_results(a: Path, b: Path) -> str:
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:
-    """The records of a results folder or of a file, or the one whose id the last part of the path begins."""
+    """The records of a results folder or of a file, or of a folder those of the method or id that ends the path."""
     beside = ResultsFolder(path.parent).records if not path.exists() else ()
     if not beside:
         return read_results(path).records
+    of_method = [record for record in beside if record.job.method == path.name]
+    if of_method:
+        return of_method
     chosen = {record.id: record for record in beside if record.id.startswith(path.name)}
     if len(chosen) != 1:
         known = sorted(chosen or {record.id for record in beside})
         more = f" and {len(known) - _SHOWN_IDS} more" if len(known) > _SHOWN_IDS else ""
         raise DataError(
-            f"{path} is no results folder, and begins the ids of {len(chosen)} records of {path.parent}, where one is "
-            f"needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
+            f"{path} is no results folder, names none of the methods of {path.parent}, which are "
+            f"{', '.join(sorted({record.job.method for record in beside}))}, and begins the ids of {len(chosen)} "
+            f"records there, where one is needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
         )
     return list(chosen.values())
 

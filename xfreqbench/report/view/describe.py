@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ def describe(path: Path) -> str:
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths",
         *_paths_line(dataset),
-        "settings   " + ", ".join(f"{name} {value}" for name, value in header.settings.items()),
+        "settings   " + ", ".join(f"{name} {_in_words(value)}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
         "left out   " + (", ".join(f"{count} {why}" for why, count in header.rejected.items()) or "nothing"),
         f"recipe     {dataset.recipe}, sha256 {dataset.recipe.sha256}",
@@ -36,6 +37,13 @@ def describe(path: Path) -> str:
         "carrier      without path   median paths   peak power median (dB)",
     ]
     return "\n".join(lines + _carrier_lines(dataset))
+
+
+def _in_words(setting: Any) -> str:
+    """A setting as text: names of a list as in `specular+refraction`, `none` for an empty one."""
+    if isinstance(setting, list | tuple) and all(isinstance(each, str) for each in setting):
+        return "+".join(setting) or "none"
+    return str(setting)
 
 
 def _paths_line(dataset: PasDataset) -> list[str]:
