@@ -36,13 +36,13 @@ def overview_markdown(
     """The generated part of a short report; `pages` holds the link to each scene's page."""
     main = _main_boards(ranked)
     compared = [_first_comparison(board) for board in main]
-    shown = [each for each in compared if each.board.scene == _main_scene(ranked)]
+    shown = [each for each in compared if each.board.scene == main_scene(ranked)]
     links = ", ".join(f"[{heading(scene)}]({link})" for scene, link in pages.items())
     parts = [
         *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
-        *_budget_tables([board for board in ranked if board.scene == _main_scene(ranked)]),
+        *_budget_tables([board for board in ranked if board.scene == main_scene(ranked)]),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
-        *_time_figure([board for board in ranked if board.scene == _main_scene(ranked)], pages),
+        *_time_figure([board for board in ranked if board.scene == main_scene(ranked)], pages),
         f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
         *_measured_parts(benches, measurements_page),
         short_legend(),
@@ -65,7 +65,7 @@ def _first_comparison(board: Board) -> Comparison:
     return Comparison(whole, whole.split_sets()[0])
 
 
-def _main_scene(ranked: Sequence[Board]) -> str:
+def main_scene(ranked: Sequence[Board]) -> str:
     """The scene with the most records."""
     records = Counter[str]()
     for board in ranked:

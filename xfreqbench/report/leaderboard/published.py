@@ -20,15 +20,15 @@ def published_cell(row: BoardRow, splits: Sequence[str]) -> str:
     Where no number for all splits together was published, it has one for each: `XFreq-GS 0.7381 / 0.7642`. It is
     empty where nothing was published.
     """
-    for counterpart in _content()["counterpart"]:
-        if _stands_for(counterpart, row):
+    for counterpart in published_content()["counterpart"]:
+        if stands_for(counterpart, row):
             return _cell(counterpart, splits)
     return ""
 
 
 def published_section(protocol: str) -> list[str]:
     """A heading and every published table of a protocol, as Markdown; empty where nothing was published."""
-    content = _content()
+    content = published_content()
     tables = [each for each in content["table"].values() if each["protocol"] == protocol]
     if not tables:
         return []
@@ -38,7 +38,7 @@ def published_section(protocol: str) -> list[str]:
 
 def reduced_statement(rows: Sequence[BoardRow]) -> str:
     """What reduced re-implementations among the rows leave out of the systems they are named for; empty without any."""
-    notes = {each["method"]: each for each in _content()["counterpart"] if "note" in each}
+    notes = {each["method"]: each for each in published_content()["counterpart"] if "note" in each}
     named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in notes)
     if not named:
         return ""
@@ -47,11 +47,13 @@ def reduced_statement(rows: Sequence[BoardRow]) -> str:
 
 
 @cache
-def _content() -> dict[str, Any]:
+def published_content() -> dict[str, Any]:
+    """The published numbers, and which of our rows stand for which, as `paper_results.toml` holds them."""
     return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
 
 
-def _stands_for(counterpart: Mapping[str, Any], row: BoardRow) -> bool:
+def stands_for(counterpart: Mapping[str, Any], row: BoardRow) -> bool:
+    """Whether a row has the protocol, the method and the options that a counterpart names."""
     if row.is_external:
         return False
     config = row.records[0].config
@@ -64,13 +66,13 @@ def _cell(counterpart: Mapping[str, Any], splits: Sequence[str]) -> str:
     cells = counterpart["cells"]
     whole = cells.get(" ".join(splits)) or cells.get("any")
     each = [whole] if whole else [cells.get(split) for split in splits]
-    return f"{counterpart['name']} {' / '.join(map(_looked_up, each))}" if all(each) else ""
+    return f"{counterpart['name']} {' / '.join(map(published_value, each))}" if all(each) else ""
 
 
-def _looked_up(place: Sequence[str]) -> str:
+def published_value(place: Sequence[str]) -> str:
     """The published number at a place, given as table, row and column."""
     name, row, column = place
-    found = _content()["table"][name]
+    found = published_content()["table"][name]
     values: list[str] = found["rows"][row]
     return values[found["columns"].index(column)]
 

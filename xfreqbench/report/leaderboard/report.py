@@ -26,7 +26,8 @@ from xfreqbench.report.leaderboard.figures import (
 )
 from xfreqbench.report.leaderboard.legend import legend
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
-from xfreqbench.report.leaderboard.overview import overview_markdown
+from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
+from xfreqbench.report.leaderboard.paper import has_counterparts, paper_markdown
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -48,7 +49,7 @@ _BENCH_SECTIONS = {
     "chaos": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
-_MEASUREMENTS_PAGE = "measurements.md"
+_MEASUREMENTS_PAGE, _PAPER_PAGE = "measurements.md", "paper.md"
 
 
 @dataclass(frozen=True)
@@ -116,20 +117,24 @@ def _whole(found: RankedResults, output_md: Path) -> _Page:
 
 
 def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
-    """The short report, a page for each scene, and one of the measurements."""
+    """The short report, a page for each scene, one of the paper's claims if it has any, and one of the measurements."""
     by_scene: dict[str, list[Board]] = {}
     for board in found.boards:
         by_scene.setdefault(board.scene, []).append(board)
     names = {scene: slug_of(scene) + ".md" for scene in by_scene}
+    of_main = by_scene.get(main_scene(found.boards), [])
+    has_paper = any(map(has_counterparts, of_main))
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     links = {scene: f"{folder}/{name}" for scene, name in names.items()}
-    short = overview_markdown(found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}")
+    linked = links | ({"the paper's claims": f"{folder}/{_PAPER_PAGE}"} if has_paper else {})
+    short = overview_markdown(found.boards, found.benches, linked, f"{folder}/{_MEASUREMENTS_PAGE}")
     return [
         _Page(output_md, "Benchmark", short),
         *(
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
+        *([_Page(details / _PAPER_PAGE, "The paper's claims", paper_markdown(of_main))] if has_paper else []),
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",

@@ -1,0 +1,64 @@
+"""The page on the paper's claims: its numbers beside ours, and a verdict where intervals allow one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
+
+from xfreqbench.methods.contract import LANES
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.paper import paper_markdown
+from xfreqbench.report.leaderboard.report import write_report
+from xfreqbench.runs.records import RunRecord, append
+
+CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
+TOLD = {"sees_carrier": True, "footprint": "projected"}
+BLIND = {"sees_carrier": False, "latent": 0, "footprint": "projected"}
+
+
+def fitted(method: str, shift: float, **changes: object) -> list[RunRecord]:
+    """Three seeds in the lane quick, better than others by `shift`."""
+    return [
+        with_job(record, budget=LANES["quick"]).model_copy(update=changes)
+        for record in of_three_seeds(method, shift, len(method))
+    ]
+
+
+@pytest.mark.parametrize(("shift", "verdict"), [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "open")])
+def test_a_claim_holds_only_where_the_whole_interval_says_so(shift: float, verdict: str) -> None:
+    ranked = boards([*fitted("xfreq-gs", shift, config=TOLD), *fitted("gsrf", 0.0)])
+    (row,) = rows_of(paper_markdown(ranked), CLAIM)
+    assert bool(row["why"]) == (verdict != "holds")
+    assert (row["here"], row["budget"], row["on"]) == (verdict, "quick (≤ 64,000 maps)", "24.25GHz")
+
+
+def test_a_claim_of_one_seed_or_of_nothing_measured_has_no_verdict() -> None:
+    one = boards([fitted("xfreq-gs", 0.0, config=TOLD)[0], *fitted("gsrf", 0.0)])
+    assert rows_of(paper_markdown(one), CLAIM)[0]["here"] == "too few seeds"
+    none = boards(fitted("xfreq-gs", 0.0, config=TOLD))
+    assert rows_of(paper_markdown(none), CLAIM)[0]["here"] == "not measured here"
+
+
+def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_ablation() -> None:
+    blind = fitted("xfreq-gs", -0.05, config=BLIND)
+    blind = [with_job(record, overrides=("sees_carrier=false", "latent=0")) for record in blind]
+    text = paper_markdown(boards([*blind, *fitted("xfreq-gs", 0.0, config=TOLD)]))
+    claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
+    assert rows_of(text, claim)[0]["here"] == "holds"
+    (plain,) = [row for row in rows_of(text, "XFreq-GS") if row["on"] == "24.25GHz"]
+    assert plain["published"] == "0.8977"
+    assert float(plain["quick (≤ 64,000 maps)"]) > float(
+        rows_of(text, "without frequency modulation")[0]["quick (≤ 64,000 maps)"]
+    )
+
+
+def test_only_reports_with_methods_of_the_paper_have_the_page(tmp_path: Path) -> None:
+    for name, records in (("ours", make_records()), ("theirs", [*make_records(), *fitted("xfreq-gs", 0.0)])):
+        for record in records:
+            append(tmp_path / name / "records.jsonl", record)
+        written = write_report(tmp_path / name, tmp_path / name / "B.md", tmp_path / name / "all").paths
+        pages = [path.name for path in written if path.suffix == ".md"]
+        assert ("paper.md" in pages) == (name == "theirs")
+        assert ("all/paper.md" in (tmp_path / name / "B.md").read_text("utf-8")) == (name == "theirs")
