@@ -118,7 +118,7 @@ def _external_note(rows: Sequence[BoardRow]) -> str:
 def _busy_note(rows: Sequence[BoardRow]) -> str:
     """Which rows have fits that got too little of a core; empty where none has."""
     low = {
-        row.label: [each.core_share for each in row.records if each.core_share < LEAST_CORE_SHARE]
+        row.short_label: [each.core_share for each in row.records if each.core_share < LEAST_CORE_SHARE]
         for row in rows
     }
     busy = [f"{label} ({min(shares):.0%})" for label, shares in low.items() if shares]
