@@ -71,7 +71,7 @@ def test_no_tested_row_is_compared(dataset: PasDataset) -> None:
     score = RoomScore.of(compared(dataset, found_room()))
     train = find_split(dataset, "lofo", SPLIT).train
     assert set(score.samples.rows.tolist()) <= set(train.tolist())
-    assert 24.25e9 not in score.carrier_hz
+    assert 24.25e9 not in score.samples.carrier_hz
 
 
 def test_the_true_room_is_nearer_to_the_training_rows_than_one_without_a_floor(dataset: PasDataset) -> None:

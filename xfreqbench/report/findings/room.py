@@ -6,15 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.materials import NamedSlab, SlabNames
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.placement import MIN_SEPARATION_M
 from xfreqbench.scene.visibility import distance_to_surfaces
+from xfreqbench.tracing.image.furnished import image_tracer
+from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -132,3 +136,15 @@ def standing(dataset: PasDataset) -> Float[FloatArray, "N 3"]:
 def is_clear(surface: RoomSurface, standing_m: Float[FloatArray, "N 3"]) -> bool:
     """Whether a surface is as far from all these places as a tracer demands."""
     return bool(distance_to_surfaces([surface.mesh], standing_m).min() >= MIN_SEPARATION_M)
+
+
+def channels_in(
+    room: Sequence[RoomSurface], samples: PasDataset, settings: TraceSettings
+) -> Complex[NDArray[np.complex128], "n M"]:
+    """Channels (n, M) of n samples, traced in a room."""
+    carriers = np.unique(samples.carrier_hz)
+    geometry = Geometry([surface.mesh for surface in room])
+    tracer = image_tracer(samples.scene, carriers.tolist(), settings, geometry=geometry)
+    tx, of_tx = np.unique(samples.tx_index, return_inverse=True)
+    cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
+    return cfr[of_tx.reshape(-1), np.searchsorted(carriers, samples.carrier_hz)]

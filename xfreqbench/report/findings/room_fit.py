@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
@@ -21,11 +21,9 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.materials import NamedSlab, SlabNames
-from xfreqbench.report.findings.room import RoomSurface, is_clear, standing
-from xfreqbench.scene.facets import Geometry
-from xfreqbench.tracing.image.furnished import image_tracer
+from xfreqbench.report.findings.room import RoomSurface, channels_in, is_clear, standing
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
+from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
 
 NUM_TX, NUM_CARRIERS = 40, 4  # of the training rows that are compared
 _MAX_DEPTH, _RAYS = 4, 20_000  # of the tracing for comparison, at most those of the data
@@ -48,11 +46,9 @@ Room = list[RoomSurface]
 
 @dataclass(frozen=True, eq=False)
 class RoomScore:
-    """How near what is traced in a room is to some training rows, of `tx` transmitters at some carriers."""
+    """How near what is traced in a room is to some training rows, of some transmitters at some carriers."""
 
     samples: PasDataset
-    carrier_hz: Float[FloatArray, "F"]
-    tx_position_m: Float[FloatArray, "T 3"]
 
     @classmethod
     def of(cls, compared: ComparedFindings) -> RoomScore:
@@ -66,8 +62,7 @@ class RoomScore:
         tx = np.unique(train.tx_index)
         chosen_tx = tx[np.unique(np.linspace(0, len(tx) - 1, NUM_TX).round().astype(int))]
         is_chosen = np.isin(train.carrier_hz, chosen_hz) & np.isin(train.tx_index, chosen_tx)
-        samples = train.subset(np.flatnonzero(is_chosen & train.has_path))
-        return cls(samples, chosen_hz, dataset.tables["tx_position_m"][chosen_tx])
+        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)))
 
     @cached_property
     def _truth(self) -> NDArray[np.float32]:
@@ -79,17 +74,10 @@ class RoomScore:
         depth, rays = min(told.max_depth, _MAX_DEPTH), min(told.rays, _RAYS)
         return replace(told, solver="image", materials="extrapolate", max_depth=depth, rays=rays)
 
-    @cached_property
-    def _places(self) -> tuple[Int[IntArray, "N"], Int[IntArray, "N"]]:
-        tx = np.unique(self.samples.tx_index, return_inverse=True)[1].reshape(-1)
-        return tx, np.searchsorted(self.carrier_hz, self.samples.carrier_hz)
-
     def __call__(self, room: Sequence[RoomSurface]) -> float:
         """Mean SSIM of the maps that are traced in a room."""
         samples = self.samples
-        geometry = Geometry([surface.mesh for surface in room])
-        tracer = image_tracer(samples.scene, self.carrier_hz.tolist(), self._settings, geometry=geometry)
-        cfr = tracer.channel(self.tx_position_m).cfr[self._places]
+        cfr = channels_in(room, samples, self._settings)
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0][:, ::_STRIDE, ::_STRIDE]
         return float(ssim(maps, self._truth, AngularGrid.hemisphere(*maps.shape[1:])).mean())
 

@@ -7,21 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
+from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.residual import DRAW_SEED
-from xfreqbench.report.findings.room import RoomSurface
+from xfreqbench.report.findings.room import RoomSurface, channels_in
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.scoring import BATCH_SIZE
-from xfreqbench.scene.facets import Geometry
-from xfreqbench.tracing.image.furnished import image_tracer
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray
 
 NUM_TESTED_TX = 60
 HEADER = ("maps", "median SSIM", "mean SSIM", "tested rows")
@@ -47,7 +43,8 @@ def score_rooms(
     except (DataError, KeyError):  # not kept, or of other rows
         pass
     for label, room in rooms.items():
-        maps = samples.beam.maps(_channels(samples, room, rows), samples.header.pas_kind)[0]
+        settings = replace(samples.trace_settings, solver="image", materials="extrapolate")
+        maps = samples.beam.maps(channels_in(room, samples, settings), samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
     return scores
 
@@ -58,16 +55,3 @@ def score_rows(scores: Mapping[str, Float[FloatArray, "n"]]) -> list[tuple[str, 
         (label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each)))
         for label, each in scores.items()
     ]
-
-
-def _channels(
-    samples: PasDataset, room: Sequence[RoomSurface], rows: Int[IntArray, "n"]
-) -> Complex[NDArray[np.complex128], "n M"]:
-    """Channels (n, M) of the samples in a room; a material beyond its band is extrapolated."""
-    settings = replace(samples.trace_settings, solver="image", materials="extrapolate")
-    carriers = np.unique(samples.carrier_hz)
-    geometry = Geometry([surface.mesh for surface in room])
-    tracer = image_tracer(samples.scene, carriers.tolist(), settings, geometry=geometry)
-    tx, of_tx = np.unique(rows // samples.num_carriers, return_inverse=True)
-    cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
-    return cfr[of_tx.reshape(-1), np.searchsorted(carriers, samples.carrier_hz)]

@@ -34,15 +34,16 @@ def overview_markdown(
     measurements_page: str,
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each scene's page."""
-    main = _main_boards(ranked)
+    scene, main = main_scene(ranked), _main_boards(ranked)
+    of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main]
-    shown = [each for each in compared if each.board.scene == main_scene(ranked)]
-    links = ", ".join(f"[{heading(scene)}]({link})" for scene, link in pages.items())
+    shown = [each for each in compared if each.board.scene == scene]
+    links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
     parts = [
         *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
-        *_budget_tables([board for board in ranked if board.scene == main_scene(ranked)]),
+        *_budget_tables(of_scene),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
-        *_time_figure([board for board in ranked if board.scene == main_scene(ranked)], pages),
+        *_time_figure(of_scene, pages),
         f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
         *_measured_parts(benches, measurements_page),
         short_legend(),
