@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
+from xfreqbench.tracing.solvers import with_interactions
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, ProgressCallback
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -26,14 +28,19 @@ NUM_TRANSMITTERS = 64
 _COMMON_CHOICES = (24, 48)  # what documents give to `--tx`: small data sets then have transmitters in common
 
 
-def make_fingerprint(scene: Scene, path: Path, progress: ProgressCallback) -> None:
+def make_fingerprint(
+    scene: Scene, path: Path, progress: ProgressCallback, interactions: Iterable[str] | None = None
+) -> None:
     """Trace a scene with the default settings at up to 64 transmitters and the paper's carriers, and store that.
+
+    Where no interactions are named they are those of ground truth, as for `generate`.
 
     A file that holds this scene's fingerprint stays as it is. Raises `OutputExistsError` for one that holds anything
     else, `StorageError`, and as `plan_generation` does.
     """
     carriers_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
-    plan = plan_generation(scene, carriers_hz, tx_position_m=_chosen(scene, min(carriers_hz)))
+    settings = with_interactions(scene, names=interactions)
+    plan = plan_generation(scene, carriers_hz, settings, tx_position_m=_chosen(scene, min(carriers_hz)))
     header = plan.header
     recipe = Recipe.of_scene(plan.scene, plan.settings, header, plan.tx_position_m, AngularGrid.hemisphere())
 

@@ -11,11 +11,13 @@ from xfreqbench.cli.options import (
     DATA,
     Executor,
     Freqs,
+    Interactions,
     Output,
     Quiet,
     app,
     example,
     parse_carriers_hz,
+    parse_interactions,
     say,
     say_written,
 )
@@ -28,10 +30,6 @@ Solver = Annotated[
         "where it can trace the scene, else sionna."
     ),
 ]
-Interactions = Annotated[
-    str, Parameter(help="Comma-separated, of: specular, refraction, diffraction, diffuse.")
-]
-DEFAULT_INTERACTIONS = "specular,refraction"
 
 
 @app.command(group=DATA, help_epilogue=example("scenes"))
@@ -70,7 +68,7 @@ def generate(
         ),
     ] = None,
     solver: Solver = "auto",
-    interactions: Interactions = DEFAULT_INTERACTIONS,
+    interactions: Interactions = None,
     rays: Annotated[int, Parameter(help="Rays that look for paths, 10,000,000 at most.")] = 500_000,
     max_depth: Annotated[
         int, Parameter(help="Most interactions of a path, reflections and transmissions together; up to 16.")
@@ -107,7 +105,7 @@ def generate(
     from xfreqbench.scene.model import load_scene
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers, require_executor
-    from xfreqbench.tracing.solvers import interactions_named
+    from xfreqbench.tracing.solvers import with_interactions
     from xfreqbench.tracing.tracer import TraceSettings
 
     require_executor(executor)
@@ -117,16 +115,16 @@ def generate(
         )
     settings = TraceSettings(
         solver=solver,
-        interactions=interactions_named(name.strip() for name in interactions.split(",") if name.strip()),
         max_depth=max_depth,
         rays=rays,
         seed=seed,
         materials=materials,
     )
+    loaded = load_scene(scene)
     plan = plan_generation(
-        load_scene(scene),
+        loaded,
         parse_carriers_hz(freqs),
-        settings,
+        with_interactions(loaded, settings, parse_interactions(interactions)),
         num_transmitters=tx,
         tx_position_m=_read_positions(tx_positions),
         pas_kind=pas_kind,

@@ -8,7 +8,18 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import ADVANCED, Output, Quiet, app, bench, example, parse_carriers_hz, say
+from xfreqbench.cli.options import (
+    ADVANCED,
+    Interactions,
+    Output,
+    Quiet,
+    app,
+    bench,
+    example,
+    parse_carriers_hz,
+    parse_interactions,
+    say,
+)
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -264,7 +275,9 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
 @bench.command(
     name="fingerprint", help_epilogue=example("bench fingerprint office -o office_fingerprint.npz")
 )
-def bench_fingerprint(scene: str = "office", *, output: Output, quiet: Quiet = False) -> None:
+def bench_fingerprint(
+    scene: str = "office", *, output: Output, interactions: Interactions = None, quiet: Quiet = False
+) -> None:
     """Trace the fingerprint of a scene: the channels with which `info` and `run` compare data sets of it.
 
     Those of the shipped scenes lie beside them, in `scenes/`.
@@ -280,5 +293,5 @@ def bench_fingerprint(scene: str = "office", *, output: Output, quiet: Quiet = F
 
     is_new = not output.exists()
     with progress_bars("transmitters", [f"fingerprint of {scene}"], quiet) as (progress,):
-        make_fingerprint(load_scene(scene), output, progress)
+        make_fingerprint(load_scene(scene), output, progress, parse_interactions(interactions))
     say(f"wrote {output}" if is_new else f"{output} already holds this fingerprint", quiet)

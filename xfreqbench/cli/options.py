@@ -80,6 +80,20 @@ def example(words: str) -> str:
     return f"Example: xfreqbench {words}"
 
 
+Interactions = Annotated[
+    str | None,
+    Parameter(
+        help="Comma-separated, of: specular, refraction, diffraction, diffuse. If absent: the first three where solver "
+        "image traces them, else the first two."
+    ),
+]
+
+
+def parse_interactions(text: str | None) -> list[str] | None:
+    """Names from text such as `specular,refraction`, or None for those of ground truth."""
+    return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
+
+
 def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:
     """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises `XFreqBenchError` that names `option`."""
     if freqs.strip() == "paper":

@@ -144,9 +144,9 @@ def field_differences(
     return np.median(relative, axis=0)
 
 
-def fingerprint_path(scene_name: str) -> Path:
-    """The file with the fingerprint of a shipped scene."""
-    return _folder() / f"{scene_name}{_ENDING}"
+def fingerprint_path(scene_name: str, *, diffraction: bool = True) -> Path:
+    """The file with the fingerprint of a shipped scene, as `generate` traces it, or without diffraction."""
+    return _folder() / f"{scene_name}{'' if diffraction else '_without_diffraction'}{_ENDING}"
 
 
 def read_fingerprint(path: Path) -> Fingerprint:

@@ -26,7 +26,7 @@ from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
-from xfreqbench.tracing.solvers import interactions_named, make_tracer
+from xfreqbench.tracing.solvers import make_tracer, with_interactions
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import ProgressCallback, ignore_progress
@@ -44,7 +44,7 @@ def generate(
     tx: int | None = None,
     tx_positions: Positions | None = None,
     solver: SolverName = "auto",
-    interactions: Texts = ("specular", "refraction"),
+    interactions: Texts | None = None,
     rays: int = 500_000,
     max_depth: int = 6,
     seed: int = 1,
@@ -59,7 +59,8 @@ def generate(
 
     `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The transmitters are `tx` of the
     scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres. The
-    other options are those of `xfreqbench generate`, with the same names and defaults; `executor` is `serial`, a
+    other options are those of `xfreqbench generate`, with the same names and defaults: without `interactions` they
+    are specular, refraction, and diffraction where solver `image` traces it. `executor` is `serial`, a
     number of processes, or `dask://host:port`, and `progress` draws bars on stderr.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
@@ -69,11 +70,12 @@ def generate(
         raise XFreqBenchError(
             "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
         )
-    settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    settings = TraceSettings(solver=solver, max_depth=max_depth, rays=rays, seed=seed, materials=materials)
     plan = plan_generation(
-        scene if isinstance(scene, Scene) else load_scene(scene),
+        scene,
         [ghz_to_hz(carrier) for carrier in freqs_ghz],
-        settings,
+        with_interactions(scene, settings, interactions),
         num_transmitters=tx,
         tx_position_m=tx_positions,
         pas_kind=pas_kind,

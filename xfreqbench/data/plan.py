@@ -29,7 +29,7 @@ from xfreqbench.scene.placement import (
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.machine import available_memory_mib
-from xfreqbench.tracing.solvers import resolve_solver
+from xfreqbench.tracing.solvers import resolve_solver, with_interactions
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
 from xfreqbench.types import FloatArray
@@ -125,7 +125,7 @@ class Plan:
 def plan_generation(
     scene: Scene,
     carrier_hz: Sequence[float],
-    settings: TraceSettings = TraceSettings(),
+    settings: TraceSettings | None = None,
     *,
     num_transmitters: int | None = None,
     tx_position_m: Float[FloatArray, "T 3"] | None = None,
@@ -137,10 +137,11 @@ def plan_generation(
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file; `paths` puts the paths into it. Raises `MaterialBandError`, `PlacementError` or another
-    `XFreqBenchError`.
+    out of the file; `paths` puts the paths into it. Without `settings` the defaults are taken, with the interactions
+    of ground truth. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
+    settings = settings or with_interactions(scene)
     if paths and "diffuse" in settings.interactions:
         raise XFreqBenchError(
             "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "

@@ -35,6 +35,24 @@ def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
     return cast("tuple[Interaction, ...]", given)
 
 
+def with_interactions(
+    scene: Scene, settings: TraceSettings = TraceSettings(), names: Iterable[str] | None = None
+) -> TraceSettings:
+    """The settings with the interactions of these names, or with those of ground truth where none are given.
+
+    Ground truth has specular reflection, refraction and diffraction, where solver `image` traces them in the scene
+    and solver `sionna` is not named; elsewhere it has the first two, because Sionna RT's diffraction is not
+    reciprocal, is not continuous, and takes a hundred times as long. Raises `UnknownNameError`.
+    """
+    if names is not None:
+        return replace(settings, interactions=interactions_named(names))
+    from xfreqbench.tracing.image.tracer import can_solve
+
+    whole = replace(settings, interactions=("specular", "refraction", "diffraction"))
+    is_exact = settings.solver != "sionna" and can_solve(Geometry(surface_meshes(scene)), whole)
+    return whole if is_exact else replace(settings, interactions=("specular", "refraction"))
+
+
 def check_settings(settings: TraceSettings) -> None:
     """Raise `XFreqBenchError` for settings that no solver takes."""
     if settings.solver not in get_args(SolverName):

@@ -19,7 +19,7 @@ from xfreqbench.report.view.summary import known_line_of_sight
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import make_tracer, with_interactions
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
@@ -83,7 +83,8 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
     """What `generate` would trace at the paper's carriers; materials are extrapolated beyond their P.2040 bands."""
     paper_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
     carrier_hz = _middle(paper_hz) if carrier_ghz is None else _parsed_hz(carrier_ghz)
-    plan = plan_generation(scene, paper_hz, TraceSettings(materials="extrapolate"), maps=False)
+    settings = with_interactions(scene, TraceSettings(materials="extrapolate"))
+    plan = plan_generation(scene, paper_hz, settings, maps=False)
     room = ShownRoom(
         receiver=scene.receiver,
         lowest_hz=min(paper_hz),
