@@ -50,7 +50,7 @@ class Shortcuts(NamedTuple):
 
     `share` decides at the array's corners which paths reach its elements. On either side of an edge are at most
     `max_planes` reflections, which may be 3. A path that a bound shows to be weaker than `floor` times the strongest
-    element of a transmitter's channel without edges is skipped before it is traced.
+    element of a transmitter's channel without edges is skipped at that carrier before it is traced.
     """
 
     share: bool
@@ -87,13 +87,13 @@ class Diffraction:
         """Channel (T, F, M) over edges alone, carriers ascending; `without` is that of all other paths."""
         wavelength_m = self.room.aperture.wavelength_m
         amplitude = np.abs(without.cfr).max(axis=2, initial=0.0) / wavelength_m
-        limits = self._limits(self._shortcuts.floor * amplitude.min(axis=1, initial=np.inf))
+        limits = self._limits(self._shortcuts.floor * amplitude)
         real, imag, num_paths = diffraction_kernels.channels(*self.room, self._sides, limits, tx_position_m)
         return Channel(real + 1j * imag, num_paths)
 
     def paths(self, tx_position_m: Float[FloatArray, "3"]) -> PathsToCentre:
         """All paths of one transmitter over edges to the array centre, none of them skipped."""
-        limits = self._limits(np.zeros(1))
+        limits = self._limits(np.zeros((1, len(self.room.aperture.wavelength_m))))
         near = self._seen_from(tx_position_m[None])
         gain, distance_m, arrival, code, met, point_m = diffraction_kernels.paths(
             self.room, near, self._sides, limits
@@ -111,7 +111,7 @@ class Diffraction:
             room.facets, room.mirrors, room.wedges, np.ascontiguousarray(points_m), self._max_planes
         )
 
-    def _limits(self, floor: Float[FloatArray, "T"]) -> Limits:
+    def _limits(self, floor: Float[FloatArray, "T F"]) -> Limits:
         return Limits(self._max_depth, self._max_planes, self._shortcuts.share, floor)
 
 
@@ -144,20 +144,17 @@ def _wedges(
 
 
 def _mirrors(geometry: Geometry, facets: kernels.Facets, media: kernels.Media) -> Reflectors:
-    """Corners of the facets, sorted by plane, and bounds of what their planes reflect."""
+    """Corners of the facets, sorted by plane, and bounds of what their planes reflect at each carrier."""
     by_plane = np.argsort(geometry.planes[1], kind="stable")
     corner_m = np.array([geometry.facets[i].corners_m[[0, 1, 2, -1]] for i in by_plane]).reshape(-1, 4, 3)
     cosines = np.linspace(0, 1, COSINES)
-    num_kinds = media.permittivity.shape[1]
-    most = np.ones((num_kinds, COSINES))
-    for k in range(num_kinds):
-        slabs = zip(media.permittivity[:, k], media.phase_thickness[:, k], strict=True)
-        reflection = [
-            [np.abs(kernels.slab_coefficients(c, eta, phase)[:2]).max() for c in cosines]
-            for eta, phase in slabs
-        ]
-        largest = np.max(reflection, axis=0, initial=0.0)
-        most[k] = np.maximum.accumulate(largest[::-1])[::-1]
-    by_facet = most[facets.slab]
-    of_plane = [by_facet[a:b].max(axis=0) for a, b in zip(facets.first[:-1], facets.first[1:], strict=True)]
-    return Reflectors(corner_m, np.array(of_plane).reshape(-1, COSINES))
+    most = np.empty((*media.permittivity.shape, COSINES))  # (F, K, L)
+    for place in np.ndindex(media.permittivity.shape):
+        eta, phase = complex(media.permittivity[place]), float(media.phase_thickness[place])
+        largest = [np.abs(kernels.slab_coefficients(c, eta, phase)[:2]).max() for c in cosines]
+        most[place] = np.maximum.accumulate(largest[::-1])[::-1]
+    by_facet = most[:, facets.slab]
+    of_plane = [
+        by_facet[:, a:b].max(axis=1) for a, b in zip(facets.first[:-1], facets.first[1:], strict=True)
+    ]
+    return Reflectors(corner_m, np.array(of_plane).reshape(-1, len(most), COSINES).swapaxes(0, 1).copy())

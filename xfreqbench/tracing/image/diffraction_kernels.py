@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from xfreqbench.tracing.image import (
     edge_field_kernels,
@@ -25,7 +26,7 @@ from xfreqbench.tracing.image import (
 from xfreqbench.tracing.image.edge_field_kernels import (
     Room,
     Work,
-    bound,
+    bounds,
     change,
     end_at,
     gain,
@@ -68,7 +69,7 @@ class Limits(NamedTuple):
     max_depth: int  # interactions in all
     max_planes: int  # reflections on either side of the edge
     share: bool  # decide at the array's corners which paths reach its elements
-    floor: F64  # (T,): amplitude over wavelength, in 1/m, below which a path is skipped
+    floor: F64  # (T, F): amplitude over wavelength, in 1/m, below which a path is skipped at a carrier
 
 
 @inner
@@ -101,15 +102,21 @@ def _add_path(
     pair: tuple[Side, Side],
     polars: tuple[Polar, Polar],
     limits: Limits,
+    is_kept: NDArray[np.bool_],
     work: Work,
     sums: Sums,
     num_paths: I32,
 ) -> None:
-    """Add a path to `sums` (F, M) each; at the first carrier, the widest aperture, it is decided for all."""
+    """Add a path to `sums` (F, M) each at the carriers where `is_kept` (F,).
+
+    At the first of them, the widest aperture, it is decided for all which elements are reached.
+    """
     (real, imag), aperture, reached = sums, room.aperture, MIXED
     legs, ends, most = (work.near, work.far), (work.near_end, work.far_end), limits.max_depth - 1
     shift = change(room.wedges.angle[e], polars[0], polars[1])
     for f in range(num_paths.shape[0]):
+        if not is_kept[f]:
+            continue
         if limits.share and reached == MIXED:
             reached = _decide(room, e, pair, aperture.corner_m[f], most, work)
         if reached == NOWHERE:
@@ -154,21 +161,22 @@ def _meet(near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
 def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, i: int, sums: Sums, num_paths: I32) -> None:
     """Add all paths of transmitter i to `sums` (F, M) each."""
     work, floor, radius_m = new_work(room.facets, sums[0].shape[1]), limits.floor[i], room.aperture.radius_m
-    longest_m = room.aperture.wavelength_m[0]
+    most, is_kept = np.empty(floor.shape[0]), np.ones(floor.shape[0], np.bool_)
     for e in range(room.wedges.length.shape[0]):
-        angle, is_opaque = room.wedges.angle[e], room.wedges.is_opaque[e]
         for a in range(near.first[e], near.first[e + 1]):
             work.near_end[:] = near.image[a]
             for b in range(far.first[e], far.first[e + 1]):
                 if near.length[a] + far.length[b] >= limits.max_depth or not _meet(near, a, far, b, radius_m):
                     continue
                 polars = _row(near.polar, a), _row(far.polar, b)
-                if floor > 0.0:
-                    most = bound(angle, is_opaque, polars[0], polars[1], longest_m)
-                    if near.most[a] * far.most[b] * most < floor:
-                        continue
-                pair = _side(near, a), _side(far, b)
-                _add_path(room, e, pair, polars, limits, work, sums, num_paths)
+                bounds(room.wedges.angle[e], polars[0], polars[1], room.aperture.wavelength_m, most)
+                is_any = False
+                for f in range(len(most)):
+                    is_kept[f] = near.most[a, f] * far.most[b, f] * most[f] >= floor[f]
+                    is_any |= is_kept[f]
+                if is_any:
+                    pair = _side(near, a), _side(far, b)
+                    _add_path(room, e, pair, polars, limits, is_kept, work, sums, num_paths)
 
 
 @inner

@@ -177,23 +177,24 @@ def _off_boundary(turn: float, n: float) -> float:
 
 
 @inner
-def bound(angle: float, is_opaque: bool, near: Polar, far: Polar, wavelength_m: float) -> float:
-    """Bound of a diffracted path's amplitude over its wavelength, in 1/m, reflections left out.
+def bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
+    """Write bounds (F,) of a diffracted path's amplitude over its wavelength, in 1/m, reflections left out.
 
     Each of the four terms is at most 1, and at most its value by geometrical optics far off its boundary.
     """
     n, together = angle / math.pi, near[0] + far[0]
     length_m = math.hypot(together, near[1] - far[1])
-    root = math.sqrt(4.0 * math.pi / wavelength_m * near[0] * far[0] / length_m)
-    total = 0.0
+    root = math.sqrt(4.0 * math.pi * math.pi * near[0] * far[0] / length_m)
+    out[:] = 0.0
     for i in range(4):
         apart = far[2] - near[2] if i < 2 else far[2] + near[2]
         off = _off_boundary(math.pi + (apart if i % 2 == 0 else -apart), n)
         sine = abs(math.sin(n * off))
-        term = min(1.0, 1.0 / (math.sqrt(math.pi) * root * sine + 1e-30))
-        term *= min(1.0, sine / (n * abs(math.tan(off)) + 1e-30))
-        total += term if is_opaque or i > 1 else 2.0 * term
-    return total / (8.0 * math.pi * length_m)
+        share = min(1.0, sine / (n * abs(math.tan(off)) + 1e-30)) / (8.0 * math.pi * length_m)
+        share *= 1.0 if i > 1 else 2.0  # straight on, up to 1 − T, where faces let T through
+        far_off = 1.0 / (root * sine + 1e-30)
+        for f in range(out.shape[0]):
+            out[f] += share * min(1.0, far_off * math.sqrt(wavelength_m[f]))
 
 
 @inner

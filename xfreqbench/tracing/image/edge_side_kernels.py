@@ -29,7 +29,7 @@ class Reflectors(NamedTuple):
     """What is known of reflecting facets and planes beside `Facets`. (Q facets, P planes)"""
 
     corner: F64  # (Q, 4, 3): a triangle's last twice
-    most: F64  # (P, L): largest factor of the field at any carrier where the angle's cosine is l/L or more
+    most: F64  # (F, P, L): largest factor of the field at a carrier where the angle's cosine is l/L or more
 
 
 class Sides(NamedTuple):
@@ -42,7 +42,7 @@ class Sides(NamedTuple):
     polar: F64  # (S, 3): the image's distance from the edge's line, place along it, and angle about it
     mirror: F64  # (S, 3, 3): what the planes make of an offset of the end
     span: F64  # (S, 2): the part of the edge that is seen, in metres from its start
-    most: F64  # (S,): bound of the factor of the field that the reflections make
+    most: F64  # (S, F): bound of the factor of the field that the reflections make at each carrier
 
 
 class Found(NamedTuple):
@@ -126,12 +126,16 @@ def _seen(facets: Facets, wedges: Wedges, e: int, sequence: I64, n: int, images:
 
 
 @inner
-def _most(facets: Facets, mirrors: Reflectors, ends: F64, sequence: I64, n: int, image: F64) -> float:
-    """Bound of the factor of the field that n reflections make on the way from a part of an edge to a point.
+def _most(
+    facets: Facets, mirrors: Reflectors, ends: F64, sequence: I64, n: int, image: F64, most: F64
+) -> None:
+    """Bound, at each carrier, of the factor of the field that n reflections make from a part of an edge to a point.
 
-    `ends` (2, 3) are those of the part; between them no angle of incidence is wider.
+    `ends` (2, 3) are those of the part; between them no angle of incidence is wider. The bounds are written to
+    `most` (F,).
     """
-    way, most, steps = np.empty((2, 3)), 1.0, mirrors.most.shape[1] - 1
+    way, steps = np.empty((2, 3)), mirrors.most.shape[2] - 1
+    most[:] = 1.0
     for i in range(2):
         length = 0.0
         for c in range(3):
@@ -148,8 +152,8 @@ def _most(facets: Facets, mirrors: Reflectors, ends: F64, sequence: I64, n: int,
             least = min(least, abs(slope))
             for c in range(3):
                 way[i, c] -= 2.0 * slope * facets.normal[c, p]
-        most *= mirrors.most[p, int(least * steps)]
-    return most
+        for f in range(most.shape[0]):
+            most[f] *= mirrors.most[f, p, int(least * steps)]
 
 
 @inner
@@ -197,24 +201,29 @@ def _look(
     found: Found,
     num: int,
 ) -> int:
-    """Add to `found`, which holds `num`, the edges that points see over n planes; images (O, n + 1, 3) are theirs."""
-    work, ends = np.empty((3, 3)), np.empty((2, 3))
+    """Add to `found`, which holds `num`, the edges that points see over n planes; images (O, n + 1, 3) are theirs.
+
+    Bounds are those of the first point that sees an edge.
+    """
+    work, ends, most = np.empty((3, 3)), np.empty((2, 3)), np.empty(mirrors.most.shape[0])
     for e in range(wedges.length.shape[0]):
-        low, high, most = 2.0, -1.0, 0.0
+        low, high = 2.0, -1.0
         for o in range(images.shape[0]):
             image = images[o, n]
             seen = _seen(facets, wedges, e, sequence, n, images[o], work)
             if seen[0] > seen[1] or polar(wedges, e, image)[2] >= wedges.angle[e]:
                 continue
+            if low > high:
+                for c in range(3):
+                    for i in range(2):
+                        ends[i, c] = wedges.start[e, c] + seen[i] * wedges.length[e] * wedges.along[e, c]
+                _most(facets, mirrors, ends, sequence, n, image, most)
             low, high = min(low, seen[0]), max(high, seen[1])
-            for c in range(3):
-                for i in range(2):
-                    ends[i, c] = wedges.start[e, c] + seen[i] * wedges.length[e] * wedges.along[e, c]
-            most = max(most, _most(facets, mirrors, ends, sequence, n, image))
         if low > high:
             continue
         if num < found.edge.shape[0]:
-            found.edge[num], found.length[num], found.most[num] = e, n, most
+            found.edge[num], found.length[num] = e, n
+            found.most[num] = most
             found.span[num, 0], found.span[num, 1] = low * wedges.length[e], high * wedges.length[e]
             for j in range(MAX_SIDE_PLANES):
                 found.plane[num, j] = sequence[j] if j < n else -1
@@ -256,19 +265,22 @@ def _search(
 
 
 @inner
-def _new_found(capacity: int) -> Found:
+def _new_found(capacity: int, num_carriers: int) -> Found:
     return Found(
         np.empty(capacity, np.int64),
         np.empty(capacity, np.int64),
         np.empty((capacity, MAX_SIDE_PLANES), np.int16),
         np.empty((capacity, 2)),
-        np.empty(capacity),
+        np.empty((capacity, num_carriers)),
     )
 
 
 @inner
 def _ordered(found: Found, num: int, first: I64) -> I64:
-    """Rows of `found` by edge, those that can weigh most first; `first` (E + 1,) of zeros gets where edges begin."""
+    """Rows of `found` by edge, those that can weigh most first; `first` (E + 1,) of zeros gets where edges begin.
+
+    What counts is the weight at the lowest carrier.
+    """
     for i in range(num):
         first[found.edge[i] + 1] += 1
     for e in range(len(first) - 1):
@@ -277,7 +289,7 @@ def _ordered(found: Found, num: int, first: I64) -> I64:
     for i in range(num):
         e = found.edge[i]
         at = end[e]
-        while at > first[e] and found.most[order[at - 1]] < found.most[i]:
+        while at > first[e] and found.most[order[at - 1], 0] < found.most[i, 0]:
             order[at] = order[at - 1]
             at -= 1
         order[at] = i
@@ -291,10 +303,11 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
 
     Images are those of the first point; a part of an edge counts as seen where one of the points sees it.
     """
-    found = _new_found(4096)
+    num_carriers = mirrors.most.shape[0]
+    found = _new_found(4096, num_carriers)
     num = _search(facets, mirrors, wedges, points, max_planes, found)
     if num > len(found.edge):
-        found = _new_found(num)
+        found = _new_found(num, num_carriers)
         _search(facets, mirrors, wedges, points, max_planes, found)
     sides = Sides(
         np.zeros(len(wedges.length) + 1, np.int64),
@@ -304,12 +317,13 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
         np.empty((num, 3)),
         np.zeros((num, 3, 3)),
         np.empty((num, 2)),
-        np.empty(num),
+        np.empty((num, num_carriers)),
     )
     order = _ordered(found, num, sides.first)
     for i in range(num):
         s = order[i]
-        sides.length[i], sides.most[i] = found.length[s], found.most[s]
+        sides.length[i] = found.length[s]
+        sides.most[i] = found.most[s]
         sides.span[i, 0], sides.span[i, 1] = found.span[s, 0], found.span[s, 1]
         image, mirror = sides.image[i], sides.mirror[i]
         for c in range(3):

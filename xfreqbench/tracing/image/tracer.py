@@ -63,7 +63,7 @@ class ImageSavings:
     share_visibility: bool = True
     field_nodes_per_axis: int = 2
     diffraction_planes: int = 1
-    diffraction_floor: float = 0.01
+    diffraction_floor: float = 0.003
 
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
