@@ -8,13 +8,15 @@ from synthetic import write_dataset
 from xfreqbench.baselines.line_of_sight import LineOfSight
 from xfreqbench.baselines.log_frequency import LogFrequency
 from xfreqbench.baselines.mean_over_frequency import MeanOverFrequency, MeanOverFrequencyConfig
+from xfreqbench.baselines.mean_spectrum import MeanSpectrum
 from xfreqbench.baselines.nearest import Nearest
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
-from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within, predict_checked
 from xfreqbench.methods.registry import build_method
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 
 GRID_SHAPE = (90, 360)
 ROUNDING = 1e-5  # float32 sums of a few maps
@@ -40,7 +42,7 @@ def ask(method, position_m, carrier_hz):
     return predict_checked(method, np.atleast_2d(position_m), np.array([carrier_hz]), GRID_SHAPE)[0]
 
 
-@pytest.mark.parametrize("name", TRIVIAL)
+@pytest.mark.parametrize("name", EVERY_TRIVIAL)
 def test_every_baseline_keeps_the_contract_at_unseen_places_and_carriers(
     dataset: PasDataset, name: str
 ) -> None:
@@ -50,7 +52,7 @@ def test_every_baseline_keeps_the_contract_at_unseen_places_and_carriers(
     np.testing.assert_allclose(maps.max(axis=(1, 2)), 1)
 
 
-@pytest.mark.parametrize("name", TRIVIAL)
+@pytest.mark.parametrize("name", EVERY_TRIVIAL)
 def test_every_baseline_predicts_the_same_after_saving_and_loading(
     dataset: PasDataset, name: str, tmp_path: Path
 ) -> None:
@@ -129,6 +131,24 @@ def test_a_transmitter_that_lacks_a_carrier_uses_those_it_has(dataset: PasDatase
     train = dataset.subset(np.flatnonzero(dataset.rows != 4 * 3 + 1))
     position_m = at(dataset, 4, 0).tx_position_m[0]
     np.testing.assert_array_equal(ask(fitted(Nearest(), train), position_m, 11e9), at(dataset, 4, 2).pas()[0])
+
+
+def test_mean_spectrum_is_the_mean_of_all_transmitters_at_the_nearest_carrier(dataset: PasDataset) -> None:
+    train = dataset.subset(np.flatnonzero((dataset.tx_index != 0) & (dataset.rows != 4 * 3 + 1)))
+    method = fitted(MeanSpectrum(), train)
+    for asked_hz, carrier in ((0.5e9, 0), (3e9, 0), (3.3e9, 1), (10e9, 1), (200e9, 2)):
+        maps = [at(dataset, tx, carrier).pas()[0] for tx in range(1, 8) if (tx, carrier) != (4, 1)]
+        expected = np.mean(maps, axis=0)
+        for position_m in dataset.tx_position_m[[0, 9]]:
+            answer = ask(method, position_m, asked_hz)
+            np.testing.assert_allclose(answer, expected / expected.max(), atol=ROUNDING)
+
+
+def test_mean_spectrum_that_is_fitted_again_forgets_the_first_maps(dataset: PasDataset) -> None:
+    method = fitted(MeanSpectrum(), dataset)
+    ask(method, (1.0, 1.0, 1.0), 10e9)
+    only = at(dataset, 6, 1)
+    np.testing.assert_array_equal(ask(fitted(method, only), (1.0, 1.0, 1.0), 10e9), only.pas()[0])
 
 
 def test_mean_over_frequency_needs_a_transmitter_to_average() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import look_up
 from xfreqbench.runs.records import Job
@@ -88,7 +88,7 @@ def _num_places(executor: str) -> int | None:
 
 
 def _is_trivial(job: Job) -> bool:
-    return job.method in TRIVIAL
+    return job.method in EVERY_TRIVIAL
 
 
 def _most_seconds(job: Job) -> float:

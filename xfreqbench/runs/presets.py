@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 
 TargetsGhz = tuple[float, ...] | Literal["all"] | None
 
@@ -47,7 +47,7 @@ class Preset:
 
 
 SEEDS = (0, 1, 2)
-TRIVIAL_SETTINGS = tuple(map(Setting, TRIVIAL))
+TRIVIAL_SETTINGS = tuple(map(Setting, EVERY_TRIVIAL))
 LEARNED = tuple(map(Setting, ("aperture-gs", "fixed-frequency-gs", "frequency-embedded-gs", "xfreq-gs")))
 NAMED = tuple(
     map(Setting, ("gsrf", "wrf-gs-plus", "wideband-3dgs"))

@@ -157,6 +157,15 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
     assert len(together.rows) == len(TRIVIAL) + 6
 
 
+def test_a_trivial_predictor_that_was_added_later_sets_skill_where_it_was_run() -> None:
+    trivial = [make_record(name, 0.8, split) for name in TRIVIAL for split in SPLITS[:2]]
+    (board,) = boards([*trivial, make_record("k-nearest", 0.9, SPLITS[0])])
+    assert [board.best_trivial(split) for split in SPLITS[:2]] == [0.9, 0.8]
+    assert {row.family for row in board.rows} == {"trivial"}
+    (alone,) = boards([make_record("k-nearest", 0.9, SPLITS[0])])
+    assert math.isnan(alone.best_trivial(SPLITS[0]))
+
+
 def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:
     low, high = seeded(0.5, 0), seeded(0.9, 1)
     pooled = pooled_quantiles([low, high], "ssim")

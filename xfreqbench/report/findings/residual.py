@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.metrics import psnr, ssim
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.true_paths import SELECTIONS, path_kinds
 from xfreqbench.runs.folder import ResultsFolder
@@ -158,7 +158,7 @@ def _best_trivial(record: RunRecord, folder: ResultsFolder) -> RunRecord | None:
     stored = [
         each
         for each in folder.records
-        if each.job.method in TRIVIAL
+        if each.job.method in EVERY_TRIVIAL
         and not each.job.overrides
         and each.external is None
         and (each.dataset_sha256, each.split_sha256) == (record.dataset_sha256, record.split_sha256)

@@ -105,13 +105,16 @@ class Board:
         return f"{named}-{data}" + (f"-{re.sub('[^0-9a-z]+', '', self.lane)}" if self.lane else "")
 
     def best_trivial(self, split: str) -> float:
-        """The largest median SSIM of the trivial predictors on a split; nan unless all of them were run."""
+        """The largest median SSIM of the trivial predictors on a split; nan where `trivial_rows` are none."""
         return max((row.value(split, median_ssim) for row in self.trivial_rows(split)), default=nan)
 
     def trivial_rows(self, split: str) -> list[BoardRow]:
-        """The rows of all trivial predictors on a split; none where one is missing: it might be the best."""
+        """The rows of the trivial predictors on a split; none where one of `TRIVIAL` is missing: it might be the best.
+
+        Those that were added later count where they were run.
+        """
         rows = [row for row in self.rows if row.is_trivial and split in row.by_split]
-        return rows if {row.job.method for row in rows} == set(TRIVIAL) else []
+        return rows if set(TRIVIAL) <= {row.job.method for row in rows} else []
 
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""

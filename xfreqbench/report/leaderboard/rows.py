@@ -10,7 +10,8 @@ from itertools import chain, count
 from math import nan
 from statistics import mean, stdev
 
-from xfreqbench.methods.contract import LANES, TRIVIAL, Budget
+from xfreqbench.methods.contract import LANES, Budget
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.runs.records import Job, RunRecord
 
@@ -194,7 +195,7 @@ LANE_NAMES = {_budget(budget): name for name, budget in LANES.items()}
 
 def is_trivial(record: RunRecord) -> bool:
     """Whether it is of a trivial predictor without options, run here."""
-    return record.job.method in TRIVIAL and not record.job.overrides and record.external is None
+    return record.job.method in EVERY_TRIVIAL and not record.job.overrides and record.external is None
 
 
 def median_ssim(record: RunRecord) -> float:

@@ -1,0 +1,154 @@
+"""Trivial predictor: a weighted mean of the nearest training maps; how many, in space and frequency, is validated."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import inner_carriers_hz
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters, TransmitterLookup
+from xfreqbench.types import FloatArray, IntArray
+
+KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
+_NUM_TX, _ALL = (1, 2, 3, 4, 6, 8), 2**31
+_COUNTS = tuple(product(_NUM_TX, (1, 2, 3, 4, 6, _ALL)))  # of transmitters, and of carriers of each
+_NUM_QUERIES, _STRIDE = 256, 3  # of validation, and of the SSIM by which counts are compared
+_COUNTS_FILE = "counts.json"
+
+
+class KNearest(TransmitterLookup):
+    """The mean of the nearest transmitters' maps, weighted by distance, at the carriers nearest to the query's.
+
+    A transmitter at a distance d weighs 1 / (d + h), where h is half the median distance between neighbours in
+    training, so that a transmitter that was trained on does not silence its neighbours. Of each transmitter the maps
+    of the nearest carriers on a logarithmic axis count equally.
+
+    How many transmitters and carriers is chosen for each kind of query, by the median SSIM of training rows that are
+    predicted from the others: without those of the same carrier, those of the same transmitter, or both. So it
+    may become `nearest` (one and one) or a mean over all carriers. Where nothing can be left out, of a single carrier
+    or transmitter, it is one and one.
+    """
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Remember which rows were trained on, and choose the counts; neither depends on the seed."""
+        self._know(TrainingTransmitters(train))
+        self.counts = self._best_counts()
+        yield Progress(step=1, loss=math.nan)
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """For each query, the weighted mean map, scaled to peak 1."""
+        is_known = self.transmitters.knows(tx_position_m)
+        is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
+        kinds = np.where(is_known, KINDS[0], np.where(is_heard, KINDS[1], KINDS[2]))
+        maps = []
+        for position_m, each_hz, kind in zip(tx_position_m, carrier_hz, kinds, strict=True):
+            counts = self.counts[kind]
+            rows, tx, distance_m = self._neighbours(position_m, each_hz, counts[0])
+            weights = self._weights(tx, distance_m, counts)
+            maps.append(self.transmitters.blend(rows[weights > 0], weights[weights > 0]))
+        return np.stack(maps)
+
+    def findings(self) -> Mapping[str, Mapping[str, int | str]]:
+        """For each kind of query how many transmitters are averaged, and how many carriers of each."""
+        return {
+            kind: {"transmitters": num_tx, "carriers": "all" if num_carriers == _ALL else num_carriers}
+            for kind, (num_tx, num_carriers) in self.counts.items()
+        }
+
+    def save(self, directory: Path) -> None:
+        """Store which rows were trained on, and the counts."""
+        super().save(directory)
+        (directory / _COUNTS_FILE).write_text(json.dumps(self.counts), encoding="utf-8")
+
+    @classmethod
+    def load(cls, directory: Path) -> KNearest:
+        """Inverse of `save`; raises `DataError` if the data set has gone or is another."""
+        method = cls()
+        method._know(TrainingTransmitters.load(directory))
+        stored = json.loads((directory / _COUNTS_FILE).read_text(encoding="utf-8"))
+        method.counts = {kind: tuple(counts) for kind, counts in stored.items()}
+        return method
+
+    def _know(self, transmitters: TrainingTransmitters) -> None:
+        self.transmitters = transmitters
+        tx_index, first = np.unique(transmitters.train.tx_index, return_index=True)
+        position_m = transmitters.train.tx_position_m[first]
+        self._tree = KDTree(position_m)
+        spacing_m = self._tree.query(position_m, k=[min(2, len(tx_index))])[0]
+        self._softening_m = max(float(np.median(spacing_m)) / 2, SAME_TRANSMITTER_M)
+
+    def _neighbours(
+        self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float, count: int
+    ) -> tuple[Int[IntArray, "n"], Int[IntArray, "n"], Float[FloatArray, "n"]]:
+        """The rows of the nearest `count` transmitters, the place of each row's transmitter, and its distance.
+
+        Transmitters stand in the order of their distance, and rows of each in that of their carriers' octaves.
+        """
+        known_hz, found = self.transmitters.train.carrier_hz, []
+        distance_m, nearest = self._tree.query(tx_position_m, k=np.arange(1, min(count, self._tree.n) + 1))
+        for each in nearest:
+            rows = self.transmitters.rows(np.array([each]))
+            octaves = np.abs(np.log2(known_hz[rows] / carrier_hz))
+            found.append(rows[np.argsort(octaves, kind="stable")])
+        place = np.repeat(np.arange(len(found)), [len(rows) for rows in found])
+        return np.concatenate(found), place, distance_m[place]
+
+    def _weights(
+        self, tx: Int[IntArray, "n"], distance_m: Float[FloatArray, "n"], counts: tuple[int, int]
+    ) -> Float[FloatArray, "n"]:
+        """The weight of each row, ordered as `_neighbours` does; 0 beyond the counts of transmitters and carriers."""
+        num_tx, num_carriers = counts
+        place_tx = np.unique(tx, return_inverse=True)[1]
+        place_carrier = np.arange(len(tx)) - np.searchsorted(place_tx, place_tx)
+        is_taken = (place_tx < num_tx) & (place_carrier < num_carriers)
+        of_each = np.minimum(np.bincount(place_tx), num_carriers)[place_tx]
+        return is_taken / of_each / (distance_m + self._softening_m)
+
+    def _best_counts(self) -> dict[str, tuple[int, int]]:
+        """For each kind of query the counts of the highest median SSIM.
+
+        Of equally good ones it is that of the fewest transmitters, and then of the most carriers.
+        """
+        train = self.transmitters.train
+        coarse = AngularGrid(train.grid.elevation_rad[::_STRIDE], train.grid.azimuth_rad[::_STRIDE])
+        inner_hz = inner_carriers_hz(train)
+        scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
+        for query in np.random.default_rng(0).permutation(len(train))[:_NUM_QUERIES].tolist():
+            position_m, each_hz = train.tx_position_m[query], train.carrier_hz[query]
+            rows, tx, distance_m = self._neighbours(position_m, each_hz, max(_NUM_TX) + 1)
+            maps = train.pas(rows)[:, ::_STRIDE, ::_STRIDE]
+            truth = train.pas(query)[:, ::_STRIDE, ::_STRIDE].repeat(len(_COUNTS), 0)
+            same_carrier = train.carrier_hz[rows] == each_hz
+            same_tx = train.tx_index[rows] == train.tx_index[query]
+            is_inner = each_hz in inner_hz or not len(inner_hz)
+            for kind, left_out in zip(KINDS, (same_carrier, same_tx, same_carrier | same_tx), strict=True):
+                left = ~left_out
+                if not left.any() or not (is_inner or kind == KINDS[1]):
+                    continue
+                weights = np.array([self._weights(tx[left], distance_m[left], each) for each in _COUNTS])
+                blended = np.tensordot(weights.astype(np.float32), maps[left], axes=1)
+                blended /= blended.max(axis=(1, 2), keepdims=True)
+                scores[kind].append(ssim(blended, truth, coarse))
+        return {kind: _best(each) for kind, each in scores.items()}
+
+
+def _best(scores: list[FloatArray]) -> tuple[int, int]:
+    """The counts of the highest median score; each query has a score for each of `_COUNTS`. 1 and 1 without queries."""
+    if not scores:
+        return 1, 1
+    medians = np.median(scores, axis=0).round(9)  # weights of equal sums differ by their rounding
+    return max(zip(medians, _COUNTS, strict=True), key=lambda each: (each[0], -each[1][0], each[1][1]))[1]
