@@ -2,8 +2,8 @@ from . import errors as errors
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
+from .data.protocols import make_splits as make_splits
 from .data.splits import Split as Split
-from .data.splits import make_splits as make_splits
 from .maps import metrics as metrics
 from .maps.bartlett import BartlettBeam as BartlettBeam
 from .maps.grid import AngularGrid as AngularGrid

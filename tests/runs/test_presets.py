@@ -65,12 +65,19 @@ def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: st
     blocks = [block for block in PRESETS[name].blocks if compared <= set(block.settings)]
     assert any(len(block.seeds) >= 3 and block.protocol == "lofo" for block in blocks)
     for scene in ("office", "two_rooms"):
-        assert {block.protocol for block in blocks if block.scene == scene} == {
+        assert {block.protocol for block in blocks if block.scene == scene} >= {
             "lofo",
             "sparse",
             "held-out-tx",
             "lofo-unseen-tx",
         }
+
+
+def test_the_standard_preset_holds_out_regions_of_the_office() -> None:
+    (trivial, fitted) = [block for block in PRESETS["standard"].blocks if block.protocol == "held-out-block"]
+    assert trivial.settings == TRIVIAL_SETTINGS
+    assert {setting.method for setting in fitted.settings} == {"xfreq-gs", "aperture-gs", "virtual-source"}
+    assert (fitted.scene, fitted.budget, len(fitted.seeds)) == ("office", "quick", 3)
 
 
 def test_the_standard_preset_fits_in_three_and_a_quarter_hours_on_two_cores(

@@ -18,7 +18,7 @@ from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import BATCH, Plan
-from xfreqbench.data.splits import make_splits
+from xfreqbench.data.protocols import make_splits
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import TRIVIAL, Budget
 from xfreqbench.runs.folder import ResultsFolder

@@ -174,7 +174,7 @@ def split(
     data: Annotated[Path, Parameter(help="Data set written by `generate` or `import`.")],
     output: Output,
     protocol: Annotated[
-        str, Parameter(help="lofo, sparse, held-out-tx or lofo-unseen-tx; see `run`.")
+        str, Parameter(help="lofo, sparse, held-out-tx, lofo-unseen-tx or held-out-block; see `run`.")
     ] = "lofo",
     targets: Annotated[
         str | None,
@@ -191,7 +191,7 @@ def split(
 ) -> None:
     """Write a file with all that a method which runs elsewhere may know of each split, without any tested map."""
     from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.data.splits import make_splits
+    from xfreqbench.data.protocols import make_splits
     from xfreqbench.exchange.split_file import Handout, write_handout
     from xfreqbench.system.bars import progress_bars
 

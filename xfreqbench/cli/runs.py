@@ -131,7 +131,8 @@ def run(
         str,
         Parameter(
             help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
-            "transmitters; lofo-unseen-tx: both unseen."
+            "transmitters; held-out-block: unseen regions of the room; lofo-unseen-tx: unseen carriers and "
+            "transmitters."
         ),
     ] = "lofo",
     targets: Annotated[

@@ -13,7 +13,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import is_group, open_foreign, read_errors, stands_elsewhere
-from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Split, make_splits
+from xfreqbench.data.protocols import PROTOCOLS, VALIDATIONS, make_splits
+from xfreqbench.data.splits import PROTOCOL_VERSION, Split
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps
 from xfreqbench.runs.scoring import BATCH_SIZE

@@ -12,7 +12,8 @@ from typing import Any
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.splits import Split, find_split
+from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import Split
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method

@@ -11,7 +11,7 @@ import numpy as np
 
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.hdf5 import Variable, create_sealed
-from xfreqbench.data.splits import make_splits
+from xfreqbench.data.protocols import make_splits
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.units import ghz_to_hz
 

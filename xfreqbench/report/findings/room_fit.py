@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import find_split
+from xfreqbench.data.protocols import find_split
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.findings.compared import ComparedFindings
