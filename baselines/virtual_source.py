@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +16,16 @@ from torch import Tensor
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
+from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.network import NetworkConfig
 from xfreqbench.methods.learning.targets import GridView, Targets, of_peak
 from xfreqbench.methods.learning.training import Count, LearnedMethod, Positive, Training, TrainingConfig
 from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.field import TracedPairs, VirtualSourceField
+from xfreqbench.methods.virtual_source.render import RoomRender
 from xfreqbench.methods.virtual_source.search.cross_terms import Explained
-from xfreqbench.types import IntArray
+from xfreqbench.types import FloatArray, IntArray
 
 _TX_AT_ONCE = 32
 
@@ -49,6 +53,7 @@ class VirtualSource(LearnedMethod):
         self._rows: _TransmitterRows | None = None
         self._train: PasDataset | None = None
         self._budget = Budget()
+        self._render = RoomRender(self.config.render)
 
     def field(self) -> VirtualSourceField:
         """The field without planes, before training."""
@@ -59,12 +64,43 @@ class VirtualSource(LearnedMethod):
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
         """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way.
 
-        Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then.
+        Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then. In the
+        last fifth of the budget a room is made of what was learned, and refined beside the training.
         """
         self._train, self._budget = train, budget
         if self._training is not None:
             _field(self._training).budget = budget
-        yield from super().fit(train, budget, seed)
+        steps = super().fit(train, budget, seed)
+        with closing(steps), suppress(StopIteration):
+            progress = next(steps)
+            while True:
+                spent = budget.share(progress.step, 0.0, progress.counts["maps"])
+                spent = max(spent, self._trained().share, progress.step / self.config.steps)
+                self._render.advance(train, budget, spent, self.findings, self._learned)
+                share = yield progress
+                progress = steps.send(share)
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """Maps with peak 1, on the grid of the training data and of their kind, as `render` says."""
+        learned = super().predict(tx_position_m, carrier_hz)
+        return self._render.maps(learned, tx_position_m, carrier_hz)
+
+    def save(self, directory: Path) -> None:
+        """Store the field as `LearnedMethod` does, and the room beside it."""
+        super().save(directory)
+        self._render.save(directory)
+
+    @classmethod
+    def load(cls, directory: Path) -> VirtualSource:
+        """The method as it was saved; its `fit` continues from there."""
+        method = super().load(directory)
+        assert isinstance(method, VirtualSource)
+        beams, kind = method._trained().beams, method._trained().kind
+        beam = BartlettBeam(beams.element_position_wavelengths, beams.grid)
+        method._render = RoomRender.load(method.config.render, directory, beam, kind)
+        return method
 
     def maps_a_step(self, train: PasDataset) -> int:
         """How many training maps one step shows: those of some transmitters at every carrier."""

@@ -62,9 +62,8 @@ def findings(
     """
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.report.findings.compared import ComparedFindings, choose_record
-    from xfreqbench.report.findings.room import learned_surfaces
+    from xfreqbench.report.findings.room import refinement_of
     from xfreqbench.report.findings.room_files import claim_room, write_room
-    from xfreqbench.report.findings.room_fit import refined_room
     from xfreqbench.report.findings.room_score import HEADER as ROOM_COLUMNS
     from xfreqbench.report.findings.room_score import score_rooms, score_rows
     from xfreqbench.report.findings.write import (
@@ -77,17 +76,20 @@ def findings(
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
-    surfaces = None if room is None else learned_surfaces(compared)
+    refinement = None if room is None else refinement_of(compared)
     if room is not None:
         claim_room(chosen.id, room)
     paths = write_findings(compared, output)
-    if room is not None and surfaces is not None:
-        rooms = {"traced in the room, as found": surfaces}
+    if room is not None and refinement is not None:
+        rooms = {"traced in the room, as found": refinement.found}
         if refine:
             with progress_bars("changes", ["refining the room"], quiet) as (progress,):
-                surfaces = rooms["traced in the room, refined"] = refined_room(compared, surfaces, progress)
+                while not refinement.is_over:
+                    refinement.step()
+                    progress(refinement.done, len(refinement.steps))
+            rooms["traced in the room, refined"] = refinement.room
         scores = score_rows(score_rooms(results, compared, rooms))
-        paths += write_room(compared, surfaces, scores, room)
+        paths += write_room(compared, refinement.room, scores, room)
     if not quiet:
         print_table(compared.title, *plane_rows(compared))
         print_table("Planes of the scene that were not found", *missing_rows(compared))

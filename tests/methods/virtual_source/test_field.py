@@ -33,7 +33,7 @@ from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.field import VirtualSourceField
 from xfreqbench.methods.virtual_source.search.planes import Plane
 from xfreqbench.methods.virtual_source.search.range_profile import random_planes
-from xfreqbench.report.findings.model import StoredFindings
+from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings

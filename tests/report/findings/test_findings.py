@@ -16,8 +16,9 @@ from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError
+from xfreqbench.methods.virtual_source.told import FoundSlab, StoredFindings
 from xfreqbench.report.findings.compared import ComparedFindings, choose_record
-from xfreqbench.report.findings.model import FoundSlab, StoredFindings, reflection, virtual_sources
+from xfreqbench.report.findings.model import reflection, virtual_sources
 from xfreqbench.report.findings.write import FILES, NUMBERS, write_findings
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.materials import ITU_MATERIALS, complex_permittivity

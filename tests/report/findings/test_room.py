@@ -15,11 +15,12 @@ from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.methods.virtual_source.materials import SlabNames
+from xfreqbench.methods.virtual_source.told import FoundSlab
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.materials import SlabNames
-from xfreqbench.report.findings.model import FoundSlab
-from xfreqbench.report.findings.room import learned_surfaces
+from xfreqbench.report.findings.room import refinement_of
 from xfreqbench.report.findings.room_files import claim_room, write_room
+from xfreqbench.report.findings.room_score import score_rooms, score_rows
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
@@ -130,7 +131,7 @@ def test_a_face_on_which_a_transmitter_stands_is_left_out(dataset: PasDataset) -
     told = {"plane": 0, "slab": 0, "seen": 1.0, "is_wall": False, "corners_m": through_m}
     findings["faces"] = [*findings["faces"], told]  # type: ignore[misc]
     compared = ComparedFindings.of(record_of(dataset, findings), dataset)
-    assert len(learned_surfaces(compared)) == len(SCENE.surface)
+    assert len(refinement_of(compared).found) == len(SCENE.surface)
 
 
 def test_slivers_are_left_out_and_corners_that_are_one_count_once(dataset: PasDataset) -> None:
@@ -141,7 +142,7 @@ def test_slivers_are_left_out_and_corners_that_are_one_count_once(dataset: PasDa
     sliver_m = [[1.0, 1.0, 0.5], [2.0, 1.0, 0.5], [2.0, 1.001, 0.5]]
     faces.append({**faces[-1], "corners_m": sliver_m})
     told = ComparedFindings.of(record_of(dataset, {**findings, "faces": faces}), dataset)
-    surfaces = learned_surfaces(told)
+    surfaces = refinement_of(told).found
     assert [len(surface.corners_m) for surface in surfaces] == [4] * len(SCENE.surface)
 
 
@@ -173,7 +174,7 @@ def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
     written = []
     for _ in range(2):
         claim_room("mine", tmp_path)
-        write_room(mine, learned_surfaces(mine), [], tmp_path)
+        write_room(mine, refinement_of(mine).found, [], tmp_path)
         written.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
     assert set(written[0]) == WRITTEN
     assert written[0] == written[1]
@@ -192,7 +193,21 @@ def test_a_file_of_someone_else_stays(dataset: PasDataset, tmp_path: Path, name:
 
 
 def test_the_box_is_as_large_as_its_surfaces(dataset: PasDataset) -> None:
-    surfaces = learned_surfaces(ComparedFindings.of(record_of(dataset, found_room()), dataset))
+    surfaces = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
     length_m, width_m, height_m = SIZE_M
     shell_m2 = 2 * (length_m * width_m + length_m * height_m + width_m * height_m)
     assert sum(each.area_m2 for each in surfaces if each.is_wall) == pytest.approx(shell_m2)
+
+
+def test_rooms_are_scored_at_tested_rows(dataset: PasDataset, tmp_path: Path) -> None:
+    told = ComparedFindings.of(record_of(dataset, found_room(), split="lofo-24.25GHz"), dataset)
+    surfaces = refinement_of(told).found
+    scores = score_rooms(tmp_path, told, {"whole": surfaces, "without a floor": surfaces[1:]})
+    assert [len(each) for each in scores.values()] == [6, 6]  # one for each transmitter at 24.25 GHz
+    assert scores["whole"].min() > 0.999
+    assert np.median(scores["without a floor"]) < np.median(scores["whole"]) - 0.005
+    assert [row[0] for row in score_rows(scores)] == ["whole", "without a floor"]
+
+
+def test_faces_of_old_records_are_none(dataset: PasDataset) -> None:
+    assert ComparedFindings.of(record_of(dataset, ALL_PLANES), dataset).findings.faces == ()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, findings_of, plane
 
-from xfreqbench.report.findings.model import StoredFindings
+from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.report.findings.true_paths import HELD_MARGIN_M, PathKinds, path_kinds
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import Paths

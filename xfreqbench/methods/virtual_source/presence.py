@@ -11,12 +11,13 @@ from torch.nn.functional import embedding_bag
 
 from xfreqbench.methods.virtual_source.images import Touch
 
-NOTHING, THICK, THIN = range(3)
-_WALL, _FACET = (-1.0, 2.0, 0.0), (3.0, -0.7, -1.2)  # logits at the start: walls are present, facets hardly
+NOTHING, THICK, THIN, METAL = range(4)
+# Logits at the start: walls are present, facets hardly.
+_WALL, _FACET = (-1.0, 2.0, 0.0, -1.0), (3.0, -0.7, -1.2, -1.2)
 
 
 class Presence(nn.Module):
-    """Shares of nothing, a thick slab and a thin slab in the cells of each plane: a softmax of learned logits.
+    """Shares of nothing, a thick slab, a thin slab and metal in the cells of each plane: a softmax of learned logits.
 
     Cells are squares with sides of `cell_m`. Values are interpolated bilinearly, and constant beyond the border.
     """
@@ -65,20 +66,20 @@ class Presence(nn.Module):
             self.logits[: len(kept), :rows, :columns] = other.logits[list(kept), :rows, :columns]
 
     def most_held(self) -> Float[Tensor, "Q"]:
-        """Share of either slab in the fullest cell of each plane."""
+        """Share of anything in the fullest cell of each plane."""
         return (1 - self.logits.detach().softmax(-1)[..., NOTHING]).flatten(1).amax(1)
 
     def held(self, touch: Touch) -> Float[Tensor, "*S"]:
-        """Settled share of either slab where paths meet planes; 0 where they meet none."""
+        """Settled share of anything where paths meet planes; 0 where they meet none."""
         flat = touch.flattened()
         share = 1 - self._interpolated(self.settled, flat)[:, NOTHING]
         return torch.where(flat.plane >= 0, share, 0.0).reshape(touch.plane.shape)
 
-    def shares(self, touch: Touch) -> Float[Tensor, "n 3"]:
+    def shares(self, touch: Touch) -> Float[Tensor, "n 4"]:
         """Shares at points of planes, `touch` flattened; values where no plane is met are meaningless."""
         return self._interpolated(self.logits, touch)
 
-    def _interpolated(self, logits: Float[Tensor, "Q I J 3"], touch: Touch) -> Float[Tensor, "n 3"]:
+    def _interpolated(self, logits: Float[Tensor, "Q I J 4"], touch: Touch) -> Float[Tensor, "n 4"]:
         """Softmax of logits interpolated between the four cells around each point."""
         _, rows, columns, _ = logits.shape
         plane = touch.plane.clamp_min(0)

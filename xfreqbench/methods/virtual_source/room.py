@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.faces import Cells, faces
 from xfreqbench.methods.virtual_source.images import Antenna, Mirrors, Touch, Traces, sequences, trace
-from xfreqbench.methods.virtual_source.presence import NOTHING, Presence
+from xfreqbench.methods.virtual_source.presence import METAL, NOTHING, Presence
 from xfreqbench.methods.virtual_source.search.planes import Plane
-from xfreqbench.methods.virtual_source.slabs import LearnedSlabs, looked_up
+from xfreqbench.methods.virtual_source.slabs import METAL_REFLECTION, LearnedSlabs, looked_up
 
 MAX_CROSSINGS = 6  # of planes that count for a path: those that are present most probably
 _MARGIN_M = 1.0  # by which cells extend beyond transmitters and receiver
@@ -187,10 +187,13 @@ class LearnedRoom(nn.Module):
         met = (flat.plane >= 0).nonzero()[:, 0]
         part = flat[met]
         share = self.presence.shares(part)
-        rows = looked_up(table, len(self.normal), part.plane, part.cosine, share[:, 1:])
+        rows = looked_up(table, len(self.normal), part.plane, part.cosine, share[:, NOTHING + 1 : METAL])
         values = torch.view_as_complex(rows.unflatten(-1, (-1, 2)))
         if is_crossed:
             values = values + share[:, NOTHING, None]
+        else:
+            metal = share.new_tensor(METAL_REFLECTION).repeat_interleave(values.shape[1] // 2)
+            values = values + share[:, METAL, None] * metal
         one = torch.ones(len(flat.plane), values.shape[-1], dtype=values.dtype)
         return one.index_put((met,), values).unflatten(0, touch.plane.shape)
 
@@ -256,7 +259,7 @@ class LearnedRoom(nn.Module):
         share = self.presence.shares(here)
         is_held = share[:, NOTHING] < 1 - _HELD
         distance_std_m, tilt_std_rad = self.std[index].tolist()
-        mixed = share[is_held].mean(0) if is_held.any() else share.new_zeros(3)
+        mixed = share[is_held].mean(0) if is_held.any() else share.new_zeros(METAL + 1)
         return {
             "normal": self.normal[index].tolist(),
             "distance_m": float(self.distance_m[index]),

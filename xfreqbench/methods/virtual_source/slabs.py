@@ -10,11 +10,19 @@ from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import embedding_bag
 
+from xfreqbench.methods.virtual_source.materials import METAL_THICKNESS_M
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 NUM_COSINES = 64  # angles of the table of coefficients, which are interpolated between them
 _START_PERMITTIVITY, _START_CONDUCTIVITY_S_M, _START_POWER = 3.0, 0.02, 0.9
 _START_THICKNESS_M = (0.1, 0.012)  # a wall and a pane
+METAL_REFLECTION = (-1.0, 1.0)  # TE, TM: the limit of high conductivity
+_METAL = {  # which learning does not change
+    "permittivity": 1.0,
+    "conductivity_s_m": 1e7,
+    "conductivity_power": 0.0,
+    "thickness_m": METAL_THICKNESS_M,
+}
 
 
 class LearnedSlabs(nn.Module):
@@ -75,17 +83,19 @@ class LearnedSlabs(nn.Module):
                 own[:, : len(kept)] = known[:, list(kept)]
 
     def described(self, plane: int, shares: Sequence[float]) -> list[dict[str, float]]:
-        """Each slab of a plane in SI units, where σ = c f^d has f in GHz, with its share of the cells."""
+        """Each slab of a plane in SI units, and then metal, with their shares of the cells; σ = c f^d has f in GHz."""
         parameters = {
             "permittivity": 1 + self.log_susceptibility.exp(),
             "conductivity_s_m": self.log_conductivity.exp(),
             "conductivity_power": self.power,
             "thickness_m": self.log_thickness.exp(),
         }
-        return [
+        *of_slabs, of_metal = shares
+        slabs = [
             {"share": share, **{name: float(values[slab, plane]) for name, values in parameters.items()}}
-            for slab, share in enumerate(shares)
+            for slab, share in enumerate(of_slabs)
         ]
+        return [*slabs, {"share": of_metal, **_METAL}]
 
 
 def _as_rows(values: Complex[Tensor, "2 Q N ..."]) -> Float[Tensor, "R C"]:

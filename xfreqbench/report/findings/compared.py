@@ -13,14 +13,9 @@ from pydantic import ValidationError
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, UnknownNameError
+from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.report.findings.match import Match, ScenePlane, compare, not_found, scene_planes
-from xfreqbench.report.findings.model import (
-    ImageSource,
-    Reflection,
-    StoredFindings,
-    reflection,
-    virtual_sources,
-)
+from xfreqbench.report.findings.model import ImageSource, Reflection, reflection, virtual_sources
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.scene.facets import planar_facets

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.report.findings.model import FoundPlane, StoredFindings, TrueSlab
+from xfreqbench.methods.virtual_source.told import FoundPlane, StoredFindings
+from xfreqbench.report.findings.model import TrueSlab
 from xfreqbench.scene.facets import PlanarFacet, group_by_plane
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.visibility import sees

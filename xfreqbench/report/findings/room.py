@@ -1,150 +1,24 @@
-"""The room that a run has learned, as surfaces that a tracer can trace."""
+"""The room that a record's run has learned, as found and refined on its training rows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
-from jaxtyping import Complex, Float
-from numpy.typing import NDArray
-
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError
+from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.materials import NamedSlab, SlabNames
-from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import SurfaceMesh
-from xfreqbench.scene.placement import MIN_SEPARATION_M
-from xfreqbench.scene.visibility import distance_to_surfaces
-from xfreqbench.tracing.image.furnished import image_tracer
-from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
-
-_MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what learning began with
-_ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
-_SAME_M = 0.01  # corners that are nearer to each other are one
-_LEAST_AREA_M2 = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class RoomSurface:
-    """A convex polygon of a learned room, its corners in turn, of a P.2040 material; or the box behind it.
+def refinement_of(compared: ComparedFindings) -> Refinement:
+    """The room of a record's findings, and what refines it; its `found` is the room before that.
 
-    `normal` points away from the array. `depth_m` is that of the box, 0 for the polygon alone; `open_sides` are its
-    sides, by their first corner, that lie in walls. `seen` is that of `FoundFace`.
+    Raises `DataError` for findings without faces.
     """
-
-    number: int
-    plane: int
-    found_slab: int
-    normal: Float[FloatArray, "3"]
-    corners_m: Float[FloatArray, "n 3"]
-    slab: NamedSlab
-    seen: float
-    is_wall: bool
-    depth_m: float = 0.0
-    open_sides: tuple[int, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """What it is, and in which plane it was found."""
-        kind = "wall" if self.is_wall else "box" if self.depth_m else "face"
-        return f"{kind} {self.number} of plane {self.plane}"
-
-    @property
-    def mesh(self) -> SurfaceMesh:
-        """The polygon as a fan of triangles, with the same behind it and the sides between, where it is a box."""
-        number = len(self.corners_m)
-        fan = np.array([[0, corner, corner + 1] for corner in range(1, number - 1)])
-        vertices_m, triangles = self.corners_m, [fan]
-        if self.depth_m:
-            vertices_m = np.concatenate([vertices_m, vertices_m + self.depth_m * self.normal])
-            sides = [(a, (a + 1) % number) for a in range(number) if a not in self.open_sides]
-            quads = [[[a, b, number + b], [a, number + b, number + a]] for a, b in sides]
-            triangles += [fan + number, np.array(quads, dtype=np.int64).reshape(-1, 3)]
-        return SurfaceMesh(
-            self.name, self.slab.material, self.slab.thickness_m, vertices_m, np.concatenate(triangles)
-        )
-
-    @property
-    def area_m2(self) -> float:
-        """Area of the polygon; 0 where it has fewer than three corners."""
-        if len(self.corners_m) < 3:
-            return 0.0
-        edges_m = self.corners_m[1:] - self.corners_m[0]
-        return float(np.linalg.norm(np.cross(edges_m[:-1], edges_m[1:]).sum(0)) / 2)
-
-    @property
-    def slab_name(self) -> str:
-        """Material and thickness in words, as in `glass 7.90 mm`."""
-        return f"{self.slab.material} {self.slab.thickness_m * 1e3:.2f} mm"
-
-    @property
-    def is_unseen(self) -> bool:
-        """Whether too few paths tell of it for its material to mean anything."""
-        return self.seen < _MIN_SEEN
-
-    def with_depth(self, depth_m: float, walls: Sequence[RoomSurface]) -> RoomSurface:
-        """The same polygon as the front of a box, which has no sides in walls."""
-        ends_m = np.stack([self.corners_m, np.roll(self.corners_m, -1, axis=0)], axis=1)
-        in_wall = np.zeros(len(ends_m), bool)
-        for wall in walls:
-            away_m = np.abs((ends_m - wall.corners_m[0]) @ wall.normal)
-            in_wall |= (away_m < _ON_WALL_M).all(1)
-        sides = tuple(np.flatnonzero(in_wall).tolist()) if depth_m else ()
-        return replace(self, depth_m=depth_m, open_sides=sides)
-
-
-def learned_surfaces(compared: ComparedFindings) -> list[RoomSurface]:
-    """The faces of findings, each of the P.2040 material that is nearest over the carriers of the data.
-
-    A face on which the array or a transmitter of the data stands is left out, and a sliver. Raises `DataError` for
-    findings without faces.
-    """
-    findings, header = compared.findings, compared.dataset.header
-    if not findings.faces:
+    dataset, job = compared.dataset, compared.record.job
+    train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
+    refinement = Refinement.of(compared.findings, train)
+    if refinement is None:
         raise DataError(
             f"Record {compared.record.id} has no faces from which a room could be made: the run found no plane that "
             "holds anything, or the record was written before faces were stored. Run virtual-source again."
         )
-    names = SlabNames(header.carrier_hz.tolist())
-    nearest = {
-        (face.plane, face.slab): names.nearest(findings.planes[face.plane].slabs[face.slab])[0]
-        for face in findings.faces
-    }
-    surfaces = []
-    for number, face in enumerate(findings.faces):
-        slab, normal = nearest[face.plane, face.slab], findings.planes[face.plane].unit_normal
-        corners_m = np.array(face.corners_m)
-        corners_m = corners_m[np.linalg.norm(corners_m - np.roll(corners_m, -1, axis=0), axis=1) > _SAME_M]
-        surfaces.append(
-            RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall)
-        )
-    standing_m = standing(compared.dataset)
-    return [each for each in surfaces if each.area_m2 > _LEAST_AREA_M2 and is_clear(each, standing_m)]
-
-
-def standing(dataset: PasDataset) -> Float[FloatArray, "N 3"]:
-    """The places of the array's elements, at the lowest carrier, and of the transmitters, where no surface can be."""
-    header = dataset.header
-    aperture_m = header.receiver.element_position_m(SPEED_OF_LIGHT_M_S / header.carrier_hz.min())
-    return np.concatenate([aperture_m, dataset.tables["tx_position_m"]])
-
-
-def is_clear(surface: RoomSurface, standing_m: Float[FloatArray, "N 3"]) -> bool:
-    """Whether a surface is as far from all these places as a tracer demands."""
-    return bool(distance_to_surfaces([surface.mesh], standing_m).min() >= MIN_SEPARATION_M)
-
-
-def channels_in(
-    room: Sequence[RoomSurface], samples: PasDataset, settings: TraceSettings
-) -> Complex[NDArray[np.complex128], "n M"]:
-    """Channels (n, M) of n samples, traced in a room."""
-    carriers = np.unique(samples.carrier_hz)
-    geometry = Geometry([surface.mesh for surface in room])
-    tracer = image_tracer(samples.scene, carriers.tolist(), settings, geometry=geometry)
-    tx, of_tx = np.unique(samples.tx_index, return_inverse=True)
-    cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
-    return cfr[of_tx.reshape(-1), np.searchsorted(carriers, samples.carrier_hz)]
+    return refinement

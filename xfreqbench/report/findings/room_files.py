@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import Colour, GlbModel
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.room import RoomSurface
 from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
 from xfreqbench.system.files import require_own, require_space, write_text
 

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import ssim
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.methods.virtual_source.traced import channels_in
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.residual import DRAW_SEED
-from xfreqbench.report.findings.room import RoomSurface, channels_in
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.types import FloatArray

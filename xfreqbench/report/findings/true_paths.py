@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
-from xfreqbench.report.findings.model import FoundPlane, StoredFindings
+from xfreqbench.methods.virtual_source.told import FoundPlane, StoredFindings
 from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
 from xfreqbench.types import FloatArray
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Complex
 from numpy.typing import NDArray
 
-from xfreqbench.report.findings.model import FoundSlab
+from xfreqbench.methods.virtual_source.told import FoundSlab
 from xfreqbench.scene.materials import complex_permittivity, materials_defined_at
 from xfreqbench.tracing.image.kernels import slab_coefficients
 from xfreqbench.units import SPEED_OF_LIGHT_M_S

@@ -7,28 +7,30 @@ the mean SSIM of some training rows is kept. No tested row is looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
-from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.maps.metrics import ssim
-from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.materials import NamedSlab, SlabNames
-from xfreqbench.report.findings.room import RoomSurface, channels_in, is_clear, standing
-from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
+from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
+from xfreqbench.methods.virtual_source.surfaces import (
+    RoomSurface,
+    is_clear,
+    learned_surfaces,
+    standing,
+    surface_from_json,
+    surface_json,
+)
+from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.methods.virtual_source.traced import RoomScore
+from xfreqbench.types import FloatArray
 
-NUM_TX, NUM_CARRIERS = 40, 4  # of the training rows that are compared
-_MAX_DEPTH, _RAYS = 4, 20_000  # of the tracing for comparison, at most those of the data
-_STRIDE = 2  # of the rows and columns of maps that are compared
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room is changed
+_LISTED = 4  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
 _MIN_WIDTH_M = 0.1
@@ -37,6 +39,7 @@ _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 _FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
 _THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
+_NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
 _THICK_M = 0.05  # with more, all carriers tell of the front alone
 _BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
 _WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
@@ -44,80 +47,100 @@ _WORSE = 0.05  # by which a slab may be farther from what was learned than the n
 Room = list[RoomSurface]
 
 
-@dataclass(frozen=True, eq=False)
-class RoomScore:
-    """How near what is traced in a room is to some training rows, of some transmitters at some carriers."""
+@dataclass(eq=False)
+class Refinement:
+    """A room that is changed in steps, until what is traced in it is nearest to some training rows.
 
-    samples: PasDataset
+    Faces are changed in turn, the largest first, and then the slabs of walls. A step tries changes of one kind of one
+    face, and keeps the best of them, again and again, while they raise the mean SSIM. `room` is the room after the
+    first `done` steps.
+    """
+
+    found: Sequence[RoomSurface]
+    known: Mapping[
+        tuple[int, int], Sequence[NamedSlab]
+    ]  # slabs that may be the one of a plane and a slab of findings
+    standing_m: Float[FloatArray, "N 3"]
+    score: RoomScore
+    room: Room
+    done: int = 0
 
     @classmethod
-    def of(cls, compared: ComparedFindings) -> RoomScore:
-        """Training rows of the record's run: all pairs of some transmitters and carriers, evenly drawn."""
-        dataset, job = compared.dataset, compared.record.job
-        train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
+    def of(cls, findings: StoredFindings, train: PasDataset) -> Refinement | None:
+        """The refinement of findings before the first step; None where they hold no surfaces."""
         carriers = np.unique(train.carrier_hz)
-        chosen_hz = carriers[
-            np.unique(np.linspace(0, len(carriers) - 1, NUM_CARRIERS + 2)[1:-1].round().astype(int))
-        ]
-        tx = np.unique(train.tx_index)
-        chosen_tx = tx[np.unique(np.linspace(0, len(tx) - 1, NUM_TX).round().astype(int))]
-        is_chosen = np.isin(train.carrier_hz, chosen_hz) & np.isin(train.tx_index, chosen_tx)
-        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)))
+        standing_m = _standing(train)
+        found = learned_surfaces(findings, carriers.tolist(), standing_m)
+        if not found:
+            return None
+        names = SlabNames(carriers.tolist())
+        slabs = dict.fromkeys((each.plane, each.found_slab) for each in found)
+        known = {key: _slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
+        return cls(found, known, standing_m, RoomScore.of(train), found)
 
     @cached_property
-    def _truth(self) -> NDArray[np.float32]:
-        return self.samples.pas()[:, ::_STRIDE, ::_STRIDE]
+    def steps(self) -> list[Callable[[Room], Iterator[Room]]]:
+        """What each step tries, given the room before it."""
+        fronts = sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
+        steps: list[Callable[[Room], Iterator[Room]]] = []
+        for own in fronts:
+            slabs = self.known[own.plane, own.found_slab]
+            steps += [partial(_with_edges, own.number), partial(_with_depths, own.number, slabs)]
+            steps += [partial(change, own.number) for change in (_deeper, _with_edges, _without)]
+        return steps + [partial(_other_slabs, key, slabs) for key, slabs in self.known.items()]
 
-    @cached_property
-    def _settings(self) -> TraceSettings:
-        told = self.samples.trace_settings
-        depth, rays = min(told.max_depth, _MAX_DEPTH), min(told.rays, _RAYS)
-        return replace(told, solver="image", materials="extrapolate", max_depth=depth, rays=rays)
+    @property
+    def is_over(self) -> bool:
+        """Whether all steps are done."""
+        return self.done == len(self.steps)
 
-    def __call__(self, room: Sequence[RoomSurface]) -> float:
-        """Mean SSIM of the maps that are traced in a room."""
-        samples = self.samples
-        cfr = channels_in(room, samples, self._settings)
-        maps = samples.beam.maps(cfr, samples.header.pas_kind)[0][:, ::_STRIDE, ::_STRIDE]
-        return float(ssim(maps, self._truth, AngularGrid.hemisphere(*maps.shape[1:])).mean())
-
-
-def refined_room(
-    compared: ComparedFindings, surfaces: Sequence[RoomSurface], progress: ProgressCallback = ignore_progress
-) -> Room:
-    """The room after all changes that raise the mean SSIM of the compared training rows.
-
-    Faces are changed in turn, the largest first, and then the slabs of walls. `progress` is told how many of all
-    are done.
-    """
-    score, standing_m = RoomScore.of(compared), standing(compared.dataset)
-    room = list(surfaces)
-    best = score(room)
-    numbers = [each.number for each in sorted(room, key=lambda each: -each.area_m2) if not each.is_wall]
-    slabs = list(dict.fromkeys((each.plane, each.found_slab) for each in room))
-    names = SlabNames(compared.dataset.header.carrier_hz.tolist())
-    known = {key: _slabs(names.nearest(compared.findings.planes[key[0]].slabs[key[1]])) for key in slabs}
-    kinds: list[Callable[[Room], Iterator[Room]]] = []
-    for number in numbers:
-        slabs_here = known[next((each.plane, each.found_slab) for each in room if each.number == number)]
-        kinds.append(partial(_with_depths, number, slabs_here))
-        kinds += [partial(change, number) for change in (_deeper, _without, _with_edges)]
-    kinds += [partial(_other_slabs, key, known[key]) for key in slabs]
-    for done, change in enumerate(kinds, start=1):
+    def step(self, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Do one step more, or what of it can be done before a time is over."""
+        best = self.score(self.room)
         for _ in range(_REPEATS):
-            candidates = [each for each in change(room) if _stands(each, room, standing_m)]
-            scores = [score(each) for each in candidates]
-            if not scores or max(scores) < best + _MIN_GAIN:
+            candidates = [each for each in self.steps[self.done](self.room) if self._stands(each)]
+            if len(candidates) > _LISTED:
+                roughly = self.score.roughly(self.room, candidates[0])
+                scores = _scores(roughly, candidates, is_over)
+                candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
+            scores = _scores(self.score, candidates, is_over)
+            if not len(scores) or scores.max() < best + _MIN_GAIN:
                 break
-            best = max(scores)
-            room = candidates[scores.index(best)]
-        progress(done, len(kinds))
-    return room
+            best = float(scores.max())
+            self.room = candidates[int(scores.argmax())]
+        self.done += 1
+
+    def as_json(self) -> dict[str, Any]:
+        """What of it does not follow from the training rows, for `resumed`."""
+        return {
+            "found": [surface_json(each) for each in self.found],
+            "known": [[*key, slabs] for key, slabs in self.known.items()],
+            "room": [surface_json(each) for each in self.room],
+            "done": self.done,
+        }
+
+    @classmethod
+    def resumed(cls, stored: Mapping[str, Any], train: PasDataset) -> Refinement:
+        """The refinement that `as_json` told of, to go on with the same training rows."""
+        found, room = ([surface_from_json(each) for each in stored[name]] for name in ("found", "room"))
+        known = {
+            (plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]
+        }
+        return cls(found, known, _standing(train), RoomScore.of(train), room, stored["done"])
+
+    def _stands(self, room: Room) -> bool:
+        """Whether nothing stands on the surfaces that would change."""
+        changed = (each for each in room if not any(each is other for other in self.room))
+        return all(is_clear(each, self.standing_m) for each in changed)
 
 
-def _stands(room: Room, before: Room, standing_m: Float[FloatArray, "N 3"]) -> bool:
-    """Whether nothing stands on the surfaces that have changed."""
-    return all(is_clear(each, standing_m) for each in room if not any(each is other for other in before))
+def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
+    return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
+
+
+def _scores(score: RoomScore, rooms: Sequence[Room], is_over: Callable[[], bool]) -> Float[FloatArray, "n"]:
+    """The score of each room; −∞ of those for which there is no time."""
+    return np.array([-np.inf if is_over() else score(each) for each in rooms])
 
 
 def _slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
@@ -132,7 +155,7 @@ def _other_slabs(key: tuple[int, int], slabs: Sequence[NamedSlab], room: Room) -
     own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
     if own is None:
         return
-    for slab in [*slabs, *(_thinned(own, factor) for factor in _THICKNESSES)]:
+    for slab in [*slabs, *(_thinned(own, factor) for factor in _NEARLY)]:
         yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
 
 

@@ -1,0 +1,141 @@
+"""What changes in a learned room when it is traced and compared with training rows, and which rows are compared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room
+
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.splits import find_split
+from xfreqbench.methods.virtual_source import refine
+from xfreqbench.methods.virtual_source.materials import NamedSlab
+from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.methods.virtual_source.traced import COMPARING
+
+SPLIT = "lofo-24.25GHz"
+AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], AS_DEEP, num_transmitters=8)
+    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+
+
+def refinement(dataset: PasDataset, findings: dict[str, object]) -> Refinement:
+    train = dataset.subset(find_split(dataset, "lofo", SPLIT).train)
+    made = Refinement.of(StoredFindings.model_validate(findings), train)
+    assert made is not None
+    return made
+
+
+def front(**changes: object) -> RoomSurface:
+    """A square of a metre that the array sees from above, 1 m below it."""
+    corners_m = ARRAY_M + np.array(
+        [[-0.5, -0.5, -1.0], [0.5, -0.5, -1.0], [0.5, 0.5, -1.0], [-0.5, 0.5, -1.0]]
+    )
+    slab = NamedSlab("metal", 0.002, 0.0)
+    surface = RoomSurface(0, 0, 0, np.array([0.0, 0.0, -1.0]), corners_m, slab, 1.0, is_wall=False)
+    return replace(surface, **changes)  # type: ignore[arg-type]
+
+
+def test_a_face_becomes_the_front_of_a_box() -> None:
+    box = front().with_depth(0.4, [])
+    shape = trimesh.Trimesh(box.mesh.vertices_m, box.mesh.triangles)
+    assert shape.is_watertight
+    np.testing.assert_allclose(shape.extents, [1.0, 1.0, 0.4])
+    assert shape.bounds[1][2] == pytest.approx(
+        ARRAY_M[2] - 1.0
+    )  # it lies beyond the front, as the array sees it
+    assert box.name.startswith("box ")
+    assert box.with_depth(0.0, []).name.startswith("face ")
+
+
+def test_a_box_has_no_side_in_a_wall() -> None:
+    beside_m = ARRAY_M + np.array([[0.5, -3.0, -4.0], [0.5, 3.0, -4.0], [0.5, 3.0, 4.0], [0.5, -3.0, 4.0]])
+    wall = front(normal=np.array([1.0, 0.0, 0.0]), corners_m=beside_m, is_wall=True)
+    box = front().with_depth(0.4, [wall])
+    assert box.open_sides == (1,)
+    shape = trimesh.Trimesh(box.mesh.vertices_m, box.mesh.triangles)
+    assert shape.area == pytest.approx(2 * 1.0 + 3 * 0.4)
+
+
+def test_no_tested_row_is_compared(dataset: PasDataset) -> None:
+    rows = refinement(dataset, found_room()).score.samples.rows
+    assert set(rows.tolist()) <= set(find_split(dataset, "lofo", SPLIT).train.tolist())
+
+
+def test_the_true_room_is_nearer_to_the_training_rows_than_one_without_a_floor(dataset: PasDataset) -> None:
+    told = refinement(dataset, found_room())
+    assert told.score(told.room) > 0.999
+    assert told.score(told.room) > told.score(told.room[1:]) + 0.005
+
+
+def wrong_room() -> dict[str, object]:
+    """Findings of a box whose screen ends too early, and which has a second one that is not there."""
+    findings = found_room()
+    faces = [dict(face) for face in findings["faces"]]  # type: ignore[attr-defined]
+    short_m = np.array(faces[-1]["corners_m"])
+    short_m[short_m[:, 1] > 2.0, 1] = 2.1  # the screen ends at 2.5 m
+    nothing_m = [[3.0, 2.9, 0.2], [3.0, 3.7, 0.2], [3.0, 3.7, 2.2], [3.0, 2.9, 2.2]]
+    faces[-1]["corners_m"] = short_m.tolist()
+    faces.append({**faces[-1], "corners_m": nothing_m})
+    return {**findings, "faces": faces}
+
+
+def test_what_training_rows_contradict_is_changed(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refine, "_DEPTHS_M", (0.3,))
+    monkeypatch.setattr(refine, "_THINNER", (1.0,))
+    told = refinement(dataset, wrong_room())
+    while not told.is_over:
+        told.step()
+    assert told.score(told.room) > told.score(told.found) + 0.01
+    (screen,) = [each for each in told.room if not each.is_wall]
+    assert screen.corners_m[:, 1].max() == pytest.approx(2.5, abs=0.1)
+    assert screen.depth_m == 0.0
+    assert [each.slab.material for each in told.room] == [surface.material for surface in SCENE.surface]
+
+
+def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:
+    told = refinement(dataset, wrong_room())
+    told.step()
+    stored = json.loads(json.dumps(told.as_json()))
+    again = Refinement.resumed(stored, dataset.subset(find_split(dataset, "lofo", SPLIT).train))
+    told.step()
+    again.step()
+    assert again.done == told.done == 2
+    assert again.as_json() == told.as_json()
+
+
+def test_a_step_without_time_changes_nothing(dataset: PasDataset) -> None:
+    told = refinement(dataset, wrong_room())
+    told.step(lambda: True)
+    assert told.room is told.found
+    assert told.done == 1
+
+
+def test_an_edge_goes_no_further_than_the_wall(dataset: PasDataset) -> None:
+    surfaces = refinement(dataset, found_room()).found
+    screen = surfaces[-1]
+    for changed in refine._edged(screen, surfaces[:-1]):
+        assert (changed.corners_m > -1e-9).all()
+        assert (changed.corners_m < SIZE_M + 1e-9).all()
+
+
+def test_a_face_just_behind_another_may_be_its_back(dataset: PasDataset) -> None:
+    behind = front(number=1, corners_m=front().corners_m - [0.0, 0.0, 0.1])
+    assert refine._is_back(behind, front())
+    assert not refine._is_back(front(), behind)
+    (room, *_) = list(refine._with_depths(0, [front().slab], [front(), behind]))
+    assert [each.number for each in room] == [0]

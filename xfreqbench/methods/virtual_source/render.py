@@ -1,0 +1,165 @@
+"""The room behind a learned field: reconstructed and refined during the fit, and traced for predictions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import TypeAdapter
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import SceneError
+from xfreqbench.maps.bartlett import BartlettBeam, PasKind
+from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
+from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.methods.virtual_source.traced import RoomTracer
+from xfreqbench.methods.virtual_source.weights import LocalWeights, Predict, mixed
+from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.types import FloatArray
+
+FROM, CHOOSE_AT = (
+    0.8,
+    0.96,
+)  # shares of the budget after which a room is reconstructed, and weights are chosen
+_LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
+_NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
+_THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
+_FILE = "room.json"
+
+Mode = Literal["learned", "traced", "blended"]
+
+
+@dataclass(eq=False)
+class RoomRender:
+    """A room that is reconstructed from findings, refined, and weighed against the learned field on validation rows.
+
+    Until it is weighed, and where nothing can be reconstructed, the learned field predicts alone. No row that the
+    refinement compares is of a validation transmitter.
+    """
+
+    mode: Mode
+    refinement: Refinement | None = None
+    tracer: RoomTracer | None = None  # of the room as it is when it is weighed
+    weights: LocalWeights | None = None
+    has_begun: bool = False
+    _stored: dict[str, Any] = field(default_factory=dict)  # of a refinement that goes on
+
+    def advance(
+        self,
+        train: PasDataset,
+        budget: Budget,
+        share: float,
+        findings: Callable[[], Mapping[str, Any]],
+        learned: Predict,
+    ) -> None:
+        """Do what is due at a share of the budget: reconstruct, refine a little, or choose the weights.
+
+        The refinement takes its part between `FROM` and `CHOOSE_AT`. Of a budget in seconds it takes no more than that
+        time, and ends where it is by then.
+        """
+        seconds = budget.max_seconds
+        if self.mode == "learned" or share < FROM or self.tracer is not None:
+            return
+        try:
+            if not self.has_begun:
+                self.has_begun = True
+                if seconds is None or (1 - share) * seconds > _LEAST_SECONDS:
+                    told = StoredFindings.model_validate(findings())
+                    self.refinement = Refinement.of(told, _split(train)[0])
+            elif self._stored:
+                self.refinement = Refinement.resumed(self._stored, _split(train)[0])
+                self._stored = {}
+            if self.refinement is not None:
+                self._refine(self.refinement, budget, share)
+                if share >= CHOOSE_AT or self.refinement.is_over:
+                    self._weigh(self.refinement, train, learned)
+        except SceneError:  # of a room that cannot be traced
+            self.refinement = None
+
+    def _refine(self, refinement: Refinement, budget: Budget, share: float) -> None:
+        due = (share - FROM) / (CHOOSE_AT - FROM)
+        if budget.max_seconds is not None:
+            if due < 1:
+                refinement.step(budget.timer(CHOOSE_AT - share))
+            return
+        while not refinement.is_over and refinement.done < due * len(refinement.steps):
+            refinement.step()
+
+    def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:
+        """Take the room as it is now, and choose weights on the rows of validation transmitters."""
+        rows = _split(train)[1]
+        tracer = RoomTracer(train.header.receiver, refinement.room, train.beam, train.header.pas_kind)
+        self.refinement = None
+        if self.mode == "blended":
+            if len(np.unique(rows.tx_index)) < _LEAST_TX:
+                return
+            self.weights = LocalWeights.of(rows, learned, tracer.maps)
+        self.tracer = tracer
+
+    def maps(
+        self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Maps:
+        """Learned maps of some queries, mixed with traced ones; where no path arrives they stay as they are."""
+        if self.tracer is None or not len(learned):
+            return learned
+        weight = np.zeros(len(learned))
+        if self.weights is not None:
+            weight = self.weights.at(tx_position_m, carrier_hz)
+        chosen = np.flatnonzero(weight < 1)
+        if not len(chosen):
+            return learned
+        traced = self.tracer.maps(tx_position_m[chosen], carrier_hz[chosen])
+        is_heard = np.isfinite(traced).all(axis=(1, 2)) & (traced.max(axis=(1, 2)) > 0)
+        chosen, traced = chosen[is_heard], traced[is_heard]
+        result = learned.copy()
+        result[chosen] = mixed(weight[chosen].astype(np.float32), learned[chosen], traced)
+        return result
+
+    def save(self, directory: Path) -> None:
+        """Store all of it in a folder, once there is anything to store."""
+        if not self.has_begun:
+            return
+        receiver = TypeAdapter(ReceiverArray)
+        tracer = self.tracer and {
+            "receiver": receiver.dump_python(self.tracer.receiver, mode="json"),
+            "room": [surface_json(each) for each in self.tracer.room],
+        }
+        stored = {
+            "refinement": self._stored or (self.refinement and self.refinement.as_json()),
+            "tracer": tracer,
+            "weights": self.weights and self.weights.as_json(),
+        }
+        (directory / _FILE).write_text(json.dumps(stored), encoding="utf-8")
+
+    @classmethod
+    def load(cls, mode: Mode, directory: Path, beam: BartlettBeam, kind: PasKind) -> RoomRender:
+        """What `save` stored in a folder, for maps of a kind."""
+        if not (directory / _FILE).is_file():
+            return cls(mode)
+        stored = json.loads((directory / _FILE).read_text(encoding="utf-8"))
+        render = cls(mode, has_begun=True, _stored=stored["refinement"] or {})
+        if told := stored["tracer"]:
+            receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
+            render.tracer = RoomTracer(
+                receiver, [surface_from_json(each) for each in told["room"]], beam, kind
+            )
+        if stored["weights"]:
+            render.weights = LocalWeights.from_json(stored["weights"])
+        return render
+
+
+def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:
+    """Training rows with a path, without and of validation transmitters: every third one, but not more than needed."""
+    tx = np.unique(train.tx_index[train.has_path])
+    of_third = tx[_THIRD // 2 :: _THIRD]
+    number = np.unique(np.linspace(0, len(of_third) - 1, _NUM_TX).round().astype(int))
+    is_validating = np.isin(train.tx_index, of_third[number] if len(of_third) else of_third)
+    left, validating = (train.has_path & each for each in (~is_validating, is_validating))
+    return train.subset(np.flatnonzero(left)), train.subset(np.flatnonzero(validating))

@@ -1,0 +1,131 @@
+"""What is traced in a learned room: channels and maps, and how near the maps are to training rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Complex, Float, Shaped
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.maps.bartlett import BartlettBeam, PasKind
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.contract import Maps
+from xfreqbench.methods.learning.loss import mean_ssim
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
+from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
+from xfreqbench.tracing.image.tracer import ImageTracer
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import FloatArray
+
+NUM_TX, NUM_CARRIERS = 100, 3  # of the training rows that are compared
+NUM_ROUGH_TX = 20  # to find which changes deserve all of them
+_MOST_TRACERS = 32  # that are kept for more predictions
+COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
+ROUGHLY = replace(COMPARING, rays=5_000)
+_STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, and of the SSIM
+
+
+def tracer_in(
+    room: Sequence[RoomSurface],
+    receiver: ReceiverArray,
+    carrier_hz: Sequence[float],
+    settings: TraceSettings = COMPARING,
+) -> ImageTracer | FurnishedTracer:
+    """A tracer of a room, for an array and carriers."""
+    at = receiver.position_m
+    scene = Scene("learned", receiver, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
+    geometry = Geometry([surface.mesh for surface in room])
+    return image_tracer(scene, carrier_hz, settings, geometry=geometry)
+
+
+def channels_in(
+    room: Sequence[RoomSurface], samples: PasDataset, settings: TraceSettings = COMPARING
+) -> Complex[NDArray[np.complex128], "n M"]:
+    """Channels (n, M) of n samples, traced in a room."""
+    carriers, of_carrier = np.unique(samples.carrier_hz, return_inverse=True)
+    tx, of_tx = np.unique(samples.tx_index, return_inverse=True)
+    tracer = tracer_in(room, samples.header.receiver, carriers.tolist(), settings)
+    cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
+    return cfr[of_tx.reshape(-1), of_carrier.reshape(-1)]
+
+
+class RoomTracer:
+    """A room that is traced to an array, at whichever carriers are asked for, as maps of some kind."""
+
+    def __init__(
+        self, receiver: ReceiverArray, room: Sequence[RoomSurface], beam: BartlettBeam, kind: PasKind
+    ) -> None:
+        self.receiver, self.room = receiver, list(room)
+        self._beam, self._kind = beam, kind
+        self._tracers: dict[float, ImageTracer | FurnishedTracer] = {}
+
+    def maps(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[Maps, "B E A"]:
+        """Maps of pairs of a transmitter and a carrier; zeros where no path arrives."""
+        cfr = np.zeros((len(carrier_hz), self.receiver.num_elements), np.complex128)
+        for carrier in np.unique(carrier_hz).tolist():
+            if carrier not in self._tracers:
+                if len(self._tracers) == _MOST_TRACERS:
+                    self._tracers.clear()
+                self._tracers[carrier] = tracer_in(self.room, self.receiver, [carrier])
+            here = np.flatnonzero(carrier_hz == carrier)
+            cfr[here] = self._tracers[carrier].channel(tx_position_m[here]).cfr[:, 0]
+        return self._beam.maps(cfr, self._kind)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class RoomScore:
+    """How near what is traced in a room is to some training rows, of some transmitters at some carriers."""
+
+    samples: PasDataset
+    settings: TraceSettings = COMPARING
+
+    @classmethod
+    def of(cls, train: PasDataset) -> RoomScore:
+        """All pairs of some transmitters and carriers of training rows, evenly drawn."""
+        carriers, tx = np.unique(train.carrier_hz), np.unique(train.tx_index)
+        chosen_hz = _evenly(carriers, NUM_CARRIERS + 2)[1:-1]
+        is_chosen = np.isin(train.carrier_hz, chosen_hz if len(chosen_hz) else carriers)
+        is_chosen &= np.isin(train.tx_index, _evenly(tx, NUM_TX))
+        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)))
+
+    @cached_property
+    def _beam(self) -> BartlettBeam:
+        grid = self.samples.grid
+        coarse = AngularGrid(grid.elevation_rad[::_STRIDE], grid.azimuth_rad[::_STRIDE])
+        return BartlettBeam(self.samples.beam.element_position_wavelengths, coarse)
+
+    @cached_property
+    def _truth(self) -> Float[NDArray[np.float32], "n e a"]:
+        return self.samples.pas()[:, ::_STRIDE, ::_STRIDE]
+
+    def __call__(self, room: Sequence[RoomSurface]) -> float:
+        """Mean SSIM of the maps that are traced in a room."""
+        return float(
+            mean_ssim(torch.as_tensor(self._maps(room)), torch.as_tensor(self._truth), _WINDOW, _STRIDE)
+        )
+
+    def _maps(self, room: Sequence[RoomSurface]) -> Float[NDArray[np.float32], "n e a"]:
+        cfr = channels_in(room, self.samples, self.settings)
+        return self._beam.maps(cfr, self.samples.header.pas_kind)[0]
+
+    def roughly(self, room: Sequence[RoomSurface], other: Sequence[RoomSurface]) -> RoomScore:
+        """The same with fewer rays, for the transmitters whose maps differ most between two rooms."""
+        changes = np.abs(self._maps(room) - self._maps(other)).sum((1, 2))
+        tx, of_tx = np.unique(self.samples.tx_index, return_inverse=True)
+        most = tx[np.argsort(-np.bincount(of_tx.reshape(-1), changes), kind="stable")[:NUM_ROUGH_TX]]
+        return RoomScore(self.samples.subset(np.flatnonzero(np.isin(self.samples.tx_index, most))), ROUGHLY)
+
+
+def _evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:
+    """So many of ascending values, evenly drawn, the first and the last among them; all where there are fewer."""
+    return values[np.unique(np.linspace(0, len(values) - 1, number).round().astype(int))]
