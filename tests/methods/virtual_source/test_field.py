@@ -33,7 +33,8 @@ from xfreqbench.methods.virtual_source.config import SourceConfig
 from xfreqbench.methods.virtual_source.field import VirtualSourceField
 from xfreqbench.methods.virtual_source.search.planes import Plane
 from xfreqbench.methods.virtual_source.search.range_profile import random_planes
-from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.methods.virtual_source.told import FoundSlab, StoredFindings
+from xfreqbench.report.findings.model import reflection
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
@@ -50,6 +51,7 @@ TINY = {
     "lone_sources": 6,
     "max_planes": 4,
     "max_images": 20,
+    "render": "learned",
 }
 
 
@@ -232,7 +234,7 @@ def test_another_look_keeps_planes_that_hold_something_and_what_is_known_of_them
     room.take([], [plane((1, 0, 0), 3.0), plane((0, 1, 0), 2.0), plane((0, 0, -1), 1.5)])
     with torch.no_grad():
         room.presence.logits[1, ..., 0] = 9.0  # empty
-        room.presence.logits[2, 1, 1] = torch.tensor([0.0, 5.0, 1.0])
+        room.presence.logits[2, 1, 1] = torch.tensor([0.0, 5.0, 1.0, 0.0])
         room.slabs.log_thickness[0] = torch.tensor([0.11, 0.12, 0.13]).log()
     kept, logits = room.worth_keeping(), room.presence.logits.detach().clone()
     assert kept == [0, 2]
@@ -242,6 +244,34 @@ def test_another_look_keeps_planes_that_hold_something_and_what_is_known_of_them
     torch.testing.assert_close(room.presence.logits.detach()[:2], logits[[0, 2], :rows, :columns])
     torch.testing.assert_close(room.slabs.log_thickness[0, :2].detach().exp(), torch.tensor([0.11, 0.13]))
     assert float(room.presence.most_held()[2]) < 0.1  # what is found later is there hardly, to begin with
+
+
+def test_a_cell_of_metal_reflects_everything_and_lets_nothing_through() -> None:
+    field = VirtualSourceField(SourceConfig(max_images=30), NetworkConfig(width=8, layers=2))
+    room = field.room
+    tx_m = torch.tensor([(1.0, 0.3, -0.7)], dtype=torch.float64)
+    carrier_hz = torch.tensor([1e9, 77e9], dtype=torch.float64)
+    room.enter(("iso", "V"), tx_m, carrier_hz)
+    room.take(
+        [], [plane((1, 0, 0), 3.0), plane((1, 0, 0), 0.5)]
+    )  # one behind the transmitter, one in its way
+    with torch.no_grad():
+        room.presence.logits[0] = torch.tensor([0.0, 0.0, 0.0, 30.0])
+        room.presence.logits[1] = torch.tensor([30.0, 0.0, 0.0, 0.0])
+        room.presence.settle()
+        room.sequence = torch.tensor([[-1, -1, -1], [0, -1, -1]])
+        traces = room.traced(tx_m)
+        gain = room.attenuated(traces, carrier_hz)[0]
+        spread = (traces.direct_m[:, None] / traces.length_m)[0]
+        expected = spread[1] * traces.polarised[0, 1].abs().sum()  # of TE and TM, which add up for metal
+        assert gain[1].abs().max() <= float(expected) + 1e-6
+        np.testing.assert_allclose(gain[0].abs(), gain[0, 0].abs().repeat(2), rtol=1e-6)
+        room.presence.logits[1] = torch.tensor([0.0, 0.0, 0.0, 30.0])
+        room.presence.settle()
+        assert room.attenuated(room.traced(tx_m), carrier_hz)[0, 0].abs().max() < 1e-6
+    *_, metal = room.slabs.described(0, [0.0, 0.0, 1.0])
+    told = reflection([FoundSlab.model_validate(metal)], {}, np.array([1e9, 77e9]))
+    assert told.learned.min() > 0.999
 
 
 @pytest.mark.parametrize("what", ["one transmitter", "one carrier", "twice at a place", "maps alone"])

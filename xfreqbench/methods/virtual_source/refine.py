@@ -30,7 +30,7 @@ from xfreqbench.methods.virtual_source.traced import RoomScore
 from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room is changed
-_LISTED = 4  # changes that are compared on all rows, of those that are best on a few
+_LISTED = 3  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
 _MIN_WIDTH_M = 0.1

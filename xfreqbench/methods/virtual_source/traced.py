@@ -25,8 +25,8 @@ from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 
-NUM_TX, NUM_CARRIERS = 100, 3  # of the training rows that are compared
-NUM_ROUGH_TX = 20  # to find which changes deserve all of them
+NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
+NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
 ROUGHLY = replace(COMPARING, rays=5_000)

@@ -1,0 +1,190 @@
+"""Rooms that are traced beside a learned field: when they are believed, and when the field stands alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from found_box import ALL_PLANES, SCENE, SETTINGS, found_room
+
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.render import FROM, RoomRender
+from xfreqbench.methods.virtual_source.traced import COMPARING
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+STEPS = Budget(max_steps=100)
+AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], AS_DEEP, num_transmitters=12)
+    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+
+
+@pytest.fixture
+def unrefined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refinements that have nothing to try, because tracing takes time."""
+    monkeypatch.setattr(Refinement, "steps", [])
+
+
+class Known:
+    """Predicts the maps of a data set, or a beam upwards wherever a function of the positions is true."""
+
+    def __init__(self, dataset: PasDataset, is_wrong: Any = lambda tx_m: np.zeros(len(tx_m), bool)) -> None:
+        samples = zip(dataset.tx_position_m.tolist(), dataset.carrier_hz.tolist(), dataset.pas(), strict=True)
+        self._maps = {(*tx_m, carrier_hz): own for tx_m, carrier_hz, own in samples}
+        self._is_wrong = is_wrong
+
+    def __call__(self, tx_m: np.ndarray, carrier_hz: np.ndarray) -> Maps:
+        queries = zip(tx_m.tolist(), carrier_hz.tolist(), strict=True)
+        maps = np.array([self._maps[*at_m, hz] for at_m, hz in queries])
+        upwards = np.zeros(maps.shape[1:], np.float32)
+        upwards[-10:] = 1.0
+        maps[self._is_wrong(tx_m)] = upwards
+        return maps
+
+
+def everywhere(tx_m: np.ndarray) -> np.ndarray:
+    return np.ones(len(tx_m), bool)
+
+
+def rendered(
+    dataset: PasDataset,
+    learned: Any,
+    mode: Any = "blended",
+    findings: Any = found_room,
+    budget: Budget = STEPS,
+) -> RoomRender:
+    render = RoomRender(mode)
+    render.advance(dataset, budget, 1.0, findings, learned)
+    return render
+
+
+def asked(dataset: PasDataset) -> tuple[np.ndarray, np.ndarray]:
+    return dataset.tx_position_m, dataset.carrier_hz
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_the_traced_room_is_believed_where_the_learned_field_errs(dataset: PasDataset) -> None:
+    learned = Known(dataset, everywhere)
+    maps = rendered(dataset, learned).maps(learned(*asked(dataset)), *asked(dataset))
+    np.testing.assert_allclose(maps, dataset.pas(), atol=5e-3)  # corners are float32
+    np.testing.assert_allclose(maps.max(axis=(1, 2)), 1, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_the_learned_field_is_believed_where_it_is_right(dataset: PasDataset) -> None:
+    findings = found_room(error_m=0.05)
+    learned = Known(dataset)(*asked(dataset))
+    render = rendered(dataset, Known(dataset), findings=lambda: findings)
+    assert render.tracer is not None
+    np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
+    traced = rendered(dataset, Known(dataset), "traced", findings=lambda: findings)
+    assert np.abs(traced.maps(learned, *asked(dataset)) - learned).max() > 0.1
+
+
+@pytest.mark.usefixtures("unrefined")
+@pytest.mark.parametrize(
+    ("mode", "findings", "budget"),
+    [
+        ("learned", found_room, STEPS),
+        ("blended", lambda: ALL_PLANES, STEPS),  # without faces
+        ("traced", lambda: ALL_PLANES, STEPS),
+        ("blended", found_room, Budget(max_seconds=3.0)),
+    ],
+)
+def test_the_learned_field_stands_where_no_room_can_be_made(
+    dataset: PasDataset, mode: Any, findings: Any, budget: Budget
+) -> None:
+    learned = Known(dataset, everywhere)
+    render = RoomRender(mode)
+    for share in (FROM - 0.01, FROM, 1.0):
+        render.advance(dataset, budget, share, findings, learned)
+    maps = learned(*asked(dataset))
+    np.testing.assert_array_equal(render.maps(maps, *asked(dataset)), maps)
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_too_few_transmitters_choose_no_weights(dataset: PasDataset) -> None:
+    few = dataset.subset(np.flatnonzero(dataset.tx_index < 4))
+    assert rendered(few, Known(few, everywhere)).tracer is None
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_no_transmitter_that_validates_is_compared_by_the_refinement(dataset: PasDataset) -> None:
+    render = RoomRender("blended")
+    compared: list[np.ndarray] = []
+    weigh = RoomRender._weigh
+
+    def watched(self: RoomRender, refinement: Refinement, *rest: Any) -> None:
+        compared.append(refinement.score.samples.tx_position_m)
+        weigh(self, refinement, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RoomRender, "_weigh", watched)
+        render.advance(dataset, STEPS, 1.0, found_room, Known(dataset))
+    assert render.weights is not None
+    validating = {*map(tuple, render.weights.position_m.tolist())}
+    assert len(validating) >= 3
+    assert not validating & {*map(tuple, compared[0].tolist())}
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_a_stored_room_predicts_the_same(dataset: PasDataset, tmp_path: Path) -> None:
+    learned = Known(dataset, lambda tx_m: tx_m[:, 0] > 2.5)
+    render = rendered(dataset, learned)
+    render.save(tmp_path)
+    loaded = RoomRender.load("blended", tmp_path, dataset.beam, dataset.header.pas_kind)
+    maps = [each.maps(learned(*asked(dataset)), *asked(dataset)) for each in (render, loaded)]
+    np.testing.assert_array_equal(*maps)
+    assert np.abs(maps[0] - learned(*asked(dataset))).max() > 0.1
+
+
+def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_stored(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = []
+
+    def step(self: Refinement, is_over: Any = None) -> None:
+        self.room = self.room[1:] if len(self.room) > 3 else self.room
+        self.done += 1
+        done.append(self.done)
+
+    monkeypatch.setattr(Refinement, "steps", [None] * 8)
+    monkeypatch.setattr(Refinement, "step", step)
+    learned = Known(dataset)
+    first = RoomRender("traced")
+    first.advance(dataset, STEPS, 0.86, found_room, learned)
+    assert 0 < done[-1] < 8
+    assert first.tracer is None
+    first.save(tmp_path)
+    loaded = RoomRender.load("traced", tmp_path, dataset.beam, dataset.header.pas_kind)
+    rooms = []
+    for render in (first, loaded):
+        render.advance(dataset, STEPS, 1.0, found_room, learned)
+        assert done[-1] == 8
+        assert render.tracer is not None
+        rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
+    assert rooms[0] == rooms[1]
+    assert len(rooms[0]) == 3
+
+
+@pytest.mark.usefixtures("unrefined")
+def test_a_map_stays_as_it_was_learned_where_no_path_is_traced(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render = rendered(dataset, Known(dataset, everywhere))
+    assert render.tracer is not None
+    monkeypatch.setattr(
+        render.tracer, "maps", lambda tx_m, hz: np.zeros((len(hz), *dataset.grid.shape), np.float32)
+    )
+    learned = Known(dataset)(*asked(dataset))
+    np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
