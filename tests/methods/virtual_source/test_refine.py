@@ -13,7 +13,7 @@ from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.data.splits import find_split
+from xfreqbench.data.protocols import find_split
 from xfreqbench.methods.virtual_source import refine
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.refine import Refinement

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xfreqbench.data.splits import find_split
+from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.report.findings.compared import ComparedFindings
