@@ -34,6 +34,7 @@ def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
         "average": "0.9500",
         "± seeds": "–",
         "skill": "0.500",
+        "AoA error (°)": "0.95",
         "seeds": "1",
         "fit s": "0.50",
         "ms/map": "1.25",

@@ -85,11 +85,13 @@ RANKING = (
     "average",
     "seed spread",
     "skill",
+    "aoa_error",
     "seeds",
     *COSTS,
     "published",
 )
 BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
+OVERVIEW = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
 ONE_SPLIT = (
     *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seeds", *COSTS, "published"),

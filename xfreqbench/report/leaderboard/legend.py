@@ -45,7 +45,8 @@ def legend() -> str:
 
 def short_legend() -> str:
     """The section that explains the columns of a short leaderboard."""
-    return _section({metric_title("ssim"): METRICS["ssim"].description} | LEADERBOARD_TERMS)
+    metrics = {metric_title(name): METRICS[name].description for name in ("ssim", "aoa_error")}
+    return _section(metrics | LEADERBOARD_TERMS)
 
 
 def _section(terms: dict[str, str]) -> str:

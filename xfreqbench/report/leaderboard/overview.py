@@ -10,7 +10,7 @@ from math import isnan
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
-from xfreqbench.report.leaderboard.columns import BRIEF, leaderboard_columns
+from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import figure_links
 from xfreqbench.report.leaderboard.legend import short_legend
@@ -78,7 +78,7 @@ def _board_part(comparison: Comparison, page: str) -> str:
     board = comparison.board
     told = filter(None, (board.scene, board.protocol, board.lane_title))
     title = f"## {heading(' · '.join(told))}"
-    return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, BRIEF)}"
+    return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, OVERVIEW)}"
 
 
 def _budget_tables(ranked: Sequence[Board]) -> list[str]:
