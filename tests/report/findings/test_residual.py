@@ -25,7 +25,7 @@ from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.tracing.tracer import TraceSettings
 
 NUM_TX = 10
-EVERYTHING = Selection()
+EVERYTHING = Selection(edges=True)
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +113,18 @@ def test_a_plane_left_out_is_missed_in_the_found_planes_alone(
         same = [ssim_of(each, Selection(False, order)) for each in (floorless, complete)]
         np.testing.assert_array_equal(*same)
     assert floorless.share_not_found.min() > 0
+
+
+def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path: Path) -> None:
+    """Behind the screen there is little else, and with its edges the true paths give the true map again."""
+    settings = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, num_transmitters=NUM_TX)
+    diffracted = residual_of(open_dataset(generate_planned(plan, tmp_path / "box.h5")), tmp_path)
+    edges, none = ssim_of(diffracted, EVERYTHING), ssim_of(diffracted, Selection())
+    assert edges.min() > 0.95
+    assert np.median(edges) > np.median(none)
+    assert diffracted.share_not_found.any()
+    np.testing.assert_array_equal(ssim_of(complete, Selection()), ssim_of(complete, EVERYTHING))
 
 
 def test_transmissions_are_missed_by_those_behind_the_screen(complete: Residual) -> None:
@@ -218,7 +230,7 @@ def test_predictions_of_another_split_are_refused(dataset: PasDataset, tmp_path:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"interactions": ["specular", "diffraction"]}, "specular, diffraction to depth 6, but exact paths"),
+        ({"interactions": ["specular", "diffuse"]}, "specular, diffuse to depth 6, but exact paths"),
         ({"max_depth": "deep"}, "does not say how it was traced"),
     ],
 )

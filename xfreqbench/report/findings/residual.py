@@ -55,7 +55,8 @@ class ResidualPlan:
 class Residual:
     """Scores by label, of what was predicted and of true paths with some left out; the method's come first.
 
-    `share_not_found` is the share of the true power, at a row's carrier, that comes over paths which are not found.
+    `share_not_found` is the share of the true power, at a row's carrier, that comes over edges or over paths which are
+    not found.
     """
 
     compared: ComparedFindings
@@ -135,7 +136,8 @@ def _channels(
         for row, carrier in zip(rows, samples.rows[rows] % samples.num_carriers, strict=True):
             channels[row] = kept @ spherical_waves(paths, int(carrier), scene.receiver)
             power = np.abs(paths.gain[carrier]) ** 2
-            share[row] = power[~kinds.is_found].sum() / (power.sum() or 1.0)
+            is_left = kinds.is_diffracted | ~kinds.is_found
+            share[row] = power[is_left].sum() / (power.sum() or 1.0)
         progress(done, len(transmitters))
     return channels, share
 
@@ -144,11 +146,11 @@ def _settings_of(compared: ComparedFindings) -> TraceSettings:
     """How the data set was traced; raises `DataError` where the image method cannot trace it so."""
     dataset = compared.dataset
     settings = dataset.trace_settings
-    if "diffraction" in settings.interactions or not can_solve(Geometry(compared.meshes), settings):
+    if not can_solve(Geometry(compared.meshes), settings):
         raise DataError(
             f"{dataset.path} was traced with {', '.join(settings.interactions)} to depth {settings.max_depth}, but "
-            "exact paths are known for specular and refraction among planar facets alone. Use a data set of "
-            "`xfreqbench generate --solver image`."
+            "exact paths are known for specular, refraction and diffraction among planar facets alone. Use a data set "
+            "of `xfreqbench generate --solver image`."
         )
     return settings
 

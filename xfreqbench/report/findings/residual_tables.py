@@ -64,8 +64,9 @@ def note(residual: Residual) -> str:
         f"{FOUND_TILT_RAD * 1e3:g} mrad, and the plane holds something there. How to read the steps: from {method} to "
         "found planes, at as many reflections as it follows, the gap is due to gains, to remaining errors of place "
         "and to images that it did not keep; from found planes to every plane, at the same number of reflections, to "
-        "planes that were not found; from there to all true paths, to higher orders. “Share not found”: the share of "
-        "the true power that comes over paths at planes that were not found, median [least, greatest]; the SSIM beside "
+        "planes that were not found; from there to every plane, to higher orders; from there to every plane and edge, "
+        "to diffraction. “Share not found”: the share of the true power that comes over edges or over paths at planes "
+        "that were not found, median [least, greatest]; the SSIM beside "
         f"it is that of {method}."
     )
 

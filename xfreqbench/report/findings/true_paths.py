@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.methods.virtual_source.told import FoundPlane, StoredFindings
-from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
+from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.types import FloatArray
 
 FOUND_DISTANCE_M = 0.005  # added to three standard deviations of the plane's distance
@@ -29,6 +29,7 @@ class PathKinds:
 
     num_reflections: Int[NDArray[np.int64], "P"]
     num_transmissions: Int[NDArray[np.int64], "P"]
+    is_diffracted: Bool[NDArray[np.bool_], "P"]
     is_found: Bool[NDArray[np.bool_], "P"]
 
 
@@ -38,11 +39,13 @@ class Selection(NamedTuple):
     in_found_planes: bool = False
     max_reflections: int | None = None
     transmissions: bool = True
+    edges: bool = False
 
     @property
     def label(self) -> str:
         """The rule in words, as in `true paths, found planes, 1 reflection at most`."""
         where = "found planes" if self.in_found_planes else "every plane"
+        where += " and edge" if self.edges else ""
         through = "" if self.transmissions else ", no transmissions"
         return f"true paths, {where}{_bound(self.max_reflections)}{through}"
 
@@ -51,6 +54,7 @@ class Selection(NamedTuple):
         kept = kinds.is_found | (not self.in_found_planes)
         if self.max_reflections is not None:
             kept &= kinds.num_reflections <= self.max_reflections
+        kept &= self.edges | ~kinds.is_diffracted
         return kept & (self.transmissions | (kinds.num_transmissions == 0))
 
 
@@ -62,6 +66,7 @@ def _bound(max_reflections: int | None) -> str:
 
 
 SELECTIONS = (
+    Selection(edges=True),
     Selection(),
     *(Selection(True, order) for order in (*_ORDERS, None)),
     *(Selection(True, order, False) for order in (*_ORDERS, None)),
@@ -78,6 +83,7 @@ def path_kinds(paths: Paths, tx_position_m: Float[FloatArray, "3"], findings: St
     return PathKinds(
         (paths.interactions == SPECULAR).sum(axis=1),
         (paths.interactions == REFRACTION).sum(axis=1),
+        (paths.interactions == DIFFRACTION).any(axis=1),
         np.asarray((is_found | ~is_reflection).all(axis=1)),
     )
 
@@ -87,16 +93,18 @@ def _reflections(
 ) -> tuple[Float[FloatArray, "P D 3"], Float[FloatArray, "P D 3"], Bool[NDArray[np.bool_], "P D"]]:
     """Points where paths reflect, the unit normals there, and which of the D places are reflections at all.
 
-    A path's reflections come first, in turn; the places after them are zeros. A refraction does not turn a path,
-    so its corners are those of its reflections alone.
+    The places of a path's corners come first, in turn: its reflections and its edge; all but reflections are zeros.
+    A refraction does not turn a path, so it makes no corner.
     """
-    is_specular = paths.interactions == SPECULAR
-    num_paths, depth = is_specular.shape
-    is_reflection = np.arange(depth) < is_specular.sum(axis=1, keepdims=True)
+    is_corner = np.isin(paths.interactions, (SPECULAR, DIFFRACTION))
+    num_paths, depth = is_corner.shape
     corner_m = np.empty((num_paths, depth + 2, 3))
     corner_m[:, 0], corner_m[:, 1:] = tx_position_m, array_m
-    path, place = np.nonzero(is_specular)
-    corner_m[path, is_specular.cumsum(axis=1)[path, place]] = paths.vertices_m[path, place]
+    path, place = np.nonzero(is_corner)
+    corner = is_corner.cumsum(axis=1)[path, place]
+    corner_m[path, corner] = paths.vertices_m[path, place]
+    is_reflection = np.zeros_like(is_corner)
+    is_reflection[path, corner - 1] = paths.interactions[path, place] == SPECULAR
     turn = np.diff(_unit(np.diff(corner_m, axis=1)), axis=1)
     is_there = is_reflection[..., None]
     return corner_m[:, 1:-1] * is_there, _unit(turn * is_there), is_reflection
