@@ -35,6 +35,7 @@ def stored(
         CARRIERS_GHZ,
         tx_positions=TRANSMITTERS_M,
         solver=solver,
+        interactions=SETTINGS.interactions,
         rays=SETTINGS.rays,
         max_depth=SETTINGS.max_depth,
         maps=False,

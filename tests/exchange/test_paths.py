@@ -31,7 +31,15 @@ SCENE = replace(
 def data(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     path = tmp_path_factory.mktemp("paths") / "data.h5"
     return generate(
-        SCENE, path, CARRIERS_GHZ, tx_positions=TX_M, rays=50_000, max_depth=3, maps=False, paths=True
+        SCENE,
+        path,
+        CARRIERS_GHZ,
+        tx_positions=TX_M,
+        interactions=["specular", "refraction"],
+        rays=50_000,
+        max_depth=3,
+        maps=False,
+        paths=True,
     )
 
 

@@ -57,6 +57,7 @@ def traced(room: Path, dataset: PasDataset, output: Path) -> PasDataset:
         freqs="2.4,24.25",
         tx_positions=dataset.path,
         solver="image",
+        interactions=",".join(SETTINGS.interactions),
         max_depth=3,
         quiet=True,
     )

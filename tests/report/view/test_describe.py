@@ -15,6 +15,6 @@ def test_settings_are_told_in_the_words_of_the_command_line(tmp_path: Path) -> N
     path = tmp_path / "empty.h5"
     generate(load_scene("empty"), path, [10.0], tx=1, maps=False)
     (settings,) = (line for line in describe(path).splitlines() if line.startswith("settings "))
-    assert "extrapolated_materials none, interactions specular+refraction, " in settings
+    assert "extrapolated_materials none, interactions specular+refraction+diffraction, " in settings
     assert "max_depth 6" in settings and "solver image" in settings
     assert "[" not in describe(write_dataset(tmp_path / "waves.h5").path)
