@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator
 from math import isnan
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
@@ -219,3 +221,67 @@ def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_
     assert shown_labels(page) == ["nearest"]
     page.close()
     assert complaints == []
+
+
+def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page) -> None:
+    page.uncheck("#families [value=trivial]")
+    page.fill("#filter", "s")
+    head(page, "fit s").locator("button").click()
+    page.select_option("#cost", "parameters")
+    page.select_option("#metric", "aoa_error")
+    address, labels = page.url, shown_labels(page)
+    for said in ("board=", "hide=trivial", "filter=s", "sort=fit+s", "cost=parameters", "metric=aoa_error"):
+        assert said in address
+    page.goto(address.partition("#")[0] + "#nothing")
+    assert page.locator("#filter").input_value() == ""
+    assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
+    page.goto(address)
+    assert shown_labels(page) == labels
+    assert head(page, "fit s").get_attribute("aria-sort") == "ascending"
+    assert page.locator("#metric").input_value() == "aoa_error"
+
+
+def test_the_overview_leads_to_every_board(page) -> None:
+    links = page.locator("#overview a")
+    assert links.count() == page.locator("#board option").count() == 2
+    assert "quick: average 0.7500" in links.first.inner_text()  # what is better is an ablation
+    links.filter(has_text="trivial predictors alone").click()
+    assert shown_labels(page) == ["nearest"]
+    page.go_back()
+    assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
+
+
+def test_a_method_has_one_colour_on_every_board(page) -> None:
+    colour = "part => part.getAttribute('fill')"
+    before = page.locator('#pareto .point[data-row="nearest"]').evaluate(colour)
+    page.select_option("#board", label="synthetic · sparse · power maps")
+    assert page.locator('#pareto .point[data-row="nearest"]').evaluate(colour) == before
+
+
+def test_a_click_on_a_point_opens_its_maps(page) -> None:
+    page.locator('#pareto .point[data-row="nearest"]').click()
+    assert page.locator("#shown-method").input_value() == "nearest"
+    assert "nearest: best, median and worst" in page.locator("#gallery").inner_text()
+    page.locator('#pareto .point[data-row="mean-over-frequency"]').focus()
+    page.keyboard.press("Enter")
+    assert page.locator("#shown-method").input_value() == "mean-over-frequency"
+
+
+def test_tables_and_charts_can_be_saved(page, tmp_path: Path) -> None:
+    page.uncheck("#families [value=learned]")
+    with page.expect_download() as download:
+        page.locator(".set:visible button.save").click()
+    download.value.save_as(tmp_path / "board.csv")
+    with (tmp_path / "board.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert download.value.suggested_filename.endswith(".csv")
+    assert [row["method"] for row in rows] == shown_labels(page)
+    assert [float(row["average"]) for row in rows] == column(page, "average")[: len(rows)]
+    with page.expect_download() as download:
+        page.locator("#pareto button.save").click()
+    download.value.save_as(tmp_path / "chart.svg")
+    drawing = ElementTree.parse(tmp_path / "chart.svg").getroot()
+    assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+    painted = [part.get("fill", "") for part in drawing.iter() if part.get("data-row")]
+    assert painted and not any("var(" in fill for fill in painted)
+    assert page.locator(".panels svg").count() == page.locator(".panels button.save").count()

@@ -34,9 +34,10 @@ function fill(select, choices) {
 
 // ---- what is shown
 
-const board = () => content.boards[find("#board").value];
+const board = () => content.boards.find((each) => each.slug === find("#board").value);
 const splitSet = () => board().sets[find("#set").value];
-const table = () => find(`.board[data-board="${find("#board").value}"] .set[data-set="${find("#set").value}"] table`);
+const shownSet = () => find(`.board[data-board="${find("#board").value}"] .set[data-set="${find("#set").value}"]`);
+const table = () => find("table", shownSet());
 
 // Labels of the rows that the filter leaves, the best first, however the table is sorted.
 function shownRows() {
@@ -84,6 +85,12 @@ function sortBy(head) {
   const direction = opposite[head.getAttribute("aria-sort")] ?? head.dataset.first;
   for (const other of head.parentNode.cells) other.removeAttribute("aria-sort");
   head.setAttribute("aria-sort", direction);
+  sortRows(head);
+  writeAddress();
+}
+
+function sortRows(head) {
+  const direction = head.getAttribute("aria-sort");
   const body = head.closest("table").tBodies[0];
   body.append(...sorted([...body.rows], (row) => sortKey(row.cells[head.cellIndex]), direction));
 }
@@ -177,10 +184,10 @@ const yTick = (at, box, text) => [
   line(box.left, at, box.right, at, "grid"), label(box.left - 5, at + 4, text, "end", "tick")];
 const path = (points) => points.map(([x, y], index) => `${index ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
-// Colour, dashes and marker of a series, by its place: they repeat after 28, never one alone.
+// Colour, dashes and marker of a method, by its place among all of the page: they repeat after 28, never one alone.
 const style = (index) => ({
   colour: `var(--c${index % NUM_COLOURS})`, dash: DASHES[Math.floor(index / NUM_COLOURS) % DASHES.length] });
-const indexOf = (name) => Object.keys(board().rows).sort().indexOf(name);
+const indexOf = (name) => content.labels.indexOf(name);
 const styleOf = (name) => style(indexOf(name));
 
 function curve(plot, name, points, { colour, dash }, text) {
@@ -243,8 +250,10 @@ function drawFront(plot, points, place) {
 
 function pointOf(plot, point, x) {
   const made = marker(plot.x(x), plot.y(point.ssim), indexOf(point.name), point.name);
-  filled(made, { tabindex: 0, role: "img", class: "point" }, []);
+  filled(made, { tabindex: 0, role: "button", class: "point" }, []);
   explain(made, summary(point));
+  made.addEventListener("click", () => showMapsOf(point.name));
+  made.addEventListener("keydown", (event) => { if (event.key === "Enter") showMapsOf(point.name); });
   return made;
 }
 
@@ -402,6 +411,13 @@ function showTip(text, x, y) {
 
 // ---- predicted maps
 
+function showMapsOf(name) {
+  if (name in board().gallery.cases) find("#shown-method").value = name;
+  drawGallery();
+  writeAddress();
+  find("#gallery").scrollIntoView();
+}
+
 function drawGallery() {
   const { gallery } = board();
   find("#gallery .missing").textContent = gallery.missing;
@@ -444,6 +460,8 @@ function draw() {
   drawDistributions(find("#cdfs .panels"));
   drawGallery();
   if (find("#benches")?.open) drawMeasurements();
+  offerFigures();
+  writeAddress();
 }
 
 function whenWidthChanges(action) {
@@ -454,6 +472,7 @@ function whenWidthChanges(action) {
 function start() {
   document.documentElement.classList.add("js");
   all(".leaderboard thead th").forEach(makeSortable);
+  for (const each of all("table.leaderboard")) each.dataset.order = orderOf(each);  // to which an address may return
   fill(find("#board"), all(".board").map((section) => [section.dataset.board, section.dataset.title]));
   find("#board").addEventListener("change", showBoard);
   find("#set").addEventListener("change", showSet);
@@ -462,11 +481,11 @@ function start() {
   find("#families").addEventListener("change", filterRows);
   find("#cost").addEventListener("change", draw);
   find("#metric").addEventListener("change", draw);
-  find("#shown-method").addEventListener("change", drawGallery);
+  find("#shown-method").addEventListener("change", () => { drawGallery(); writeAddress(); });
   find("#benches")?.addEventListener("toggle", draw);
   addEventListener("beforeprint", () => find("#benches")?.setAttribute("open", ""));
+  offerTables();
   whenWidthChanges(draw);
-  showBoard();
+  addEventListener("hashchange", readAddress);
+  readAddress();
 }
-
-start();

@@ -13,8 +13,18 @@ from xfreqbench.report.leaderboard.columns import COSTS
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.gallery import gallery, scales
 from xfreqbench.report.leaderboard.origins import machine_name
-from xfreqbench.report.leaderboard.page_content import CHART_COSTS, board_content, figure_content
-from xfreqbench.report.leaderboard.page_tables import board_tables, page_facts
+from xfreqbench.report.leaderboard.page_content import (
+    CHART_COSTS,
+    board_content,
+    figure_content,
+    ordered_labels,
+)
+from xfreqbench.report.leaderboard.page_tables import (
+    board_tables,
+    overview_protocols,
+    overview_rows,
+    page_facts,
+)
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -46,6 +56,7 @@ def _page(found: RankedResults) -> str:
     galleries = [gallery(board, found.folders) for board in found.boards]
     content = {
         "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
+        "labels": ordered_labels(found.boards),
         "benches": [figure_content(bench) for bench in found.benches],
         "scales": scales(),
     }
@@ -54,6 +65,8 @@ def _page(found: RankedResults) -> str:
         title=_TITLE,
         facts=page_facts(found.boards),
         boards=[board_tables(each) for each in comparisons],
+        overview_rows=overview_rows([each[0] for each in comparisons]),
+        overview_protocols=overview_protocols(found.boards),
         costs={name: COSTS[name].hint for name in CHART_COSTS},
         benches=found.benches,
         machine_name=machine_name,

@@ -26,6 +26,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
     """A board's curves and pictures, and the averages of its rows in each comparison, one for each set of splits."""
     board = comparisons[0].board
     return {
+        "slug": board.slug,
         "title": board.title,
         "splits": {
             split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)}
@@ -36,6 +37,12 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
         "metrics": {name: metric_title(name) for name in METRICS},
         "gallery": pictures.content(),
     }
+
+
+def ordered_labels(boards: Sequence[Board]) -> list[str]:
+    """The labels of all rows, by which a method has the same colour on every board: ablations come last."""
+    rows = {row.label: row for board in boards for row in board.rows}
+    return sorted(rows, key=lambda label: (rows[label].family == "ablation", label))
 
 
 def figure_content(bench: BenchRecord) -> Content | None:
