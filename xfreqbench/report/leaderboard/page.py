@@ -13,6 +13,7 @@ from xfreqbench.report.leaderboard.columns import COSTS
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.gallery import gallery, scales
 from xfreqbench.report.leaderboard.origins import machine_name
+from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.page_content import (
     CHART_COSTS,
     board_content,
@@ -52,21 +53,23 @@ def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
 
 
 def _page(found: RankedResults) -> str:
-    comparisons = [comparisons_of(board) for board in found.boards]
-    galleries = [gallery(board, found.folders) for board in found.boards]
+    main = main_scene(found.boards)
+    boards = sorted(found.boards, key=lambda board: board.scene != main)
+    comparisons = [comparisons_of(board) for board in boards]
+    galleries = [gallery(board, found.folders) for board in boards]
     content = {
         "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
-        "labels": ordered_labels(found.boards),
+        "labels": ordered_labels(boards),
         "benches": [figure_content(bench) for bench in found.benches],
         "scales": scales(),
     }
     return render(
         "leaderboard/page.html",
         title=_TITLE,
-        facts=page_facts(found.boards),
+        facts=page_facts(boards),
         boards=[board_tables(each) for each in comparisons],
         overview_rows=overview_rows([each[0] for each in comparisons]),
-        overview_protocols=overview_protocols(found.boards),
+        overview_protocols=overview_protocols(boards),
         costs={name: COSTS[name].hint for name in CHART_COSTS},
         benches=found.benches,
         machine_name=machine_name,

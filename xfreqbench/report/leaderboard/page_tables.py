@@ -78,7 +78,7 @@ def _link(comparison: Comparison) -> BoardLink:
         skill = best.average(comparison.splits, board.skill)
         ssim = f"average {best.average(comparison.splits, median_ssim):.4f}"
         told = ", ".join([ssim, *([f"skill {skill:.3f}"] if isfinite(skill) else [])])
-        standing = f"{best.label}: {told.replace('-', '−')}"
+        standing = f"{best.short_label}: {told.replace('-', '−')}"
     return BoardLink(board.slug, board.lane_title or "without budget", standing)
 
 
