@@ -118,8 +118,8 @@ _OURS = (Setting("xfreq-gs"), Setting("aperture-gs"), VIRTUAL_SOURCE)
 _REDUCED = (Setting("fixed-frequency-gs"), Setting("frequency-embedded-gs"))
 STANDARD = Preset(
     description="every method in the lane quick, 64,000 maps a fit, with three seeds: all on lofo in the office, the "
-    "paper's three and our two on lofo in two_rooms, and xfreq-gs and our two on the other protocols and in the corridor; in the lane minutes "
-    "xfreq-gs and virtual-source on lofo in the office",
+    "paper's three and our two on lofo in two_rooms, and xfreq-gs and our two on the other protocols and in the "
+    "corridor; in the lane minutes xfreq-gs and virtual-source on lofo in the office",
     blocks=(
         *_TRIVIAL,
         Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
