@@ -40,7 +40,7 @@ def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_pat
     for record in records:
         append(tmp_path / "records.jsonl", record)
     html = write_page(tmp_path, tmp_path / "page.html").read_text()
-    table = html.partition("<thead>")[2].partition("</table>")[0]
+    table = html.partition('<table class="leaderboard">')[2].partition("</table>")[0]
     titles = [unescape(text) for text in re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)]
     cells = re.findall(r"<t[hd](?: scope=\"row\"| data-value)[^>]*>(.*?)</t[hd]>", table)
     ours = dict(zip(titles, cells, strict=False))
