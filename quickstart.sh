@@ -11,7 +11,7 @@ say "Installing; two minutes the first time, most of it downloads"
 [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
 
-say "Tracing ${NUM_TX:-120} transmitters of the office at 10 carriers, from 1 to 94 GHz; ten seconds"
+say "Tracing ${NUM_TX:-120} transmitters of the office at 10 carriers, from 1 to 94 GHz; ten seconds, and a minute to compile the first time"
 .venv/bin/xfreqbench generate office --tx "${NUM_TX:-120}" --output "$data"
 
 say "Drawing the room, rays and maps of a transmitter; ten seconds"
