@@ -187,7 +187,7 @@ def test_a_driver_that_ends_leaves_the_cluster_usable_and_its_command_goes_on(
     running: Started, serial: Path, tmp_path: Path, sent: signal.Signals
 ) -> None:
     path = tmp_path / "rooms.h5"
-    options = "--freqs 1,24.25 --tx 96 --rays 20000 --max-depth 5 --quiet"
+    options = "--freqs 1,24.25 --tx 96 --rays 20000 --max-depth 5 --interactions specular,refraction --quiet"
     command = f"generate two_rooms {options} --executor {running.address} -o {path}"
     with _driver(command, tmp_path) as driver:
         _wait(lambda: bool(list(tmp_path.glob("rooms.h5.parts/*.npz"))) or driver.poll() is not None)
