@@ -111,7 +111,8 @@ def prepare(folder: Path, give: Callable[[str], None]) -> None:
     give("export inputs/small.h5 -o inputs/maps --convention xfreq-gs --set plane=xy -q")
     run = f"run {_LOFO} --budget 3steps -q"
     give(f"{run} --method mean-over-frequency --results inputs/fewer")
-    give(f"{run} --method nearest,virtual-source --results inputs/results")
+    give(f"{run} --method nearest --results inputs/results")
+    give(f"{run} --method virtual-source --set render=learned --results inputs/results")
     _write_predictions(folder / "inputs" / "data.h5", folder / "inputs" / "predictions.h5")
 
 
