@@ -452,6 +452,7 @@ const png = (picture) => `data:image/png;base64,${picture}`;
 // ---- start
 
 function draw() {
+  if (isReading) return;  // once, when all choices are made
   find("#charts h2").textContent = `Charts: ${board().title}`;
   drawLegend();
   drawPareto(find("#pareto .panels"));

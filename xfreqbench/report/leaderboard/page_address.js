@@ -8,7 +8,6 @@ const headTitle = (head) => find("button", head).textContent;
 const orderOf = (of) => (sortedHead(of) ? `${headTitle(sortedHead(of))},${sortedHead(of).getAttribute("aria-sort")}` : "");
 
 function writeAddress() {
-  if (isReading) return;
   const address = new URLSearchParams({ board: find("#board").value });
   for (const [name, selector] of Object.entries(CHOICES)) {
     const { value, options } = find(selector);
