@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import wofz
 
 from xfreqbench.bench.stress.case import Area
 from xfreqbench.bench.stress.channels import RECEIVER, free_space
-from xfreqbench.scene.model import Surface
+from xfreqbench.scene.materials import SceneMaterial
+from xfreqbench.scene.model import ReceiverArray, Surface
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.units import ghz_to_hz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
 DIFFRACTION = Area("diffraction")
 _CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
@@ -71,3 +73,45 @@ def _touching() -> float:
     tx_m = [(2.6, 0.3, 0.7), (2.6, -0.4, 0.2), (1.4, 1.7, 0.6)]
     found, expected = (_channels(surfaces, tx_m) for surfaces in (halves, whole))
     return float((np.abs(found - expected) / np.abs(expected)).max())
+
+
+@DIFFRACTION.each(
+    {f"array astride a screen's {what}": (side,) for what, side in (("shadow", 1.5), ("reflection", -1.5))},
+    limit=1e-4,  # a conductor of 1e9 S/m reflects all but 2e-5
+    unit="relative",
+)
+def _astride(side: float) -> float:
+    """Channels of eight elements in a row, of which a shadow's boundary, or a reflection's, has four on either side.
+
+    They are Sommerfeld's, for spherical waves that meet the edge of a perfect conductor at right angles.
+    """
+    receiver = ReceiverArray(position_m=(3.0, 0.0, 2.0), rows=1, cols=8, boresight=(1.0, 0.0, 0.0))
+    metal = SceneMaterial(name="conductor", relative_permittivity=1.0, conductivity_s_m=1e9)
+    screen = Surface("screen", metal.name, 0.01, (0.0, 0.0, -900.0), (0.0, 900.0, 900.0))
+    scene = replace(free_space(receiver), surface=(screen,), material=(metal,))
+    tracer = ImageTracer(scene, _CARRIERS_HZ, _SETTINGS, ImageSavings(diffraction_floor=0.0))
+    tx_m = np.array([-side, 0.0, 2.0])
+    found, errors = tracer.channel(tx_m[None]).cfr[0], []
+    for row, carrier_hz in zip(found, _CARRIERS_HZ, strict=True):
+        element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+        expected = _beside_a_half_plane(tx_m, element_m, carrier_hz)
+        errors.append((np.abs(row - expected) * 4 * np.pi * 4.5).max() * carrier_hz / SPEED_OF_LIGHT_M_S)
+    return float(max(errors))
+
+
+def _beside_a_half_plane(
+    tx_m: NDArray[np.float64], element_m: NDArray[np.float64], carrier_hz: float
+) -> NDArray[np.complex128]:
+    """Channels of a transmitter to elements (M, 3) beside the perfect conductor x = 0, y > 0, E along z."""
+    wavelength_m, near_m = SPEED_OF_LIGHT_M_S / carrier_hz, float(np.hypot(*tx_m[:2]))
+    wavenumber, far_m = 2 * np.pi / wavelength_m, np.hypot(*element_m.T[:2])
+    source_rad, angle_rad = (np.arctan2(-x, y) % (2 * np.pi) for x, y in (tx_m[:2], element_m.T[:2]))
+    over_m, total = near_m + far_m, np.zeros(len(element_m), dtype=np.complex128)
+    for sign, turn_rad in ((1, angle_rad - source_rad), (-1, angle_rad + source_rad)):
+        straight_m = np.sqrt(near_m**2 + far_m**2 - 2 * near_m * far_m * np.cos(turn_rad))
+        straight = np.exp(-1j * wavenumber * straight_m) / straight_m
+        cosine = np.cos(turn_rad / 2)
+        argument = np.sqrt(2 * wavenumber * near_m * far_m / over_m) * np.abs(cosine)
+        over = np.exp(-1j * wavenumber * over_m) / over_m * wofz(1j * np.exp(0.25j * np.pi) * argument) / 2
+        total += sign * np.where(cosine > 0, straight - over, over)
+    return total * wavelength_m / (4 * np.pi)

@@ -50,7 +50,7 @@ def _channel(
     return tracer.channel(np.array([tx_m])).cfr[0]
 
 
-def _slab(
+def fresnel_slab(
     material: str, thickness_m: float, carrier_hz: float, cosine: float
 ) -> tuple[complex, complex, complex, complex]:
     """Coefficients R_TE, R_TM, T_TE and T_TM of a slab: Recommendation ITU-R P.2040-3, Eqs. (37), (38), (43)–(45)."""
@@ -64,15 +64,16 @@ def _slab(
     return complex(r_te), complex(r_tm), complex(t_te), complex(t_tm)
 
 
-def _ray(length_m: float | np.longdouble, carrier_hz: float) -> complex:
+def ray(length_m: float | np.longdouble, carrier_hz: float) -> complex:
+    """Channel λ/4πL·exp(−j2πL/λ) of a lone path of length L."""
     length = np.asarray(length_m, dtype=np.longdouble)
     return complex(friis(length, carrier_hz) * wave(length, carrier_hz))
 
 
-def _off(found: NDArray[np.complex128], expected: list[complex], length_m: float) -> float:
+def largest_error(found: NDArray[np.complex128], expected: list[complex], length_m: float) -> float:
     """Largest error over the carriers of a channel, relative to the amplitude of a lone path of that length."""
     errors = [
-        abs(row[0] - value) / abs(_ray(length_m, carrier_hz))
+        abs(row[0] - value) / abs(ray(length_m, carrier_hz))
         for row, value, carrier_hz in zip(found, expected, _CARRIERS_HZ, strict=True)
     ]
     return float(max(errors))
@@ -90,10 +91,11 @@ def _grazing() -> float:
     bounce_m = np.hypot(np.longdouble(100), np.longdouble(0.1))
     cosine = float(0.1 / bounce_m)
     expected = [
-        -_ray(100.0, f) - _slab("concrete", 0.2, f, cosine)[0] * _ray(bounce_m, f)  # φ̂ turns with the ray
+        -ray(100.0, f)
+        - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f)  # φ̂ turns with the ray
         for f in _CARRIERS_HZ
     ]
-    return _off(found, expected, 100.0)
+    return largest_error(found, expected, 100.0)
 
 
 @GEOMETRY.each(
@@ -105,8 +107,8 @@ def _normal_incidence(material: str) -> float:
     """A wall 2 m behind the transmitter reflects its wave straight back."""
     wall = Surface("wall", material, 0.1, (5.0, -9.0, -9.0), (5.0, 9.0, 9.0))
     found = _channel((wall,), _ONE, (3.0, 0.0, _HEIGHT_M))
-    expected = [_ray(3.0, f) + _slab(material, 0.1, f, 1.0)[0] * _ray(7.0, f) for f in _CARRIERS_HZ]
-    return _off(found, expected, 3.0)
+    expected = [ray(3.0, f) + fresnel_slab(material, 0.1, f, 1.0)[0] * ray(7.0, f) for f in _CARRIERS_HZ]
+    return largest_error(found, expected, 3.0)
 
 
 @GEOMETRY.each(
@@ -126,7 +128,7 @@ def _boresight(offset_m: float, polarization: Literal["V", "H"]) -> float:
     found = _channel((), replace(_ONE, polarization=polarization), (offset_m, 0.0, 0.5))
     length_m = np.hypot(np.longdouble(offset_m), np.longdouble(_HEIGHT_M - 0.5))
     sign = 1 if polarization == "V" else -1
-    return _off(found, [sign * _ray(length_m, f) for f in _CARRIERS_HZ], 1.5)
+    return largest_error(found, [sign * ray(length_m, f) for f in _CARRIERS_HZ], 1.5)
 
 
 @GEOMETRY.each(
@@ -141,10 +143,12 @@ def _edge(material: str) -> float:
     """A ray exactly along the edge of a screen passes by it, through it or not at all, with nothing in between."""
     screen = Surface("screen", material, 0.02, (2.0, 0.0, -9.0), (2.0, 9.0, 9.0))
     found = _channel((screen,), _ONE, (4.0, 0.0, _HEIGHT_M))
-    free = [_ray(4.0, f) for f in _CARRIERS_HZ]
-    behind = [_slab(material, 0.02, f, 1.0)[2] * ray for f, ray in zip(_CARRIERS_HZ, free, strict=True)]
+    free = [ray(4.0, f) for f in _CARRIERS_HZ]
+    behind = [
+        fresnel_slab(material, 0.02, f, 1.0)[2] * alone for f, alone in zip(_CARRIERS_HZ, free, strict=True)
+    ]
     opaque = [0j] * len(free)
-    return min(_off(found, expected, 4.0) for expected in (free, behind, opaque))
+    return min(largest_error(found, expected, 4.0) for expected in (free, behind, opaque))
 
 
 @GEOMETRY.case("reflection at the border of a floor", limit=_LIMIT, unit="relative")
@@ -153,11 +157,13 @@ def _border() -> float:
     floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (1.5, 9.0, 0.0))
     receiver = replace(_ONE, polarization="H")
     found = _channel((floor,), receiver, (3.0, 0.0, _HEIGHT_M))
-    lone = [-_ray(3.0, f) for f in _CARRIERS_HZ]
+    lone = [-ray(3.0, f) for f in _CARRIERS_HZ]
     bounce_m = np.hypot(np.longdouble(3), np.longdouble(4))
-    bounce = [-_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * _ray(bounce_m, f) for f in _CARRIERS_HZ]
+    bounce = [
+        -fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in _CARRIERS_HZ
+    ]
     both = [direct + reflected for direct, reflected in zip(lone, bounce, strict=True)]
-    return min(_off(found, expected, 3.0) for expected in (lone, both))
+    return min(largest_error(found, expected, 3.0) for expected in (lone, both))
 
 
 # some roundings of 100 m
@@ -210,7 +216,7 @@ def _slabs() -> float:
             for cosine in (1e-4, 1e-2, 0.5, 1.0):
                 eta = complex_permittivity(material, carrier_hz)
                 found = slab_coefficients(cosine, eta, phase_thickness)
-                expected = _slab(material, thickness_m, carrier_hz, cosine)
+                expected = fresnel_slab(material, thickness_m, carrier_hz, cosine)
                 errors.append(np.abs(np.subtract(found, expected)).max())
     return float(max(errors))
 

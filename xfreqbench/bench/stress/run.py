@@ -19,6 +19,7 @@ def cases() -> tuple[StressCase, ...]:
     from xfreqbench.bench.stress.composite import COMPOSITE
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
     from xfreqbench.bench.stress.encoding import ENCODING
+    from xfreqbench.bench.stress.facets import FACETS
     from xfreqbench.bench.stress.footprints import FOOTPRINTS
     from xfreqbench.bench.stress.geometry import GEOMETRY
     from xfreqbench.bench.stress.maps import MAPS
@@ -27,7 +28,7 @@ def cases() -> tuple[StressCase, ...]:
     from xfreqbench.bench.stress.seeds import SEEDS
     from xfreqbench.bench.stress.training import TRAINING
 
-    physics = (PHASE, MATERIALS, GEOMETRY, DIFFRACTION, MAPS, SCORES)
+    physics = (PHASE, MATERIALS, GEOMETRY, FACETS, DIFFRACTION, MAPS, SCORES)
     learning = (COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING, SEEDS)
     return tuple(case for area in (*physics, *learning) for case in area.cases)
 
