@@ -4,108 +4,326 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write_dataset
+from synthetic import paper_dataset, write_dataset
 
-from xfreqbench.data import splits
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import (
-    BLOCK_MARGIN_M,
-    NUM_BLOCKS,
+    LOFO_TARGETS_HZ,
     PROTOCOLS,
-    blocks,
+    UNSEEN_SHARE,
+    VALIDATIONS,
     find_split,
-    held_out_block,
+    held_out_tx,
+    lofo,
+    lofo_unseen_tx,
     make_splits,
+    random_samples,
+    sparse_frequency,
 )
-from xfreqbench.errors import ProtocolError, UnknownNameError
-
-NUM_TX = 60
+from xfreqbench.data.splits import Split
+from xfreqbench.errors import ArgumentError, ProtocolError, UnknownNameError
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    path = tmp_path_factory.mktemp("data") / "data.h5"
-    return write_dataset(path, NUM_TX, (1.0, 10.0), silent=((0, 1),))
+    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5")
 
 
-def _apart_m(dataset: PasDataset, split: splits.Split) -> np.ndarray:
-    """The distance of each tested row from the nearest trained one."""
-    tested, trained = (dataset.tx_position_m[rows] for rows in (split.test, split.train))
-    return np.linalg.norm(tested[:, None] - trained, axis=2).min(axis=1)
+def test_lofo_never_trains_on_the_carrier_it_tests(dataset: PasDataset) -> None:
+    for split, target in zip(lofo(dataset), LOFO_TARGETS_HZ, strict=True):
+        assert set(dataset.carrier_hz[split.test]) == {target}
+        assert target not in dataset.carrier_hz[split.train]
+        assert len(split.train) + len(split.test) == len(dataset)
+        assert split.shares_transmitters
 
 
-@pytest.mark.parametrize("on", ["test", "validation"])
-def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(
-    dataset: PasDataset, on
-) -> None:
-    (split,) = make_splits(dataset, "held-out-block", on=on)
-    assert _apart_m(dataset, split).min() >= BLOCK_MARGIN_M
-    assert not split.shares_transmitters
-    assert split.nearest_trained_m == pytest.approx(np.median(_apart_m(dataset, split)))
-    (whole,) = make_splits(dataset, "held-out-block")
-    offered = np.arange(len(dataset)) if on == "test" else whole.train
-    left_out = np.setdiff1d(offered, [*split.train, *split.test])
-    tested_m = dataset.tx_position_m[split.test]
-    for row in left_out[dataset.has_path[left_out]]:
-        assert np.linalg.norm(tested_m - dataset.tx_position_m[row], axis=1).min() < BLOCK_MARGIN_M
+def test_lofo_all_holds_out_every_carrier_once(dataset: PasDataset) -> None:
+    splits = make_splits(dataset, "lofo", "all")
+    tested = np.concatenate([split.test for split in splits])
+    np.testing.assert_array_equal(np.sort(tested), np.arange(len(dataset)))
+    assert len(splits) == 10
 
 
-def test_a_fifth_is_tested_at_every_carrier_and_the_carriers_are_trained_on(dataset: PasDataset) -> None:
-    (split,) = held_out_block(dataset)
-    assert len(np.unique(dataset.tx_index[split.test])) == NUM_TX / 5
-    for rows in (split.train, split.test):
-        assert set(dataset.carrier_hz[rows]) == {1e9, 10e9}
-    assert split.num_without_path + len(split.test) == 2 * NUM_TX / 5
+def test_sparse_frequency_trains_on_the_carriers_of_the_paper(dataset: PasDataset) -> None:
+    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in sparse_frequency(dataset)]
+    assert trained == [{10, 37}, {10, 37, 94}, {1, 10, 37, 60, 94}]
+    for split in sparse_frequency(dataset):
+        assert set(dataset.carrier_hz[split.test]) == {24.25e9}
 
 
-def test_a_validation_holds_out_a_region_of_the_training_transmitters(dataset: PasDataset) -> None:
-    (split,) = make_splits(dataset, "held-out-block")
-    (validation,) = make_splits(dataset, "held-out-block", on="validation")
-    trained = len(np.unique(dataset.tx_index[split.train]))
-    assert len(np.unique(dataset.tx_index[validation.test])) == pytest.approx(trained / NUM_BLOCKS, abs=1)
-    assert set(validation.test) <= set(split.train)
+def test_split_names_say_target_and_training_carriers(dataset: PasDataset) -> None:
+    assert [split.name for split in lofo(dataset)] == ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
+    assert sparse_frequency(dataset)[1].name == "sparse-24.25GHz-from-10-37-94GHz"
 
 
-def test_regions_are_rectangles_of_equally_many_positions() -> None:
-    position_m = np.random.default_rng(0).uniform((0, 0), (10, 4), size=(403, 2))
-    found = blocks(position_m, NUM_BLOCKS)
-    counts = np.bincount(found)
+def test_samples_without_a_path_are_in_neither_part_and_counted(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", silent=((0, 1), (2, 1), (3, 0)))
+    split = lofo(dataset, [10e9])[0]
+    assert split.num_without_path == 2
+    np.testing.assert_array_equal(split.test, [4, 10])
+    assert 9 not in split.train
+
+
+def test_carriers_a_few_kilohertz_apart_are_different_targets(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(24.25001, 24.25002, 30.0))
+    splits = make_splits(dataset, "lofo", "all")
+    assert len({split.name for split in splits}) == 3
+    for split in splits:
+        assert find_split(dataset, "lofo", split.name).sha256 == split.sha256
+
+
+def test_a_carrier_without_paths_does_not_block_the_others(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1, silent=((0, 1),))
+    assert [split.name for split in make_splits(dataset, "lofo", "all")] == ["lofo-1GHz", "lofo-37GHz"]
+    assert find_split(dataset, "lofo", "lofo-37GHz").name == "lofo-37GHz"
+
+
+def test_missing_carriers_are_named(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    with pytest.raises(ProtocolError, match=r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"):
+        make_splits(dataset, "lofo")
+    with pytest.raises(ProtocolError, match=r"needs 24.25, 60, 94 GHz"):
+        make_splits(dataset, "sparse")
+
+
+def test_one_carrier_alone_cannot_be_left_out(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0,))
+    with pytest.raises(ProtocolError, match="two carriers"):
+        make_splits(dataset, "lofo", "all")
+
+
+def test_a_target_that_no_path_reaches_is_refused(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1, silent=((0, 1),))
+    with pytest.raises(ProtocolError, match="0 to test on"):
+        lofo(dataset, [10e9])
+
+
+def test_unknown_names_suggest_the_nearest(dataset: PasDataset) -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'lofo'"):
+        make_splits(dataset, "loof")
+    with pytest.raises(UnknownNameError, match="Did you mean 'lofo-77GHz'"):
+        find_split(dataset, "lofo", "lofo-78GHz")
+
+
+def test_the_hash_of_a_split_follows_its_rows(dataset: PasDataset) -> None:
+    assert find_split(dataset, "lofo", "lofo-77GHz").sha256 == lofo(dataset)[2].sha256
     assert (
-        len(counts) == NUM_BLOCKS and counts.max() - counts.min() <= 2
-    )  # a rounding at each of two halvings
-    for region in range(NUM_BLOCKS):
-        low, high = (edge(position_m[found == region], axis=0) for edge in (np.min, np.max))
-        inside = ((position_m >= low) & (position_m <= high)).all(axis=1)
-        assert set(found[inside]) == {region}
-        assert np.prod(high - low) < 10 * 4 / NUM_BLOCKS * 1.5  # no region is spread over the room
+        len({split.sha256 for split in [*make_splits(dataset, "lofo", "all"), *sparse_frequency(dataset)]})
+        == 13
+    )
+    fewer = dataset.subset(np.arange(20))
+    assert lofo(fewer)[2].sha256 != lofo(dataset)[2].sha256
 
 
-def test_of_few_transmitters_each_is_a_region(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5", 4, (1.0,))
-    (split,) = held_out_block(dataset)
-    assert (len(split.train), len(split.test)) == (3, 1)
-    with pytest.raises(
-        ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 3\."
-    ):
-        make_splits(dataset, "held-out-block", on="validation")
-    alone = write_dataset(tmp_path / "alone.h5", 1, (1.0,))
+def _transmitters(dataset: PasDataset, split: Split) -> tuple[set[int], set[int]]:
+    trained, tested = (set(dataset.tx_index[rows].tolist()) for rows in (split.train, split.test))
+    return trained, tested
+
+
+@pytest.mark.parametrize("protocol", ["held-out-tx", "lofo-unseen-tx"])
+def test_leak_free_protocols_share_no_transmitter_between_training_and_test(
+    dataset: PasDataset, protocol: str
+) -> None:
+    for split in make_splits(dataset, protocol):
+        trained, tested = _transmitters(dataset, split)
+        assert not trained & tested
+        assert len(tested) == round(UNSEEN_SHARE * len(trained | tested))
+        assert not split.shares_transmitters
+        assert split.nearest_trained_m > 0
+
+
+@pytest.mark.parametrize("protocol", ["lofo", "sparse"])
+def test_protocols_that_share_transmitters_say_so(dataset: PasDataset, protocol: str) -> None:
+    for split in make_splits(dataset, protocol):
+        trained, tested = _transmitters(dataset, split)
+        assert tested <= trained
+        assert split.shares_transmitters
+        assert split.nearest_trained_m == 0
+
+
+def test_no_protocol_trains_on_a_row_that_it_tests(dataset: PasDataset) -> None:
+    for protocol in PROTOCOLS:
+        for split in make_splits(dataset, protocol):
+            assert not set(split.train.tolist()) & set(split.test.tolist())
+
+
+def test_held_out_transmitters_are_tested_at_every_carrier(dataset: PasDataset) -> None:
+    (split,) = held_out_tx(dataset)
+    assert len(split.train) + len(split.test) == len(dataset)
+    for rows in (split.train, split.test):
+        assert set(dataset.carrier_hz[rows]) == set(dataset.carrier_hz)
+
+
+def test_unseen_transmitters_at_an_unseen_carrier_are_those_held_out(dataset: PasDataset) -> None:
+    (held_out,) = held_out_tx(dataset)
+    for split, target in zip(lofo_unseen_tx(dataset), LOFO_TARGETS_HZ, strict=True):
+        assert set(dataset.carrier_hz[split.test]) == {target}
+        assert target not in dataset.carrier_hz[split.train]
+        assert _transmitters(dataset, split)[1] == _transmitters(dataset, held_out)[1]
+
+
+def test_random_samples_test_a_fifth_of_them_and_leak_places_and_carriers(dataset: PasDataset) -> None:
+    (split,), (again,) = random_samples(dataset), make_splits(dataset, "random-samples")
+    assert split.sha256 == again.sha256
+    assert len(split.test) == round(UNSEEN_SHARE * len(dataset))
+    assert len(split.train) + len(split.test) == len(dataset)
+    trained, tested = _transmitters(dataset, split)
+    assert tested <= trained and split.shares_transmitters
+    assert set(dataset.carrier_hz[split.test]) <= set(dataset.carrier_hz[split.train])
+
+
+def test_a_validation_of_random_samples_is_a_tenth_of_the_training_samples(dataset: PasDataset) -> None:
+    (split,), (validation,) = (make_splits(dataset, "random-samples", on=on) for on in ("test", "validation"))
+    assert len(validation.test) == round(len(split.train) / 10)
+    assert sorted([*validation.train, *validation.test]) == split.train.tolist()
+
+
+def test_the_nearest_trained_transmitter_is_as_far_as_it_is(dataset: PasDataset) -> None:
+    (split,) = held_out_tx(dataset)
+    tested, trained = (dataset.tx_position_m[rows] for rows in (split.test, split.train))
+    distance_m = np.linalg.norm(tested[:, None] - trained[None], axis=2).min(axis=1)
+    assert split.nearest_trained_m == pytest.approx(np.median(distance_m), rel=1e-12)
+
+
+def test_every_split_is_found_by_its_name(dataset: PasDataset) -> None:
+    for protocol in PROTOCOLS:
+        for split in make_splits(dataset, protocol):
+            assert find_split(dataset, protocol, split.name).sha256 == split.sha256
+
+
+def test_one_transmitter_alone_cannot_be_held_out(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=1)
     with pytest.raises(ProtocolError, match="0 samples to train on"):
-        held_out_block(alone)
+        make_splits(dataset, "held-out-tx")
 
 
-def test_the_other_protocols_are_as_they_were(dataset: PasDataset) -> None:
-    for protocol, targets_hz in (("lofo", [1e9]), ("held-out-tx", None), ("lofo-unseen-tx", "all")):
-        new, old = (make(dataset, protocol, targets_hz) for make in (make_splits, splits.make_splits))
-        assert [split.sha256 for split in new] == [split.sha256 for split in old]
+def test_a_target_named_twice_is_one(dataset: PasDataset) -> None:
+    (once,) = make_splits(dataset, "lofo", [2.4e9])
+    (twice,) = make_splits(dataset, "lofo", [2.4e9, 2.4e9])
+    assert once.sha256 == twice.sha256
 
 
-def test_names_and_targets_that_there_are_not_are_refused(dataset: PasDataset) -> None:
-    with pytest.raises(UnknownNameError, match="Did you mean 'held-out-block'"):
-        make_splits(dataset, "held-out-blok")
-    with pytest.raises(UnknownNameError, match="Did you mean 'held-out-block'"):
-        find_split(dataset, "held-out-blok", "held-out-block")
-    with pytest.raises(UnknownNameError, match="split of 'held-out-block'"):
-        find_split(dataset, "held-out-block", "held-out-block-validation")
-    with pytest.raises(ProtocolError, match="'held-out-block' chooses what it tests"):
-        make_splits(dataset, "held-out-block", [1e9])
-    assert PROTOCOLS[-1] == "held-out-block"
+def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
+    with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
+        make_splits(dataset, "held-out-tx", [10e9])
+    assert len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10
+
+
+@pytest.fixture(scope="module")
+def of_many_transmitters(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Enough that a tenth of the training transmitters can be held out; two samples have no path."""
+    path = tmp_path_factory.mktemp("data") / "data.h5"
+    return write_dataset(path, 40, PAPER_CARRIERS_GHZ, silent=((0, 4), (7, 5)))
+
+
+def _with_validation(dataset: PasDataset, protocol: str) -> list[tuple[Split, Split]]:
+    """Each split that has a validation, with it."""
+    tested = {split.name.removeprefix(protocol): split for split in make_splits(dataset, protocol)}
+    validations = make_splits(dataset, protocol, on="validation")
+    return [(tested[split.name.removeprefix(f"{protocol}-validation")], split) for split in validations]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_validation_rows_are_training_rows_and_nothing_that_is_tested_is_seen_in_them(
+    of_many_transmitters: PasDataset, protocol: str
+) -> None:
+    dataset = of_many_transmitters
+    pairs = _with_validation(dataset, protocol)
+    assert pairs
+    for split, validation in pairs:
+        trained, validated = set(validation.train.tolist()), set(validation.test.tolist())
+        assert trained and validated and not trained & validated
+        assert trained | validated <= set(split.train.tolist())
+        seen = np.array(sorted(trained | validated))
+        if protocol in {"lofo", "sparse", "lofo-unseen-tx"}:
+            assert not np.isin(dataset.carrier_hz[seen], dataset.carrier_hz[split.test]).any()
+        if protocol in {"held-out-tx", "held-out-block", "lofo-unseen-tx"}:
+            assert not np.isin(dataset.tx_index[seen], dataset.tx_index[split.test]).any()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_validation_rows_are_as_unseen_as_the_tested_ones(
+    of_many_transmitters: PasDataset, protocol: str
+) -> None:
+    dataset = of_many_transmitters
+    for split, validation in _with_validation(dataset, protocol):
+        for values in (dataset.carrier_hz, dataset.tx_index):
+            unseen, unseen_there = (
+                not np.isin(values[each.test], values[each.train]).any() for each in (split, validation)
+            )
+            assert unseen == unseen_there
+        assert validation.shares_transmitters == split.shares_transmitters
+
+
+def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_ones_on_both_sides(
+    dataset: PasDataset,
+) -> None:
+    targets_ghz = (1.0, 2.4, 24.25, 77.0, 94.0)
+    validations = make_splits(dataset, "lofo", [target * 1e9 for target in targets_ghz], on="validation")
+    validated = [set(dataset.carrier_hz[split.test] / 1e9) for split in validations]
+    assert [split.name for split in validations][:2] == ["lofo-validation-1GHz", "lofo-validation-2.4GHz"]
+    for (carrier_ghz,), target_ghz, split in zip(validated, targets_ghz, validations, strict=True):
+        trained_ghz = dataset.carrier_hz[split.train] / 1e9
+        assert trained_ghz.min() < carrier_ghz < trained_ghz.max()
+        others = set(PAPER_CARRIERS_GHZ) - {target_ghz}
+        inner = sorted(others)[1:-1]
+        assert carrier_ghz == min(inner, key=lambda each: abs(np.log(each / target_ghz)))
+
+
+def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(
+    of_many_transmitters: PasDataset,
+) -> None:
+    dataset = of_many_transmitters  # 40, of which 32 are trained on: a tenth are three, and four the least
+    for protocol in ("held-out-tx", "lofo-unseen-tx"):
+        for _, validation in _with_validation(dataset, protocol):
+            assert len(_transmitters(dataset, validation)[1]) == 4
+
+
+def test_validation_rows_without_a_path_are_counted(of_many_transmitters: PasDataset) -> None:
+    (split,) = make_splits(of_many_transmitters, "lofo", [24.25e9], on="validation")
+    assert set(of_many_transmitters.carrier_hz[split.test]) == {37e9}
+    assert (split.num_without_path, len(split.test)) == (1, 39)
+
+
+def test_sparse_training_on_two_carriers_has_no_validation(dataset: PasDataset) -> None:
+    splits = make_splits(dataset, "sparse", on="validation")
+    assert [split.name for split in splits] == [
+        "sparse-validation-24.25GHz-from-10-37-94GHz",
+        "sparse-validation-24.25GHz-from-1-10-37-60-94GHz",
+    ]
+    assert [set(dataset.carrier_hz[split.test]) for split in splits] == [{37e9}, {37e9}]
+
+
+def test_every_validation_split_is_found_by_its_name_and_is_no_split_of_a_test(
+    of_many_transmitters: PasDataset,
+) -> None:
+    hashes = set()
+    for protocol in PROTOCOLS:
+        for split, validation in _with_validation(of_many_transmitters, protocol):
+            assert VALIDATIONS[validation.protocol] == split.protocol
+            found = find_split(of_many_transmitters, validation.protocol, validation.name)
+            assert found.sha256 == validation.sha256
+            hashes |= {split.sha256, validation.sha256}
+            with pytest.raises(UnknownNameError):
+                find_split(of_many_transmitters, validation.protocol, split.name)
+    assert len(hashes) == 2 * (3 + 2 + 1 + 3 + 1 + 1)
+
+
+def test_too_few_carriers_or_transmitters_to_validate_are_refused_with_their_number(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", 12)
+    with pytest.raises(
+        ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"
+    ):
+        make_splits(dataset, "lofo", [10e9], on="validation")
+    few = write_dataset(tmp_path / "few.h5", 11)
+    with pytest.raises(
+        ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"
+    ):
+        make_splits(few, "held-out-tx", on="validation")
+    assert len(make_splits(dataset, "held-out-tx", on="validation")) == 1
+
+
+def test_what_is_scored_is_the_test_or_the_validation(dataset: PasDataset) -> None:
+    with pytest.raises(ArgumentError, match="'test' or 'validation'"):
+        make_splits(dataset, "lofo", on="tests")  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predict
 
 from xfreqbench.cli import exchange
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import make_splits
+from xfreqbench.data.protocols import make_splits
 from xfreqbench.exchange import score_file as external
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.maps import metrics

@@ -12,7 +12,7 @@ from prediction_files import SPLITS, hand_out, killed
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import verify_sealed
-from xfreqbench.data.splits import make_splits
+from xfreqbench.data.protocols import make_splits
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, StorageError
 from xfreqbench.exchange.split_file import SCHEMA, Handout, write_handout
 

@@ -13,7 +13,7 @@ from stub_methods import lofo_job
 from xfreqbench.baselines.nearest import Nearest
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import find_split
+from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError, MethodError
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.methods.contract import Budget, Progress

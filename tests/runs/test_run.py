@@ -15,7 +15,7 @@ from xfreqbench.baselines.nearest import Nearest
 
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import find_split
+from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError, StorageError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting

@@ -174,7 +174,10 @@ def split(
     data: Annotated[Path, Parameter(help="Data set written by `generate` or `import`.")],
     output: Output,
     protocol: Annotated[
-        str, Parameter(help="lofo, sparse, held-out-tx, lofo-unseen-tx or held-out-block; see `run`.")
+        str,
+        Parameter(
+            help="lofo, sparse, held-out-tx, lofo-unseen-tx, held-out-block or random-samples; see `run`."
+        ),
     ] = "lofo",
     targets: Annotated[
         str | None,

@@ -132,7 +132,7 @@ def run(
         Parameter(
             help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
             "transmitters; held-out-block: unseen regions of the room; lofo-unseen-tx: unseen carriers and "
-            "transmitters."
+            "transmitters; random-samples: a fifth of all samples, which leaks both."
         ),
     ] = "lofo",
     targets: Annotated[

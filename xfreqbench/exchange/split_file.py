@@ -98,7 +98,8 @@ def _require_untold(splits: Sequence[Split]) -> None:
                 raise ProtocolError(
                     f"With its training maps, split {split.name!r} hands out maps that {other.name!r} tests. "
                     "Choose one of them with --targets, leave --maps out, or take a protocol that trains on no "
-                    "map that it tests elsewhere: sparse, held-out-tx, held-out-block or lofo-unseen-tx."
+                    "map that it tests elsewhere: sparse, held-out-tx, held-out-block, lofo-unseen-tx or "
+                    "random-samples."
                 )
 
 

@@ -14,8 +14,7 @@ from pathlib import Path
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import estimate_seconds, generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.protocols import make_splits
-from xfreqbench.data.splits import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets
+from xfreqbench.data.protocols import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option

@@ -11,8 +11,7 @@ from typing import Any, Literal
 from pydantic import InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import make_splits
-from xfreqbench.data.splits import ScoredOn, Targets
+from xfreqbench.data.protocols import ScoredOn, Targets, make_splits
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget, parse_budget
 from xfreqbench.methods.registry import device_option, method_names

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from leaderboard_records import leaderboard_markdown, make_records, rows_of
+from leaderboard_records import leaderboard_markdown, make_records, rows_of, with_job
 from stored_records import external, make_record
 
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
@@ -28,6 +28,13 @@ def test_scores_of_transmitters_that_were_trained_on_are_said_to_tell_nothing_of
     )
     assert leak in leaderboard_markdown([make_record(nearest_trained_m=0.0)])
     assert leak not in leaderboard_markdown([make_record(shares_transmitters=False)])
+
+
+def test_scores_of_random_samples_are_said_to_tell_nothing_of_unseen_places_or_carriers() -> None:
+    drawn = with_job(make_record(split="random-samples"), protocol="random-samples")
+    assert "these scores say nothing about unseen places or unseen carriers.**" in leaderboard_markdown(
+        [drawn]
+    )
 
 
 def test_unseen_transmitters_come_with_their_distance_to_the_nearest_trained_one() -> None:

@@ -26,6 +26,11 @@ def leak_statement(board: Board) -> str:
 
 
 def _shared_with_training(board: Board) -> str:
+    if VALIDATIONS.get(board.protocol, board.protocol) == "random-samples":
+        return (
+            "Samples were drawn at random: tested transmitters are trained on at other carriers, and tested carriers "
+            "at other transmitters, so that these scores say nothing about unseen places or unseen carriers."
+        )
     if any(record.shares_transmitters for record in board.records):
         return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
     known_m = [record.nearest_trained_m for record in board.records if record.nearest_trained_m is not None]

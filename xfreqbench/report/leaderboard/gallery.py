@@ -13,8 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import VALIDATIONS
-from xfreqbench.data.splits import SPARSE_TEST_HZ
+from xfreqbench.data.protocols import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.metrics import Maps, score_all
