@@ -21,7 +21,7 @@ from xfreqbench.methods.registry import build_method, device_option
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.on_workers import run_on
 from xfreqbench.runs.outlook import OVERHEAD_S, in_hours
-from xfreqbench.runs.presets import PRESETS, Block, Preset
+from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.records import BenchRecord, Job, machine_and_time
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.workers import (
@@ -48,6 +48,7 @@ TracingProgress = Callable[[str, int, int], None]
 RunProgress = Callable[[int, int, Job], None]
 _TRIVIAL_S = 5.0  # of a run that fits nothing
 _SECONDS_A_MAP = 4e-4  # of training on one core, roughly: xfreq-gs takes 1e-4, wrf-gs-plus 2e-3
+_SLOW_SECONDS_A_MAP = {"xfreq-gs-paper": 0.1}
 
 
 @dataclass(frozen=True)
@@ -153,15 +154,20 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
 
 def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
     """Estimated seconds for all runs, as if none was done yet, and all measurements."""
-    blocks = benchmark.preset.blocks
-    budgets = [parse_budget(block.budget) for block in blocks]
-    budgets_s = [each.max_seconds or (each.max_maps or 0) * _SECONDS_A_MAP for each in budgets]
     runs_s = sum(
-        _num_runs(block) * (each + (OVERHEAD_S if block.budget else _TRIVIAL_S))
-        for block, each in zip(blocks, budgets_s, strict=True)
+        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, each) for each in block.settings)
+        for block in benchmark.preset.blocks
     )
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
     return runs_s / (num_places or benchmark.num_places) + benches_s
+
+
+def _run_seconds(block: Block, setting: Setting) -> float:
+    """Estimated seconds of one run on one core."""
+    budget = parse_budget(block.budget)
+    a_map = _SLOW_SECONDS_A_MAP.get(setting.method, _SECONDS_A_MAP)
+    overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
+    return (budget.max_seconds or (budget.max_maps or 0) * a_map) + overhead
 
 
 def generate_data(benchmark: Benchmark, progress: TracingProgress, workers: Workers = HERE) -> None:

@@ -190,10 +190,36 @@ CARRIER = Preset(
     left_out="other methods and protocols, two thirds of the transmitters, and the other trends outside of the office",
     num_tx=dict.fromkeys(_ALL_SCENES, 480),
 )
+_PAPERS = (Setting("xfreq-gs"), *NAMED)
+PAPER = Preset(
+    description="the experiments of the paper of XFreq-GS on our data, in the lane quick: its four methods on lofo in "
+    "the office, xfreq-gs on sparse, its ablations at 24.25 GHz, its methods on random samples, which its released "
+    "code draws, and xfreq-gs at two more carriers, of which maps are shown",
+    blocks=(
+        *(_trivial(protocol, "office") for protocol in ("lofo", "sparse", "random-samples")),
+        Block("office", "lofo", _PAPERS, "quick", SEEDS),
+        Block("office", "sparse", _PAPERS[:1], "quick", SEEDS),
+        Block("office", "lofo", (_PAPERS[0], *PAPER_ABLATIONS), "quick", SEEDS, targets_ghz=(24.25,)),
+        Block("office", "random-samples", _PAPERS, "quick", SEEDS),
+        Block("office", "lofo", _PAPERS[:1], "quick", targets_ghz=(10.0, 60.0)),
+    ),
+    left_out="the sizes of the paper (preset paper-size), other budgets, scenes and methods",
+)
+PAPER_SIZE = Preset(
+    description="xfreq-gs-paper, XFreq-GS in the sizes of its paper: width 256, six layers, one map a step, 200,000 "
+    "steps, which are the lane converged, on lofo at 24.25 GHz in the office; hours on a core, so better with a GPU",
+    blocks=(
+        Block("office", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(24.25,)),
+        Block("office", "lofo", (Setting("xfreq-gs-paper"),), "converged", targets_ghz=(24.25,)),
+    ),
+    left_out="every other method, carrier, protocol and seed",
+)
 PRESETS: Mapping[str, Preset] = {
     "quick": QUICK,
     "standard": STANDARD,
     "converged": CONVERGED,
     "full": FULL,
     "carrier": CARRIER,
+    "paper": PAPER,
+    "paper-size": PAPER_SIZE,
 }

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
+from stored_records import make_record
 
 from xfreqbench.methods.contract import LANES
-from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
 from xfreqbench.report.leaderboard.paper import paper_markdown
+from xfreqbench.report.leaderboard.paper_figures import paper_figures
 from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.runs.records import RunRecord, append
 
@@ -47,11 +49,55 @@ def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_abla
     text = paper_markdown(boards([*blind, *fitted("xfreq-gs", 0.0, config=TOLD)]))
     claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
     assert rows_of(text, claim)[0]["here"] == "holds"
-    (plain,) = [row for row in rows_of(text, "XFreq-GS") if row["on"] == "24.25GHz"]
-    assert plain["published"] == "0.8977"
-    assert float(plain["quick (≤ 64,000 maps)"]) > float(
-        rows_of(text, "without frequency modulation")[0]["quick (≤ 64,000 maps)"]
+    (plain,) = [row for row in rows_of(text, "XFreq-GS") if row.get("on") == "24.25GHz"]
+    (ablation,) = [
+        row for row in rows_of(text, "without frequency modulation") if row["what"] == "SSIM median"
+    ]
+    assert (plain["published"], ablation["published"]) == ("0.8977", "0.8977")
+    assert ablation["on"] == "24.25GHz (not stated)"
+    lane = "quick (≤ 64,000 maps)"
+    assert float(plain[lane].split()[0]) > float(ablation[lane].split()[0])
+
+
+def test_a_table_has_every_statistic_that_the_paper_prints_of_an_ablation_or_a_sparse_training() -> None:
+    record = make_record("xfreq-gs", 0.7, "sparse-24.25GHz-from-10-37GHz", "sparse", config=TOLD)
+    found = rows_of(paper_markdown(boards([record])), "XFreq-GS")
+    published = {"SSIM mean": "0.7210", "SSIM median": "0.7381"} | {
+        "PSNR mean (dB)": "22.3635",
+        "PSNR median (dB)": "22.5077",
+    }
+    assert {row["what"]: row["published"] for row in found} == published
+    assert [row["no budget"] for row in found] == ["0.7000", "0.7000", "0.70", "0.70"]
+
+
+def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(
+    tmp_path: Path,
+) -> None:
+    records = [*fitted("xfreq-gs", 0.0, config=TOLD), *make_records()]
+    ranked = boards(records)
+    (row,) = [each for each in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in each]
+    quantiles = pooled_quantiles([record for record in records if record.job.method == "xfreq-gs"], "ssim")
+    assert (row["theirs"], row["published SSIM"], float(row["SSIM"])) == (
+        "XFreq-GS",
+        "0.97",
+        pytest.approx(quantiles[90], abs=5e-5),
     )
+    ((link, draw),) = paper_figures(ranked).items()
+    assert f"]({link})" in paper_markdown(ranked)
+    for name in ("first.svg", "second.svg"):
+        draw(tmp_path / name)
+    drawing = (tmp_path / "first.svg").read_text("utf-8")
+    assert drawing == (tmp_path / "second.svg").read_text("utf-8")
+    for label in ("SSIM", "PSNR (dB)", "xfreq-gs", "mean-over-frequency"):
+        assert label in drawing
+
+
+def test_scores_on_random_samples_stand_with_what_they_leak() -> None:
+    drawn = make_record("xfreq-gs", 0.9, "random-samples", "random-samples", config=TOLD)
+    assert "## Random samples" not in paper_markdown(boards(fitted("xfreq-gs", 0.0, config=TOLD)))
+    text = paper_markdown(boards([drawn])).partition("## Random samples")[2]
+    assert "say nothing about unseen places or unseen carriers" in text
+    assert rows_of(text, "xfreq-gs")
 
 
 def test_only_reports_with_methods_of_the_paper_have_the_page(tmp_path: Path) -> None:

@@ -29,12 +29,17 @@ def bench_figure(record: BenchRecord) -> str:
     return f"{FIGURES_FOLDER}/bench-{slug}.svg"
 
 
-def require_own_figures(boards: Iterable[Board], benches: Iterable[BenchRecord], folder: Path) -> None:
-    """Raise `OutputExistsError` where a figure of the report in `folder` would replace what is none of ours."""
+def require_own_figures(
+    boards: Iterable[Board], benches: Iterable[BenchRecord], others: Iterable[str], folder: Path
+) -> None:
+    """Raise `OutputExistsError` where a figure of the report in `folder` would replace what is none of ours.
+
+    `others` are links to further figures.
+    """
     from xfreqbench.report.drawing.figures import require_own_figure
 
     links = [link for board in boards for link in figure_links(board).values()]
-    for link in [*links, *(bench_figure(record) for record in benches if record.figure)]:
+    for link in [*links, *others, *(bench_figure(record) for record in benches if record.figure)]:
         require_own_figure(folder / link)
 
 

@@ -38,10 +38,13 @@ class TimePanel:
     trivial: float | None
 
 
-def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path) -> None:
-    """Draw empirical CDFs as SVG: a panel for each split, in it a curve for each method.
+def plot_score_cdf(
+    panels: Mapping[str, Curves], score_name: str, path: Path, level: float | None = None
+) -> None:
+    """Draw empirical CDFs as SVG: a panel for each split or score, in it a curve for each method.
 
-    A curve is given by equally spaced quantiles from 0 to 1. Equal curves give equal bytes. Raises `StorageError`.
+    `level` is a share of maps at which a dashed line is drawn. A curve is given by equally spaced quantiles from 0
+    to 1. Equal curves give equal bytes. Raises `StorageError`.
     """
     labels = _labels(panels.values())
     figure, axes = _panel_figure(len(panels), labels)
@@ -53,6 +56,8 @@ def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path) ->
                 label=shown(label),
                 **_style(labels.index(label)),
             )
+        if level is not None:
+            axis.axhline(level, color="0.4", linestyle="--", linewidth=1)
         axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
         axis.set_title(shown(title), fontsize="medium")
     _share_legend(figure, axes)

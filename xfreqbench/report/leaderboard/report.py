@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from xfreqbench.report.leaderboard.legend import legend
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
 from xfreqbench.report.leaderboard.paper import has_counterparts, paper_markdown
+from xfreqbench.report.leaderboard.paper_figures import paper_figures
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -77,13 +78,17 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
 
 @dataclass(frozen=True)
 class _Page:
-    """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it."""
+    """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it.
+
+    `drawn` has what draws further figures, by the links to them.
+    """
 
     path: Path
     title: str
     generated: str
     boards: Sequence[Board] = ()
     benches: Sequence[BenchRecord] = ()
+    drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
 
 
 def write_report(
@@ -100,11 +105,14 @@ def write_report(
     pages = [_whole(found, output_md)] if details is None else _pages(found, output_md, details)
     kept = [_kept_text(page) for page in pages]
     for page in pages:
-        require_own_figures(page.boards, page.benches, page.path.parent)
+        require_own_figures(page.boards, page.benches, page.drawn, page.path.parent)
     figures = []
     for page, (before, after) in zip(pages, kept, strict=True):
         figures += [path for board in page.boards for path in draw_board(board, page.path.parent)]
         figures += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
+        for link, draw in page.drawn.items():
+            draw(page.path.parent / link)
+            figures.append(page.path.parent / link)
         generated = page.generated.replace("<!--", "&lt;!--")  # no marker but ours
         write_text(page.path, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
     return WrittenReport((*(page.path for page in pages), *figures), found.num_truncated)
@@ -134,7 +142,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
-        *([_Page(details / _PAPER_PAGE, "The paper's claims", paper_markdown(of_main))] if has_paper else []),
+        *([_paper(of_main, details / _PAPER_PAGE)] if has_paper else []),
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
@@ -143,6 +151,10 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             found.benches,
         ),
     ]
+
+
+def _paper(ranked: Sequence[Board], path: Path) -> _Page:
+    return _Page(path, "The paper's claims", paper_markdown(ranked), drawn=paper_figures(ranked))
 
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> str:
