@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from xfreqbench.bench.reference import Reference, _write_reference, make_reference, read_reference
+from xfreqbench.bench.solvers import map_errors
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.scene.model import load_scene
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import TraceSettings
 
 pytestmark = pytest.mark.sionna
 
@@ -25,6 +28,15 @@ def ignore_progress(done: int, total: int) -> None:
 
 def about(**changes: object) -> Callable[[Reference], Reference]:
     return lambda reference: replace(reference, about={**reference.about, **changes})
+
+
+def test_channels_of_a_furnished_room_reach_the_bar_against_eight_times_the_rays() -> None:
+    lounge = load_scene("lounge")
+    reference = read_reference(lounge)
+    assert reference.about["way"] == "solver image" and reference.about["rays"] == 8 * TraceSettings().rays
+    tracer = make_tracer(lounge, reference.carrier_hz, TraceSettings(rays=100_000))
+    for error in map_errors(lounge, tracer.channel(reference.tx_position_m).cfr, reference.cfr):
+        assert error.median_psnr_db > 50 and error.fifth_percentile_psnr_db > 40
 
 
 def test_a_finished_reference_is_left_as_it_is(tmp_path: Path) -> None:

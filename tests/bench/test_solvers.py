@@ -107,8 +107,8 @@ def test_pipelines_are_compared_with_the_plain_way_and_the_cheapest_that_meets_t
     plain = [row(f"plain {index}", 100.0, 30) for index in range(len(convergence.PLAIN_LADDER))]
     plain[-1] = row("good", 400.0, 50)
     said: list[str] = []
-    costs = {"image": PipelineCost(10, 10, seconds=0.2, peak_memory_mib=math.pi)}
+    costs = {"image": PipelineCost(10, 10, seconds=0.2, peak_memory_mib=math.pi, plan_s=0.05)}
     convergence._tabulate_pipelines(Bench("generate", "", said.append), "office", costs, plain)
-    assert "| image | 10 | 10 | 0.2 | 2.00 | 500 | 3 | 50 | 200 |" in said
+    assert "| image | 10 | 10 | 0.2 | 0.05 | 2.00 | 500 | 3 | 50 | 200 |" in said
     convergence._tabulate_pipelines(Bench("generate", "", said.append), "office", costs, plain[:-1])
-    assert "| image | 10 | 10 | 0.2 | 2.00 | 500 | 3 | 50 | – |" in said
+    assert "| image | 10 | 10 | 0.2 | 0.05 | 2.00 | 500 | 3 | 50 | – |" in said

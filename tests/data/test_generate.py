@@ -15,13 +15,15 @@ from forked import command_line
 from plans import SETTINGS, small_plan
 
 from xfreqbench.data.dataset import open_dataset, verify
-from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.generate import generate, generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import (
     OutputExistsError,
     StorageError,
 )
+from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.tracing.tracer import TraceSettings
 
 
@@ -38,6 +40,21 @@ def test_a_data_set_holds_what_was_traced(tmp_path: Path) -> None:
     assert progress[0] == (0, 40)
     assert progress[-1] == (40, 40)
     assert not list(tmp_path.glob("*.parts"))
+
+
+def test_the_geometry_of_a_scene_is_built_once_to_plan_and_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    num_built = []
+
+    def mirrors_counted(meshes: list[SurfaceMesh]) -> np.ndarray:
+        num_built.append(len(meshes))
+        return mirror_patches(meshes)
+
+    monkeypatch.setattr("xfreqbench.scene.facets.mirror_patches", mirrors_counted)
+    monkeypatch.setattr("xfreqbench.data.generate.require_origin", lambda *given, **more: None)
+    generate("two_rooms", tmp_path / "rooms.h5", [1, 24.25], tx=2, rays=2000, max_depth=1)
+    assert len(num_built) == 1
 
 
 def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) -> None:

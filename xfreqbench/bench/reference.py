@@ -1,7 +1,8 @@
 """Reference channels of the shipped scenes: how they are made, stored and read.
 
 They are computed in the plain way, by Sionna RT's public solver, at settings beyond the defaults. Other solvers and
-settings are measured against them.
+settings are measured against them. Those of scenes with meshes are computed by solver `image`, at settings as far
+beyond the defaults, because the public solver mirrors at every triangle.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.files import atomic_path, require_own, require_regular, storage_errors
+from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback
@@ -32,7 +34,10 @@ REFERENCE_TRANSMITTERS = 24
 REFERENCE_SETTINGS = TraceSettings(
     solver="sionna", rays=8 * TraceSettings().rays, max_depth=TraceSettings().max_depth + 1, seed=2
 )
-
+PUBLIC_WAY = (
+    "public forward PathSolver(synthetic_array=False), one call per transmitter and carrier, hash table of 2^25 "
+    "candidates"
+)
 
 IDENTITY = (
     "scene_sha256",
@@ -92,6 +97,11 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
 
     reference = _unfinished_reference(scene, path)
+    if scene.scene is not None and np.isnan(reference.cfr).any():
+        settings = replace(REFERENCE_SETTINGS, solver="image")
+        tracer = make_tracer(scene, reference.carrier_hz.tolist(), settings)
+        reference.cfr[:] = tracer.channel(reference.tx_position_m).cfr
+        _write_reference(path, reference)
     missing = np.argwhere(np.isnan(reference.cfr[..., 0]))
     total = reference.cfr.shape[0] * reference.cfr.shape[1]
     progress(total - len(missing), total)
@@ -140,29 +150,36 @@ def _differences(stored: Reference, asked: Reference) -> list[str]:
 
 def _empty_reference(scene: Scene) -> Reference:
     """The reference that is asked for, with channels of NaN."""
-    tx = _lit_and_shadowed(scene)
+    tx, has_meshes = _lit_and_shadowed(scene), scene.scene is not None
     shape = (len(tx), len(REFERENCE_CARRIERS_HZ), scene.receiver.num_elements)
     about = {
-        "way": "public forward PathSolver(synthetic_array=False), one call per transmitter and carrier, "
-        "hash table of 2^25 candidates",
+        "way": "solver image" if has_meshes else PUBLIC_WAY,
         "scene_sha256": meshes_sha256(surface_meshes(scene)),
         "rays": REFERENCE_SETTINGS.rays,
         "max_depth": REFERENCE_SETTINGS.max_depth,
         "seed": REFERENCE_SETTINGS.seed,
         "interactions": REFERENCE_SETTINGS.interactions,
-        "software": software_versions("sionna"),
+        "software": software_versions("image" if has_meshes else "sionna"),
     }
     return Reference(tx, np.array(REFERENCE_CARRIERS_HZ), np.full(shape, np.nan, np.complex128), about)
 
 
 def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
-    """Positions of transmitters, half of which see the receiver."""
+    """Positions of transmitters, half of which see the receiver, or more where too few do not."""
     meshes = surface_meshes(scene)
     usable = place_transmitters(scene, meshes)
     lit = sees(meshes, usable.tx_position_m, np.asarray(scene.receiver.position_m))
-    half = REFERENCE_TRANSMITTERS // 2
-    kinds = (replace(usable, tx_position_m=usable.tx_position_m[which]) for which in (lit, ~lit))
-    return np.concatenate([choose_transmitters(kind, half, REFERENCE_SETTINGS.seed) for kind in kinds])
+    num_shadowed = min(REFERENCE_TRANSMITTERS // 2, int((~lit).sum()))
+    kinds = ((lit, REFERENCE_TRANSMITTERS - num_shadowed), (~lit, num_shadowed))
+    return np.concatenate(
+        [
+            choose_transmitters(
+                replace(usable, tx_position_m=usable.tx_position_m[which]), number, REFERENCE_SETTINGS.seed
+            )
+            for which, number in kinds
+            if number
+        ]
+    )
 
 
 def _write_reference(path: Path, reference: Reference) -> None:

@@ -98,10 +98,14 @@ def generate(
     scene
         A shipped scene's name, or the path of a scene TOML.
     """
+    import time
+
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.generate import estimate_seconds, generate_planned
     from xfreqbench.data.plan import plan_generation
+    from xfreqbench.scene.facets import Geometry
+    from xfreqbench.scene.meshes import surface_meshes
     from xfreqbench.scene.model import load_scene
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers, require_executor
@@ -120,18 +124,21 @@ def generate(
         seed=seed,
         materials=materials,
     )
+    start = time.perf_counter()
     loaded = load_scene(scene)
+    geometry = Geometry(surface_meshes(loaded))
     plan = plan_generation(
         loaded,
         parse_carriers_hz(freqs),
-        with_interactions(loaded, settings, parse_interactions(interactions)),
+        with_interactions(loaded, settings, parse_interactions(interactions), geometry),
         num_transmitters=tx,
         tx_position_m=_read_positions(tx_positions),
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
+        geometry=geometry,
     )
-    say(plan.summary, quiet)
+    say(f"{plan.summary}\nplanned in {time.perf_counter() - start:.1f} s", quiet)
     if dry_run:
         print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
         return

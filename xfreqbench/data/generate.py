@@ -19,7 +19,9 @@ from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import MaterialPolicy
+from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.system.arguments import FilePath, Numbers, Positions, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars
@@ -72,15 +74,17 @@ def generate(
         )
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     settings = TraceSettings(solver=solver, max_depth=max_depth, rays=rays, seed=seed, materials=materials)
+    geometry = Geometry(surface_meshes(scene))
     plan = plan_generation(
         scene,
         [ghz_to_hz(carrier) for carrier in freqs_ghz],
-        with_interactions(scene, settings, interactions),
+        with_interactions(scene, settings, interactions, geometry),
         num_transmitters=tx,
         tx_position_m=tx_positions,
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
+        geometry=geometry,
     )
     with (
         open_workers(executor) as workers,

@@ -132,22 +132,24 @@ def plan_generation(
     pas_kind: str = "power",
     maps: bool = True,
     paths: bool = False,
+    geometry: Geometry | None = None,
 ) -> Plan:
     """Check a job and look up all that it needs; no ray is shot.
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
     out of the file; `paths` puts the paths into it. Without `settings` the defaults are taken, with the interactions
-    of ground truth. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
+    of ground truth. `geometry` is that of the scene, where it is known already. Raises `MaterialBandError`,
+    `PlacementError` or another `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
-    settings = settings or with_interactions(scene)
+    geometry = geometry or Geometry(surface_meshes(scene))
+    settings = settings or with_interactions(scene, geometry=geometry)
     if paths and "diffuse" in settings.interactions:
         raise XFreqBenchError(
             "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
             "up to one for each ray: they are not stored. Leave out --paths, or the interaction diffuse."
         )
-    geometry = Geometry(surface_meshes(scene))
     _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
     materials = (mesh.material for mesh in geometry.meshes)

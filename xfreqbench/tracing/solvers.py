@@ -36,20 +36,24 @@ def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
 
 
 def with_interactions(
-    scene: Scene, settings: TraceSettings = TraceSettings(), names: Iterable[str] | None = None
+    scene: Scene,
+    settings: TraceSettings = TraceSettings(),
+    names: Iterable[str] | None = None,
+    geometry: Geometry | None = None,
 ) -> TraceSettings:
     """The settings with the interactions of these names, or with those of ground truth where none are given.
 
     Ground truth has specular reflection, refraction and diffraction, where solver `image` traces them in the scene
     and solver `sionna` is not named; elsewhere it has the first two, because Sionna RT's diffraction is not
-    reciprocal, is not continuous, and takes a hundred times as long. Raises `UnknownNameError`.
+    reciprocal, is not continuous, and takes a hundred times as long. `geometry` is that of the scene, where it is
+    known already. Raises `UnknownNameError`.
     """
     if names is not None:
         return replace(settings, interactions=interactions_named(names))
     from xfreqbench.tracing.image.tracer import can_solve
 
     whole = replace(settings, interactions=("specular", "refraction", "diffraction"))
-    is_exact = settings.solver != "sionna" and can_solve(Geometry(surface_meshes(scene)), whole)
+    is_exact = settings.solver != "sionna" and can_solve(geometry or Geometry(surface_meshes(scene)), whole)
     return whole if is_exact else replace(settings, interactions=("specular", "refraction"))
 
 

@@ -16,6 +16,7 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.report.view.room import ShownRoom, strongest_rays
 from xfreqbench.report.view.summary import known_line_of_sight
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
@@ -83,8 +84,9 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
     """What `generate` would trace at the paper's carriers; materials are extrapolated beyond their P.2040 bands."""
     paper_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
     carrier_hz = _middle(paper_hz) if carrier_ghz is None else _parsed_hz(carrier_ghz)
-    settings = with_interactions(scene, TraceSettings(materials="extrapolate"))
-    plan = plan_generation(scene, paper_hz, settings, maps=False)
+    geometry = Geometry(surface_meshes(scene))
+    settings = with_interactions(scene, TraceSettings(materials="extrapolate"), geometry=geometry)
+    plan = plan_generation(scene, paper_hz, settings, maps=False, geometry=geometry)
     room = ShownRoom(
         receiver=scene.receiver,
         lowest_hz=min(paper_hz),
