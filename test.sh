@@ -1,13 +1,23 @@
 #!/usr/bin/env bash
-# Set everything up and run every check and test. Arguments go to pytest: ./test.sh -k lofo
+# Set everything up, run every check, and every test but the slow ones: ./test.sh --all runs those too, as CI does.
+# Other arguments go to pytest: ./test.sh -k lofo
 set -euo pipefail
 cd "$(dirname "$0")"
+chosen=(-m "not slow")
+if [ "${1:-}" = --all ]; then
+    chosen=()
+    shift
+fi
 [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy &
 types=$!
+# Kernels are compiled once; otherwise both processes of pytest would do it.
+.venv/bin/xfreqbench generate office --tx 1 --dry-run -o .venv/kernels.h5 >/dev/null &
+kernels=$!
 .venv/bin/lint-imports --no-cache
-.venv/bin/python -m pytest --numprocesses 2 --dist worksteal "$@"
+wait "$kernels"
+.venv/bin/python -m pytest --numprocesses 2 --dist worksteal "${chosen[@]}" "$@"
 wait "$types"

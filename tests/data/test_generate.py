@@ -82,8 +82,8 @@ def test_a_damaged_or_foreign_output_is_not_taken_for_the_job(tmp_path: Path) ->
 
 
 def generate_command(path: Path) -> list[str]:
-    options = "--freqs 1,10,60 --tx 640 --rays 20000 --max-depth 5 --paths --quiet -o"
-    return [command_line(), "generate", "two_rooms", *options.split(), str(path)]
+    options = "--freqs 1,10,60 --tx 640 --rays 20000 --max-depth 5 --paths --interactions specular,refraction"
+    return [command_line(), "generate", "two_rooms", *options.split(), "--quiet", "-o", str(path)]
 
 
 @pytest.mark.slow

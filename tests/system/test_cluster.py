@@ -215,10 +215,10 @@ def test_what_fails_in_the_clients_own_thread_is_not_printed(
 
 
 class Patient(Nearest):
-    """Two seconds of fitting, so that whoever kills its worker finds it at work."""
+    """A second of fitting, so that whoever kills its worker finds it at work."""
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
-        time.sleep(2)
+        time.sleep(1)
         yield from super().fit(train, budget, seed)
 
 
@@ -334,7 +334,8 @@ def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
 def test_a_scheduler_that_dies_ends_the_driver_in_words(tmp_path: Path) -> None:
     path = tmp_path / "rooms.h5"
     with started(tmp_path, 1) as lonely:
-        command = f"generate two_rooms --tx 640 --rays 20000 --quiet --executor {lonely.address} -o {path}"
+        command = "generate two_rooms --tx 640 --rays 20000 --interactions specular,refraction --quiet"
+        command += f" --executor {lonely.address} -o {path}"
         with _driver(command, tmp_path) as driver:
             _wait(lambda: bool(list(tmp_path.glob("rooms.h5.parts/*.npz"))) or driver.poll() is not None)
             lonely.scheduler.kill()

@@ -16,7 +16,7 @@ from xfreqbench.cli.main import app
 from xfreqbench.maps import metrics
 
 SCENE_PARAMETERS = ("scene", "data_or_scene")  # names of shipped scenes, or paths
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 
 @pytest.fixture(autouse=True)

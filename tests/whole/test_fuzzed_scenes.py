@@ -9,6 +9,7 @@ import lzma
 import re
 from typing import Any
 
+import pytest
 from fuzzed_options import GENERATE_OPTIONS
 from fuzzed_scenes import (
     ASCII_PLY,
@@ -38,6 +39,7 @@ from mesh_scenes import glb_content, packed_glb
 from places import ROOT
 
 SCENES = ROOT / "scenes"
+pytestmark = pytest.mark.slow
 
 
 def generates_nothing(scene: str, *options: str) -> None:

@@ -39,7 +39,7 @@ def error_db(cfr: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def test_channels_among_boxes_are_those_of_the_loops_over_planes() -> None:
     office = load_scene("office")
     tx = choose_transmitters(place_transmitters(office, surface_meshes(office)), 4, seed=1)
-    settings = TraceSettings("image", max_depth=4, rays=20_000)
+    settings = TraceSettings("image", max_depth=3, rays=20_000)
     loops, trees = (
         tracer(office, CARRIERS_HZ, settings, EXACT).channel(tx) for tracer in (ImageTracer, FurnishedTracer)
     )
