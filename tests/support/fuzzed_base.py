@@ -29,6 +29,7 @@ from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.workers import HERE
 
 DATA, RECORDS, SPLIT = "data/room.toml.h5", "results/records.jsonl", "lofo-10GHz"
+MAPS = "results/records_maps.jsonl"
 FITTED = ("num_gaussians=4", "width=4", "layers=2")
 METHODS = (Setting("nearest"), Setting("aperture-gs", FITTED))
 PRESET = Preset("a small one", (Block("room.toml", "lofo", METHODS, "3steps", (0,), (10.0,)),), "the rest")
@@ -70,6 +71,7 @@ def sound_files() -> dict[str, bytes]:
             "export mesh.h5 -o scenarios --to deepmimo -q",
             f"split --data {DATA} -o split.h5 --targets 10 --maps -q",
             f"run --data {DATA} --results results --method nearest --targets 10 --budget 3steps -q",
+            f"report results -o board.md --maps {MAPS} -q",
         ):
             outcome = xfreqbench(*line.split(), is_bounded=False)
             assert outcome.code == 0, outcome

@@ -29,6 +29,7 @@ _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
     "checkpoints",
+    "records_maps.jsonl",
     ".records",
     "predictions",
     "BENCHMARK.md",
@@ -53,9 +54,10 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "run": {"data": ("data set",), "results": RESULTS},
     "benchmark": {"data": ("data set",), "results": RESULTS},
     "report": {
-        "results": ("records", "stored predictions", "data set"),
+        "results": ("records", "stored predictions", "data set", "maps to show"),
         "output": WRITTEN,
         "html": WRITTEN,
+        "maps": WRITTEN,
         "details": WRITTEN,
     },
     "compare": {"a": ("records",), "b": ("records",)},
@@ -88,6 +90,7 @@ _NEAREST = "--method nearest --targets 10 --budget 3steps -q"
 _BENCHMARK = "benchmark --preset fuzz --data data --results results -q"
 _SCORE = f"score theirs.h5 --data {DATA} -q --results"
 _REPORT = "report results -o new/board.md --html new/board.html -q"
+_MAPS = "report results -o new/board.md --maps new/maps.jsonl -q"
 
 # The command lines by kind and command, given in a folder with the sound files; outputs are `new` and in `results`.
 LINES: dict[str, dict[str, tuple[str, ...]]] = {
@@ -101,18 +104,19 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "score": (f"{_SCORE} new",),
         "run": (f"run --data {DATA} --results new {_NEAREST}",),
         "benchmark": (_BENCHMARK,),
-        "report": (_REPORT,),
+        "report": (_REPORT, _MAPS),
         "findings": (f"findings results --data {DATA} -o new -q",),
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
         "bench ceiling": (f"bench ceiling {DATA} --freqs 10 --transmitters 1 -q",),
     },
     "stored predictions": {
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
-        "report": (_REPORT,),
+        "report": (_REPORT, _MAPS),
         "run": (f"run --data {DATA} --results results {_NEAREST}",),
         "score": (f"{_SCORE} results",),
         "benchmark": (_BENCHMARK,),
     },
+    "maps to show": {"report": (_REPORT,)},
     "checkpoint": {
         "run": (f"run --data {DATA} --results results {_FIT}",),
         "benchmark": (_BENCHMARK,),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from fuzzed_base import DATA, RECORDS, ROOM, sound_files
+from fuzzed_base import DATA, MAPS, RECORDS, ROOM, sound_files
 from fuzzed_hdf5 import hdf5_files, spoilt_predictions
 from fuzzed_png import png_folders
 from fuzzed_scenes import edited, ply_files, toml_file
@@ -66,6 +66,14 @@ def _records() -> st.SearchStrategy[Damage]:
     ended = st.sampled_from(endings).map(lambda end: content + end)
     torn = cut_or_flipped(content) | st.binary(max_size=80)
     return in_place_of(RECORDS, sealed | sealed | sealed | torn | ended)
+
+
+def _maps() -> st.SearchStrategy[Damage]:
+    content = sound_files()[MAPS]
+    spoilt = st.builds(
+        sealed_json, spoilt_json(json.loads(content)), st.sampled_from([True, True, True, False])
+    )
+    return in_place_of(MAPS, spoilt | cut_or_flipped(content) | st.binary(max_size=80))
 
 
 def _checkpoints() -> st.SearchStrategy[Damage]:
@@ -171,6 +179,7 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "stored predictions": _stored_predictions,
     "checkpoint": _checkpoints,
     "records": _records,
+    "maps to show": _maps,
     "split file": _split_files,
     "predictions made elsewhere": _made_elsewhere,
     "PNG folder": _png_folders,

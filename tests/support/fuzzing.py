@@ -197,6 +197,7 @@ NUM_INPUTS = {
     "option texts of generate": 200,
     "data set": 120,
     "records": 80,
+    "maps to show": 40,
     "checkpoint": 40,
     "predictions made elsewhere": 40,
     "stored predictions": 40,

@@ -231,7 +231,8 @@ def benchmark(
         str,
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; converged: longer fits; full: days, or many "
-            "cores; carrier: whether xfreq-gs gains by being told the carrier."
+            "cores; carrier: whether xfreq-gs gains by being told the carrier; paper: the paper's experiments; "
+            "paper-size: its method in its own sizes."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
@@ -295,6 +296,13 @@ def report(
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
     ] = None,
+    maps: Annotated[
+        Path | None,
+        Parameter(
+            help="Write maps of a dozen test samples of each board here, from stored predictions; beside X.jsonl, "
+            "as X_maps.jsonl, they are shown without these."
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Rebuild the leaderboard from the records of results folders, offline.
@@ -313,6 +321,10 @@ def report(
         say(f"wrote {path}", quiet)
     if written.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
+    if maps is not None:
+        from xfreqbench.report.leaderboard.paper_maps import ship_maps
+
+        say(f"wrote {ship_maps(results, maps)}", quiet)
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 

@@ -1,6 +1,7 @@
 """A folder of results: where records, predictions, checkpoints and locks are in it. No other module knows.
 
 records.jsonl            one line for each run and for each table of a measurement
+records_maps.jsonl       maps of a dozen samples, shown where predictions are not beside the records
 predictions/ID.h5        the predicted maps of the run whose record has that id
 predictions/ID.lock      exists while a process is at that run
 checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
@@ -70,6 +71,11 @@ class ResultsFolder:
         if (record.id, record.time_utc) not in known:
             self.append(record)
         self.checkpoints(record.id).remove()
+
+    @property
+    def maps_path(self) -> Path:
+        """The file for maps to be shown beside the file of records, whether it exists or not."""
+        return self.records_path.with_name(f"{self.records_path.stem}_maps.jsonl")
 
     def predictions_path(self, record_id: str) -> Path:
         """The file for the predictions of the run with an id, whether it exists or not."""

@@ -11,10 +11,12 @@ from xml.etree import ElementTree
 
 import pytest
 from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
-from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
+from leaderboard_records import with_job
+from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
 from stored_records import external, make_record
 
 from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.report.leaderboard.paper_maps import ship_maps
 from xfreqbench.runs.records import append
 
 LEARNED_NAMES = [name for name, *_ in LEARNED]
@@ -23,9 +25,13 @@ pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("page")
-    return write_page(store_results(folder), folder / "page.html")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return store_results(tmp_path_factory.mktemp("page"))
+
+
+@pytest.fixture(scope="module")
+def file(results: Path) -> Path:
+    return write_page(results, results.parent / "page.html")
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +172,7 @@ def test_the_gallery_draws_three_pictures_of_three_cases(page) -> None:
     assert page.locator(".case").count() == 3
     decode = "async image => { image.loading = 'eager'; await image.decode(); return image.naturalWidth; }"
     widths = [picture.evaluate(decode) for picture in page.locator(".case .map").all()]
-    assert widths == [180] * 9
+    assert widths == [90] * 9
 
 
 def test_measurements_are_drawn_when_they_are_opened(page) -> None:
@@ -261,10 +267,22 @@ def test_a_method_has_one_colour_on_every_board(page) -> None:
 def test_a_click_on_a_point_opens_its_maps(page) -> None:
     page.locator('#pareto .point[data-row="nearest"]').click()
     assert page.locator("#shown-method").input_value() == "nearest"
-    assert "nearest: best, median and worst" in page.locator("#gallery").inner_text()
+    assert "nearest: best, median and worst by SSIM of a dozen" in page.locator("#gallery").inner_text()
     page.locator('#pareto .point[data-row="mean-over-frequency"]').focus()
     page.keyboard.press("Enter")
     assert page.locator("#shown-method").input_value() == "mean-over-frequency"
+
+
+def test_maps_that_were_shipped_with_records_open_at_a_click(browser, results: Path, tmp_path: Path) -> None:
+    for record in stored(results):
+        append(tmp_path / "reference.jsonl", with_job(record, dataset="elsewhere.h5"))
+    ship_maps(results, tmp_path / "reference_maps.jsonl")
+    with opened(browser, write_page(tmp_path / "reference.jsonl", tmp_path / "page.html")) as page:
+        page.locator('#pareto .point[data-row="mean-over-frequency"]').click()
+        assert page.locator("#shown-method").input_value() == "mean-over-frequency"
+        assert page.locator(".case strong").all_inner_texts() == ["best", "median", "worst"]
+        assert page.locator(".case .map").count() == 9
+        assert "nearest" not in page.locator("#gallery .missing").inner_text()
 
 
 def test_tables_and_charts_can_be_saved(page, tmp_path: Path) -> None:

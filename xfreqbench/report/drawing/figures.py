@@ -11,7 +11,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ _UNKNOWN_LETTERS = (
     "Glyph|Matplotlib currently does not support"  # warnings; whoever shows an SVG may know them
 )
 mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
+_MAX_PIXELS = 10**7  # of a picture that is read
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
 
 
@@ -83,6 +84,24 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     buffer = BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
+
+
+def grey_png(levels: UInt8[NDArray[np.uint8], "R C"]) -> bytes:
+    """The bytes of a PNG of grey levels, of which `grey_levels` is the inverse."""
+    buffer = BytesIO()
+    Image.fromarray(levels).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def grey_levels(png: bytes) -> UInt8[NDArray[np.uint8], "R C"]:
+    """The levels of a PNG of 8-bit grey; raises `ValueError` where the bytes are none, or too many pixels."""
+    try:
+        with Image.open(BytesIO(png), formats=["PNG"]) as picture:
+            if picture.mode != "L" or picture.width * picture.height > _MAX_PIXELS:
+                raise ValueError(f"mode {picture.mode}, {picture.width} × {picture.height} pixels")
+            return np.array(picture)
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError("the bytes are no PNG") from error
 
 
 def shown(text: str) -> str:

@@ -1,10 +1,13 @@
-"""Pictures of the best, the median and the worst predicted map of each method, from stored predictions."""
+"""Pictures of the best, the median and the worst predicted map of each method, of a dozen test samples of a board.
+
+They are drawn from stored predictions, or where these are not there from the maps that are shipped beside the records.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -15,21 +18,18 @@ from numpy.typing import NDArray
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.protocols import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
-from xfreqbench.maps.bartlett import power_of
-from xfreqbench.maps.metrics import Maps, score_all
 from xfreqbench.report.drawing.figures import map_png
 from xfreqbench.report.leaderboard.boards import Board, short_name
+from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import RunRecord
-from xfreqbench.runs.scoring import BATCH_SIZE
-from xfreqbench.types import FloatArray
+from xfreqbench.types import IntArray
 
 SHOWN_CARRIER_HZ = SPARSE_TEST_HZ  # which both of the paper's protocols test
-RANGE_DB = 30.0
 LARGEST_ERROR = 0.3
-_STRIDE = 2  # the array's beam is 26° wide: two degrees show it
 _POWER_COLOURS, _ERROR_COLOURS = "magma", "viridis"
+_HIGHEST = np.float32(255)  # level
 
 
 @dataclass(frozen=True)
@@ -64,25 +64,67 @@ class Gallery:
         return asdict(self) | {"split": short_name(self.split)}
 
 
-def gallery(board: Board, folders: Sequence[ResultsFolder]) -> Gallery:
-    """Pictures of all rows but ablations, for the first seed of each, from the predictions in one of `folders`."""
-    split = shown_split(board)
-    dataset = _open(board)
-    if dataset is None:
-        return Gallery(split, missing=_missing_data(board))
+def gallery(
+    board: Board, folders: Sequence[ResultsFolder], shipped: Mapping[str, ShownMaps] | None = None
+) -> Gallery:
+    """Pictures of all rows but ablations, for the first seed of each, from the predictions in one of `folders`.
+
+    Where these are not found, they are drawn from `shipped`, maps by the ids of records.
+    """
+    split, dataset = shown_split(board), open_data(board)
+    stored = dozen_of(board, dataset, folders) if dataset else None
     found: dict[str, list[Case]] = {}
     pictures: dict[str, str] = {}
     absent = []
-    for row in board.rows:
-        if split not in row.by_split or row.family == "ablation":
-            continue
-        record = row.by_split[split][0]
-        predictions = _predictions(folders, record, dataset)
-        if predictions is None or sum(map(len, record.ssim_by_tx)) != len(predictions.rows):
-            absent.append(row.label)
+    for label, record in shown_records(board, split).items():
+        known = stored if stored and record.id in stored.predicted else (shipped or {}).get(record.id)
+        if known is None:
+            absent.append(label)
         else:
-            found[row.label] = [*_cases(dataset, record, predictions, pictures)]
-    return Gallery(split, found, pictures, _missing_predictions(board, absent) if absent else "")
+            found[label] = [*_cases(known, record.id, pictures)]
+    missing = ""
+    if absent:
+        missing = _missing_predictions(board, absent) if dataset or found else _missing_data(board)
+    return Gallery(split, found, pictures, missing)
+
+
+def shown_records(board: Board, split: str) -> dict[str, RunRecord]:
+    """The records whose maps are shown, by the labels of their rows: the first seed of all rows but ablations."""
+    rows = [row for row in board.rows if split in row.by_split and row.family != "ablation"]
+    return {row.label: row.by_split[split][0] for row in rows}
+
+
+def dozen_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]) -> ShownMaps | None:
+    """The maps of a dozen samples of the shown split, of all shown records whose predictions are stored; else None.
+
+    How easy the samples are, by which they are chosen, is told by the trivial predictors where these were run.
+    """
+    split = shown_split(board)
+    records = list(shown_records(board, split).values())
+    trivial = [row.by_split[split][0] for row in board.rows if row.is_trivial and split in row.by_split]
+
+    def choose(rows: IntArray) -> IntArray:
+        return rows[chosen_samples(trivial or records, len(rows))]
+
+    return stored_maps(dataset, records, folders, choose)
+
+
+def stored_maps(
+    dataset: PasDataset,
+    records: Sequence[RunRecord],
+    folders: Sequence[ResultsFolder],
+    choose: Callable[[IntArray], IntArray],
+) -> ShownMaps | None:
+    """The maps of records of one split, as far as their predictions are stored; None without any.
+
+    `choose` takes all tested rows and returns those whose maps are wanted.
+    """
+    found = {record.id: _predictions(folders, record, dataset) for record in records}
+    known = {key: each for key, each in found.items() if each is not None}
+    if not known:
+        return None
+    rows = choose(next(iter(known.values())).rows)
+    return shown_maps(dataset, records[0].job.split, rows, known) if len(rows) else None
 
 
 def shown_split(board: Board) -> str:
@@ -99,7 +141,7 @@ def scales() -> dict[str, str]:
     return {name: b64encode(map_png(ramp, colours)).decode() for name, colours in bars.items()}
 
 
-def _open(board: Board) -> PasDataset | None:
+def open_data(board: Board) -> PasDataset | None:
     """The board's data set, from the first path in its records where it still is; None where it is at none."""
     for path in dict.fromkeys(record.job.dataset for record in board.records):
         try:
@@ -125,54 +167,45 @@ def _predictions(
     return None
 
 
-def _cases(
-    dataset: PasDataset, record: RunRecord, predictions: Predictions, pictures: dict[str, str]
-) -> Iterable[Case]:
-    chosen = _chosen(np.concatenate([np.asarray(ssim) for ssim in record.ssim_by_tx]))
-    rows = predictions.rows[list(chosen.values())]
-    predicted, truth = predictions.maps_of(rows, BATCH_SIZE), dataset.pas(rows)
-    scores = score_all(predicted, truth, dataset.grid, dataset.header.pas_kind)
-    samples = dataset.subset(rows)
-    for index, place in enumerate(chosen):
-        names = _draw(truth[index], predicted[index], dataset, pictures)
+def _cases(shown: ShownMaps, record_id: str, pictures: dict[str, str]) -> Iterable[Case]:
+    run = shown.predicted[record_id]
+    truth, predicted = shown.true_levels() / _HIGHEST, shown.levels_of(record_id) / _HIGHEST
+    if truth.shape != predicted.shape:
+        raise DataError(f"Maps to be shown of record {record_id} have another shape than the true ones.")
+    order = np.argsort(-np.asarray(run.ssim), kind="stable").tolist()
+    chosen = {"best": order[0], "median": order[len(order) // 2], "worst": order[-1]}
+    for place, index in chosen.items():
+        names = _draw(truth[index], predicted[index], pictures)
         yield Case(
             place,
-            tx_position_m=samples.tx_position_m[index].round(2).tolist(),
-            carrier_ghz=samples.carrier_hz[index].item() / 1e9,
-            ssim=round(scores["ssim"][index].item(), 4),
-            psnr=round(scores["psnr"][index].item(), 4),
+            tx_position_m=np.round(shown.tx_position_m[index], 2).tolist(),
+            carrier_ghz=shown.carrier_hz[index] / 1e9,
+            ssim=run.ssim[index],
+            psnr=run.psnr[index],
             truth=names[0],
             predicted=names[1],
             error=names[2],
         )
 
 
-def _chosen(ssim: Float[FloatArray, "N"]) -> dict[str, int]:
-    """Positions of the best, the median and the worst among N scores."""
-    order = np.argsort(-ssim, kind="stable").tolist()
-    return {"best": order[0], "median": order[len(order) // 2], "worst": order[-1]}
-
-
 def _draw(
-    truth: Float[Maps, "E A"], predicted: Float[Maps, "E A"], dataset: PasDataset, pictures: dict[str, str]
+    truth: Float[NDArray[np.float32], "E A"],
+    predicted: Float[NDArray[np.float32], "E A"],
+    pictures: dict[str, str],
 ) -> list[str]:
-    """Draw truth, prediction and error into `pictures`, and return the names of the three, which are hashes."""
-    levels = [_level(pas_map, dataset) for pas_map in (truth, predicted)]
-    drawn = [*((level, _POWER_COLOURS) for level in levels)]
-    drawn.append((np.abs(predicted - truth) / LARGEST_ERROR, _ERROR_COLOURS))
-    upwards = np.argsort(-dataset.grid.elevation_rad)[::_STRIDE]  # the pole is the upper edge
+    """Draw levels of truth and prediction, and their error, into `pictures`; returns the names, which are hashes."""
+    power = [np.where(level > 0, 10 ** ((level - 1) * RANGE_DB / 10), 0) for level in (truth, predicted)]
+    drawn = [
+        (truth, _POWER_COLOURS),
+        (predicted, _POWER_COLOURS),
+        (np.abs(power[1] - power[0]) / LARGEST_ERROR, _ERROR_COLOURS),
+    ]
     names = []
     for values, colours in drawn:
-        png = map_png(values[upwards, ::_STRIDE], colours)
+        png = map_png(values, colours)
         names.append(hashlib.sha256(png).hexdigest()[:12])
         pictures[names[-1]] = b64encode(png).decode()
     return names
-
-
-def _level(pas_map: Float[Maps, "E A"], dataset: PasDataset) -> NDArray[np.float32]:
-    """The power of a map in dB, scaled: 0 at 30 dB below the peak or less, 1 at the peak."""
-    power = power_of(pas_map[None], dataset.header.pas_kind)[0]
-    return 1 + 10 * np.log10(np.maximum(power, np.float32(10 ** (-RANGE_DB / 10)))) / np.float32(RANGE_DB)
 
 
 def _missing_data(board: Board) -> str:

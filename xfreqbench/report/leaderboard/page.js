@@ -424,7 +424,7 @@ function drawGallery() {
   const cases = gallery.cases[find("#shown-method").value] ?? [];
   find("#gallery .choice").hidden = !cases.length;
   find("#gallery .choice .note").textContent =
-    `${find("#shown-method").value}: best, median and worst test map by SSIM in ${gallery.split}, first seed. Powers down to 30 dB below the peak.`;
+    `${find("#shown-method").value}: best, median and worst by SSIM of a dozen test maps of ${gallery.split}, from easy to hard ones; first seed. Powers down to 30 dB below the peak.`;
   find("#gallery .cases").replaceChildren(...cases.map((each) => caseOf(each, gallery.pictures)));
 }
 

@@ -35,9 +35,9 @@ _TITLE = "xfreqbench results"  # by which a page is known that may be written ov
 def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
     """Write the page of `results`, results folders or files of records, and return the file written.
 
-    Pictures of predicted maps are drawn where the predictions are stored beside the records and the data set is
-    found. Raises `DataError` where there are no runs and as `boards` does, `OutputExistsError` where
-    `output_html` is another file, and `StorageError`.
+    Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
+    else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
+    `OutputExistsError` where `output_html` is another file, and `StorageError`.
     """
     require_space(output_html, 1)
     mark = f"<title>{_TITLE}</title>".encode()
@@ -56,7 +56,7 @@ def _page(found: RankedResults) -> str:
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
     comparisons = [comparisons_of(board) for board in boards]
-    galleries = [gallery(board, found.folders) for board in boards]
+    galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
         "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
         "labels": ordered_labels(boards),

@@ -12,6 +12,7 @@ from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import Comparison, Interval, Resampling
 from xfreqbench.report.leaderboard.paper_figures import cdf_link, level_table
+from xfreqbench.report.leaderboard.paper_maps import MapGrid
 from xfreqbench.report.leaderboard.published import published_content, published_value, stands_for
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
@@ -34,8 +35,11 @@ _INTRODUCTION = (
 )
 
 
-def paper_markdown(ranked: Sequence[Board]) -> str:
-    """Published numbers beside ours, and the paper's claims with a verdict, for the boards of one scene."""
+def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
+    """Published numbers beside ours, and the paper's claims with a verdict, for the boards of one scene.
+
+    `grids` are maps by the links to their figures.
+    """
     content = published_content()
     resampling = {board.slug: Resampling() for board in ranked}
     parts = [
@@ -47,6 +51,7 @@ def paper_markdown(ranked: Sequence[Board]) -> str:
         _numbers_table(content["counterpart"], ranked, resampling),
         *_distributions(ranked),
         *_random_samples(ranked, resampling),
+        *_maps(grids or {}),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -90,6 +95,19 @@ def _random_samples(ranked: Sequence[Board], resampling: Mapping[str, Resampling
         )
     ]
     return ["## Random samples", f"{told} **{leak_statement(boards[0])}**", *rankings]
+
+
+def _maps(grids: Mapping[str, MapGrid]) -> list[str]:
+    """The figures of maps; empty where there are none."""
+    parts = []
+    for link, grid in grids.items():
+        told = (
+            f"{grid.method}, {grid.budget}: maps of {len(grid.tx_position_m)} transmitters, spread from easy to hard "
+            f"ones, at {len(grid.columns)} carriers that were left out in turn, the truth above the prediction. "
+            "Azimuth to the right, elevation upwards, powers down to 30 dB below the peak."
+        )
+        parts += [prose(told), f"![Maps beside the truth, {heading(grid.method)}]({link})"]
+    return ["## Maps", *parts] if parts else []
 
 
 def _claims_table(

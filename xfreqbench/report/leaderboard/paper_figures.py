@@ -19,7 +19,7 @@ _METRICS = {"ssim": 4, "psnr": 2}  # with decimals
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
     """For each figure of the page its link from the page, and what draws it to a path and may raise `StorageError`."""
-    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _published_rows(board)}
+    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if published_rows(board)}
 
 
 def cdf_link(board: Board) -> str:
@@ -55,7 +55,7 @@ def _draw_cdf(board: Board, path: Path) -> None:
     plot_score_cdf(panels, "", path, _LEVEL / 100)
 
 
-def _published_rows(board: Board) -> dict[str, BoardRow]:
+def published_rows(board: Board) -> dict[str, BoardRow]:
     """Our rows with default options for those whose distribution the paper shows, by its names, the best first."""
     content = published_content()
     if board.protocol != content["table"]["cdf"]["protocol"]:
@@ -70,14 +70,14 @@ def _published_rows(board: Board) -> dict[str, BoardRow]:
 
 def _rows(board: Board) -> dict[str, BoardRow]:
     """The paper's rows, and beside them the best predictor that learns nothing."""
-    found, splits = _published_rows(board), _splits(board)
+    found, splits = published_rows(board), _splits(board)
     trivial = [row for row in board.rows_on(splits) if row.is_trivial][:1] if found else []
     return found | {row.label: row for row in trivial}
 
 
 def _splits(board: Board) -> tuple[str, ...]:
     """The splits that all of the paper's rows were run on."""
-    rows = _published_rows(board).values()
+    rows = published_rows(board).values()
     return tuple(split for split in board.splits if all(split in row.by_split for row in rows))
 
 

@@ -14,6 +14,7 @@ from matplotlib.transforms import Bbox
 
 from xfreqbench.report.drawing.figures import any_letters, label_decades, save_figure, shown
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
+from xfreqbench.report.leaderboard.shown_maps import Levels
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 
 Curves = Mapping[str, Sequence[float]]
@@ -62,6 +63,31 @@ def plot_score_cdf(
         axis.set_title(shown(title), fontsize="medium")
     _share_legend(figure, axes)
     save_figure(figure, path, "svg")
+
+
+def plot_map_grid(
+    columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]], rows: Sequence[str], path: Path
+) -> None:
+    """Draw maps as a PNG: a row for each transmitter, a column for each carrier, the truth above the prediction.
+
+    A column has levels of true and of predicted maps, shape (rows, E, A), and the SSIM of each prediction. Equal
+    maps give equal bytes. Raises `StorageError`.
+    """
+    figure = Figure(figsize=(2.1 * len(columns) + 1.2, 1.35 * len(rows) + 0.6), layout="constrained")
+    axes = figure.subplots(2 * len(rows), len(columns), squeeze=False)
+    for column, (title, (truth, predicted, ssim)) in enumerate(columns.items()):
+        axes[0, column].set_title(shown(title), fontsize="medium")
+        for row, name in enumerate(rows):
+            for axis, levels in zip(axes[2 * row : 2 * row + 2, column], (truth, predicted), strict=True):
+                axis.imshow(
+                    levels[row], cmap="magma", vmin=0, vmax=255, aspect="auto", interpolation="nearest"
+                )
+                axis.set(xticks=[], yticks=[])
+            axes[2 * row + 1, column].set_xlabel(f"SSIM {ssim[row]:.3f}", fontsize=6, labelpad=1)
+            if column == 0:
+                axes[2 * row, 0].set_ylabel("truth", fontsize=6)
+                axes[2 * row + 1, 0].set_ylabel(f"predicted\n{shown(name)}", fontsize=6)
+    save_figure(figure, path, "png")
 
 
 def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None:

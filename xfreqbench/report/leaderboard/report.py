@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
 from xfreqbench.report.leaderboard.paper import has_counterparts, paper_markdown
 from xfreqbench.report.leaderboard.paper_figures import paper_figures
+from xfreqbench.report.leaderboard.paper_maps import MapGrid, paper_maps
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -142,7 +144,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
-        *([_paper(of_main, details / _PAPER_PAGE)] if has_paper else []),
+        *([_paper(found, of_main, details / _PAPER_PAGE)] if has_paper else []),
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
@@ -153,8 +155,18 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     ]
 
 
-def _paper(ranked: Sequence[Board], path: Path) -> _Page:
-    return _Page(path, "The paper's claims", paper_markdown(ranked), drawn=paper_figures(ranked))
+def _paper(found: RankedResults, ranked: Sequence[Board], path: Path) -> _Page:
+    grids = paper_maps(ranked, found)
+    maps = {link: partial(_draw_maps, grid) for link, grid in grids.items()}
+    text = paper_markdown(ranked, grids)
+    return _Page(path, "The paper's claims", text, drawn=paper_figures(ranked) | maps)
+
+
+def _draw_maps(grid: MapGrid, path: Path) -> None:
+    from xfreqbench.report.leaderboard.plots import plot_map_grid
+
+    names = [f"({', '.join(f'{each:.1f}' for each in position)}) m" for position in grid.tx_position_m]
+    plot_map_grid(grid.columns, names, path)
 
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> str:

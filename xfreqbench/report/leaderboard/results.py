@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
 from xfreqbench.report.leaderboard.origins import RecordKey, data_identities, record_key
+from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
@@ -26,6 +28,11 @@ class RankedResults:
     boards: list[Board]
     benches: list[BenchRecord]
     num_truncated: int
+
+    @cached_property
+    def maps(self) -> dict[str, ShownMaps]:
+        """The maps in the files beside the records, by the ids of records; raises `DataError`."""
+        return {key: maps for folder in self.folders for key, maps in read_maps(folder.maps_path).items()}
 
 
 def read_results(results: Path | Sequence[Path]) -> RankedResults:
