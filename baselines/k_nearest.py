@@ -85,11 +85,9 @@ class KNearest(TransmitterLookup):
 
     def _know(self, transmitters: TrainingTransmitters) -> None:
         self.transmitters = transmitters
-        tx_index, first = np.unique(transmitters.train.tx_index, return_index=True)
-        position_m = transmitters.train.tx_position_m[first]
-        self._tree = KDTree(position_m)
-        spacing_m = self._tree.query(position_m, k=[min(2, len(tx_index))])[0]
-        self._softening_m = max(float(np.median(spacing_m)) / 2, SAME_TRANSMITTER_M)
+        _, first = np.unique(transmitters.train.tx_index, return_index=True)
+        self._tree = KDTree(transmitters.train.tx_position_m[first])
+        self._softening_m = max(transmitters.spacing_m / 2, SAME_TRANSMITTER_M)
 
     def _neighbours(
         self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float, count: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Generator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from torch import Tensor
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.network import NetworkConfig
 from xfreqbench.methods.learning.targets import GridView, Targets, of_peak
@@ -27,7 +29,10 @@ from xfreqbench.methods.virtual_source.render import RoomRender
 from xfreqbench.methods.virtual_source.search.cross_terms import Explained
 from xfreqbench.types import FloatArray, IntArray
 
+from .xfreq_gs import XFreqGS, XFreqGSConfig
+
 _TX_AT_ONCE = 32
+_INSTEAD_FILE = "instead.json"
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class VirtualSource(LearnedMethod):
         self._train: PasDataset | None = None
         self._budget = Budget()
         self._render = RoomRender(self.config.render)
+        self._instead: XFreqGS | None = None
+        self._told: dict[str, Any] = {}  # what was found of a room, where `XFreqGS` learns instead
 
     def field(self) -> VirtualSourceField:
         """The field without planes, before training."""
@@ -66,10 +73,17 @@ class VirtualSource(LearnedMethod):
 
         Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then. In the
         last fifth of the budget a room is made of what was learned, and refined beside the training.
+
+        Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead.
         """
         self._train, self._budget = train, budget
         if self._training is not None:
             _field(self._training).budget = budget
+        elif self._instead is None:
+            self._begin(train, seed)
+        if self._instead is not None:
+            yield from self._instead.fit(train, budget, seed)
+            return
         steps = super().fit(train, budget, seed)
         with closing(steps), suppress(StopIteration):
             progress = next(steps)
@@ -80,21 +94,50 @@ class VirtualSource(LearnedMethod):
                 share = yield progress
                 progress = steps.send(share)
 
+    def _begin(self, train: PasDataset, seed: int) -> None:
+        """Search for planes, and decide which field learns."""
+        training = self.started(train, seed)
+        field = _field(training)
+        if field.has_too_few_planes:
+            self._told = field.room.findings(field.array_m)
+            self._instead = _instead(self.config)
+        else:
+            self._training = training
+
+    @property
+    def num_parameters(self) -> int:
+        """Number of values that training sets."""
+        return self._instead.num_parameters if self._instead else super().num_parameters
+
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[NDArray[np.float32], "B E A"]:
         """Maps with peak 1, on the grid of the training data and of their kind, as `render` says."""
+        if self._instead:
+            return self._instead.predict(tx_position_m, carrier_hz)
         learned = super().predict(tx_position_m, carrier_hz)
         return self._render.maps(learned, tx_position_m, carrier_hz)
 
     def save(self, directory: Path) -> None:
-        """Store the field as `LearnedMethod` does, and the room beside it."""
+        """Store the field as `LearnedMethod` does, and the room beside it; or what learned instead."""
+        if self._instead:
+            stored = {"config": as_json(self.config), "told": self._told}
+            (directory / _INSTEAD_FILE).write_text(json.dumps(stored), encoding="utf-8")
+            self._instead.save(directory)
+            return
         super().save(directory)
         self._render.save(directory)
 
     @classmethod
     def load(cls, directory: Path) -> VirtualSource:
         """The method as it was saved; its `fit` continues from there."""
+        if (directory / _INSTEAD_FILE).is_file():
+            stored = json.loads((directory / _INSTEAD_FILE).read_text(encoding="utf-8"))
+            other = cls(cls.Config(**stored["config"]))
+            instead = XFreqGS.load(directory)
+            assert isinstance(instead, XFreqGS)
+            other._instead, other._told = instead, stored["told"]
+            return other
         method = super().load(directory)
         assert isinstance(method, VirtualSource)
         beams, kind = method._trained().beams, method._trained().kind
@@ -122,7 +165,12 @@ class VirtualSource(LearnedMethod):
         return loss + self.config.sparsity * field.room.clutter()
 
     def findings(self) -> dict[str, Any]:
-        """Planes with materials and uncertainties, and images, as `LearnedRoom.findings` describes them."""
+        """Planes with materials and uncertainties, and images, as `LearnedRoom.findings` describes them.
+
+        Where `XFreqGS` learns instead, they are the few planes found, and its own findings.
+        """
+        if self._instead:
+            return {**self._told, **self._instead.findings()}
         field = _field(self._trained())
         return field.room.findings(field.array_m)
 
@@ -139,6 +187,11 @@ class VirtualSource(LearnedMethod):
             training.optimizer = self.new_optimizer(field)
             self._rows = _TransmitterRows(field, targets)
         return self._rows
+
+
+def _instead(config: VirtualSourceConfig) -> XFreqGS:
+    """What learns the maps where too few planes are found."""
+    return XFreqGS(XFreqGSConfig(steps=config.steps))
 
 
 def _field(training: Training) -> VirtualSourceField:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -33,7 +34,8 @@ class TrainingTransmitters:
         self.train = train
         tx_index, first, column = np.unique(train.tx_index, return_index=True, return_inverse=True)
         self.carrier_hz, carrier = np.unique(train.carrier_hz, return_inverse=True)
-        self._tree = KDTree(train.tx_position_m[first])
+        self._position_m = train.tx_position_m[first]
+        self._tree = KDTree(self._position_m)
         self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
         self._row[column, carrier] = np.arange(len(train))
 
@@ -42,9 +44,18 @@ class TrainingTransmitters:
         distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
         return index[:1] if distance_m[0] <= SAME_TRANSMITTER_M else index
 
+    @cached_property
+    def spacing_m(self) -> float:
+        """The median distance between a transmitter and the nearest other one; 0 where there is no other."""
+        return float(np.median(self._tree.query(self._position_m, k=[min(2, len(self._row))])[0]))
+
+    def away_m(self, tx_position_m: Float[FloatArray, "B 3"]) -> Float[FloatArray, "B"]:
+        """The distance of each position from the nearest training transmitter."""
+        return np.asarray(self._tree.query(tx_position_m)[0])
+
     def knows(self, tx_position_m: Float[FloatArray, "B 3"]) -> Bool[NDArray[np.bool_], "B"]:
         """Whether a training transmitter stands at each position."""
-        return np.asarray(self._tree.query(tx_position_m)[0] <= SAME_TRANSMITTER_M)
+        return self.away_m(tx_position_m) <= SAME_TRANSMITTER_M
 
     def rows(self, transmitters: Int[IntArray, "k"]) -> Int[IntArray, "n"]:
         """The rows (n,) of some transmitters (k,), at all of their carriers."""

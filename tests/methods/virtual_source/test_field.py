@@ -17,6 +17,7 @@ from mirrored_room import Wall
 from synthetic import write_dataset
 from training import predicted, reloaded, trained
 from xfreqbench.baselines.virtual_source import VirtualSource, VirtualSourceConfig
+from xfreqbench.baselines.xfreq_gs import XFreqGS
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import stored_channels
@@ -48,7 +49,6 @@ TINY = {
     "batch_size": 4,
     "stride": 15,
     "free_sources": 6,
-    "lone_sources": 6,
     "max_planes": 4,
     "max_images": 20,
     "render": "learned",
@@ -145,6 +145,19 @@ def test_a_field_of_any_size_is_fitted_and_explains_itself(
     np.testing.assert_allclose(maps.max(axis=(1, 2)), 1, rtol=1e-6)
     assert np.array_equal(predicted(reloaded(model, tmp_path / "saved"), dataset), maps)
     StoredFindings.model_validate(json.loads(json.dumps(model.findings(), allow_nan=False)))
+
+
+def test_where_no_plane_is_found_xfreq_gs_learns_instead(dataset: PasDataset, tmp_path: Path) -> None:
+    model, other = tiny(), XFreqGS()
+    losses = trained(other, dataset, 6)
+    before = trained(model, dataset, 2, end=6)
+    resumed = reloaded(model, tmp_path / "saved")
+    assert [*before, *trained(resumed, dataset, 6)] == losses
+    assert np.array_equal(predicted(resumed, dataset), predicted(other, dataset))
+    assert resumed.findings() == {**model.findings(), **other.findings()}
+    assert resumed.findings()["planes"] == []
+    assert resumed.num_parameters == other.num_parameters
+    assert resumed.config == model.config
 
 
 def test_a_device_other_than_the_processor_is_refused_before_any_work(

@@ -16,17 +16,28 @@ from xfreqbench.data.plan import plan_generation
 from xfreqbench.methods.contract import Budget, Maps
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.render import FROM, RoomRender
-from xfreqbench.methods.virtual_source.traced import COMPARING
+from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
+from xfreqbench.tracing.tracer import TraceSettings
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STEPS = Budget(max_steps=100)
 AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
 
 
+def traced_with(settings: TraceSettings, folder: Path) -> PasDataset:
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], settings, num_transmitters=12)
+    return open_dataset(generate_planned(plan, folder / "box.h5"))
+
+
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], AS_DEEP, num_transmitters=12)
-    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+    return traced_with(AS_DEEP, tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def diffracted(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    settings = replace(AS_DEEP, interactions=DIFFRACTING.interactions)
+    return traced_with(settings, tmp_path_factory.mktemp("diffracted"))
 
 
 @pytest.fixture
@@ -78,6 +89,24 @@ def test_the_traced_room_is_believed_where_the_learned_field_errs(dataset: PasDa
     maps = rendered(dataset, learned).maps(learned(*asked(dataset)), *asked(dataset))
     np.testing.assert_allclose(maps, dataset.pas(), atol=5e-3)  # corners are float32
     np.testing.assert_allclose(maps.max(axis=(1, 2)), 1, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("unrefined")
+@pytest.mark.parametrize("mode", ["blended", "traced"])
+def test_edges_diffract_in_the_room_where_they_do_in_the_data(
+    mode: Any, dataset: PasDataset, diffracted: PasDataset, tmp_path: Path
+) -> None:
+    for data, settings in ((dataset, COMPARING), (diffracted, DIFFRACTING)):
+        learned = Known(data, everywhere)
+        render = rendered(data, learned, mode)
+        assert render.tracer is not None
+        assert render.tracer.settings == settings
+        maps = render.maps(learned(*asked(data)), *asked(data))
+        np.testing.assert_allclose(maps, data.pas(), atol=5e-3)
+    render.save(tmp_path)
+    loaded = RoomRender.load("blended", tmp_path, data.beam, data.header.pas_kind)
+    np.testing.assert_array_equal(loaded.maps(learned(*asked(data)), *asked(data)), maps)
+    assert np.abs(dataset.pas() - diffracted.pas()).max() > 0.05
 
 
 @pytest.mark.usefixtures("unrefined")

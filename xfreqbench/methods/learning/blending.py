@@ -1,37 +1,52 @@
 """Blends learned maps with those of a trivial predictor, by weights that are chosen on validation rows of the training.
 
 In the first half of a training one carrier and some transmitters are held out, as unseen ones will be. With them
-the weights are chosen, for each kind of query; then the training goes on with all rows.
+the weights are chosen, for each kind of query; then the training goes on with all rows. A transmitter that is far from
+all trained ones is a kind by itself, for which those of a whole region are held out in the first quarter: where no
+neighbour is trained, other predictors are good than among neighbours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
+from xfreqbench.data.splits import (
+    LEAST_VALIDATION_TX,
+    inner_carriers_hz,
+    validation_tx,
+)
 from xfreqbench.methods.contract import Budget, Maps
-from xfreqbench.methods.learning.loss import mean_ssim
+from xfreqbench.methods.learning.mixing import (
+    WEIGHTS,
+    Predict,
+    mixed,
+    similarities,
+    similarities_by_weight,
+)
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray
 
-CHOOSE_AT = 0.5  # share of the budget
+CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
 _FEW_TX, _FOLDS = 16, 5  # with fewer held out the choice is a cautious one
-_WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps
-_STRIDE, _WINDOW = 3, 3  # of the SSIM by which they are compared
-KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
-
-Predict = Callable[[Float[FloatArray, "B 3"], Float[FloatArray, "B"]], Maps]
+_ROUNDING = 1e-6
+_FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
+_REGION_SHARE = 0.15  # of the transmitters
+_PLACES = ("transmitter", "far transmitter", "very far transmitter")
+BoolArray = NDArray[np.bool_]
+KINDS = (
+    "unseen carrier",
+    *(kind for place in _PLACES for kind in (f"unseen {place}", f"unseen carrier and {place}")),
+)
 
 
 class Choice(BaseModel):
@@ -45,17 +60,19 @@ class Choice(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Holdout:
-    """Rows of the training that are held out, by kind of query, and those that are left to train on."""
+    """Rows of a training that are held out until a share of the budget, by kind of query, and those that are left."""
 
+    until: float
     left: IntArray
     rows: Mapping[str, IntArray]
 
     @classmethod
-    def draw(cls, train: PasDataset, seed: int) -> Holdout:
-        """One carrier inside the band and a tenth of the transmitters, the same ones for the same seed.
+    def draw(cls, train: PasDataset, seed: int) -> list[Holdout]:
+        """One carrier inside the band and a tenth of the transmitters, and before it a region too, the earliest first.
 
-        Of few transmitters they are more than a tenth. `make_splits` with `on="validation"` chooses among the same
-        carriers, and draws transmitters in the same way.
+        They are the same for the same seed. Of few transmitters they are more than a tenth. `make_splits` with
+        `on="validation"` chooses among the same carriers, and draws transmitters in the same way. Where too few
+        transmitters of the region would be far from those that are left, it is not held out.
         """
         generator = np.random.default_rng(seed)
         is_carrier, inner_hz = np.zeros(len(train), bool), inner_carriers_hz(train)
@@ -63,12 +80,50 @@ class Holdout:
             is_carrier = train.carrier_hz == inner_hz[generator.integers(len(inner_hz))]
         least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.tx_index)) // _LEAST_TX_SHARE))
         is_tx = np.isin(train.tx_index, validation_tx(train, generator, _MOST_ROWS, least))
-        kinds = zip(KINDS, (is_carrier & ~is_tx, ~is_carrier & is_tx, is_carrier & is_tx), strict=True)
-        rows = {
-            kind: generator.permutation(np.flatnonzero(of & train.has_path))[:_MOST_ROWS]
-            for kind, of in kinds
-        }
-        return cls(np.flatnonzero(~is_carrier & ~is_tx), {kind: np.sort(each) for kind, each in rows.items()})
+
+        def drawn(until: float, left: BoolArray, of_kinds: Mapping[str, BoolArray]) -> Holdout:
+            rows = {
+                kind: np.sort(generator.permutation(np.flatnonzero(of & train.has_path))[:_MOST_ROWS])
+                for kind, of in of_kinds.items()
+            }
+            return cls(until, np.flatnonzero(left), rows)
+
+        among = (is_carrier & ~is_tx, ~is_carrier & is_tx, is_carrier & is_tx)
+        last = drawn(CHOOSE_AT, ~is_carrier & ~is_tx, dict(zip(KINDS, among, strict=False)))
+        is_unseen = is_tx | _is_in_region(train, generator)
+        left = ~is_carrier & ~is_unseen
+        if not left.any():
+            return [last]
+        known = TrainingTransmitters(train.subset(np.flatnonzero(left)))
+        reach = _reach(known, train.tx_position_m) * is_unseen
+        far: dict[str, BoolArray] = {}
+        for nth, kinds in ((2, KINDS[5:]), (1, KINDS[3:5])):
+            if len(np.unique(train.tx_index[reach == nth])) < _LEAST_TX:  # a few transmitters say little
+                reach[reach == nth] -= 1
+            else:
+                far |= dict(
+                    zip(kinds, ((reach == nth) & ~is_carrier, (reach == nth) & is_carrier), strict=True)
+                )
+        return [drawn(CHOOSE_FAR_AT, left, far), last] if far else [last]
+
+
+def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDArray[np.bool_], "N"]:
+    """Whether each row is of one of the transmitters nearest to an outermost one on the floor.
+
+    At the rim of the floor they lie farther from the others than amid them.
+    """
+    tx_index, first = np.unique(train.tx_index, return_index=True)
+    place_m = train.tx_position_m[first, :2]
+    outwards = 2 * np.pi * generator.random()
+    outermost_m = place_m[np.argmax(place_m @ np.array([np.cos(outwards), np.sin(outwards)]))]
+    away_m = np.linalg.norm(place_m - outermost_m, axis=1)
+    nearest = np.argsort(away_m, kind="stable")[: int(_REGION_SHARE * len(tx_index))]
+    return np.isin(train.tx_index, tx_index[nearest])
+
+
+def _reach(known: TrainingTransmitters, tx_position_m: Float[FloatArray, "B 3"]) -> Int[IntArray, "B"]:
+    """0 where a transmitter has known ones beside it, 1 where it is far from all of them, 2 where it is very far."""
+    return np.digitize(known.away_m(tx_position_m), np.array(_FAR) * known.spacing_m)
 
 
 class Blend:
@@ -83,9 +138,16 @@ class Blend:
 
     @classmethod
     def chosen(
-        cls, predictors: Sequence[type], train: PasDataset, holdout: Holdout, predict: Predict
+        cls,
+        predictors: Sequence[type],
+        train: PasDataset,
+        holdout: Holdout,
+        predict: Predict,
+        before: Mapping[str, Choice] = {},
     ) -> Blend:
         """For each kind of query the choice that is best on the held-out rows; `predict` gives the learned maps.
+
+        `before` are the choices for other kinds, made earlier.
 
         A few held-out transmitters say little. Then the predictor is the one that is best at all training
         transmitters, a fifth of them unseen in turn, and the weight the smallest that is not worse than the best by
@@ -93,14 +155,14 @@ class Blend:
         """
         left = train.subset(holdout.left)
         knowing = {each.__name__: _knowing(each, left).predict for each in predictors}
-        choices = {}
+        choices = dict(before)
         for kind, of_kind in holdout.rows.items():
             if len(of_kind) < _LEAST_ROWS:
                 continue
             rows = train.subset(of_kind)
             are_few = len(np.unique(rows.tx_index)) < _FEW_TX
             known = knowing
-            if are_few and kind != KINDS[0]:
+            if are_few and kind in KINDS[1:3]:
                 unseen_hz = rows.carrier_hz[0] if kind == KINDS[2] else None
                 name = _best_at_unseen(predictors, train, unseen_hz)
                 known = {name: knowing[name]}
@@ -112,21 +174,28 @@ class Blend:
     ) -> Maps:
         """Learned maps of some queries, blended by the choice for the kind of each."""
         blended = learned.copy()
-        for kind, chosen in zip(KINDS, self._of_kinds(tx_position_m, carrier_hz), strict=True):
-            choice = self.choices.get(kind)
+        for nth, chosen in enumerate(self._of_kinds(tx_position_m, carrier_hz)):
+            choice = self._choice(nth)
             if choice is None or choice.weight == 1 or not chosen.any():
                 continue
             trivial = self._predictors[choice.predictor].predict(tx_position_m[chosen], carrier_hz[chosen])
-            blended[chosen] = _mixed(learned[chosen], trivial, choice.weight)
+            blended[chosen] = mixed(choice.weight, learned[chosen], trivial)
         return blended
+
+    def _choice(self, nth: int) -> Choice | None:
+        """The choice for a kind; where far transmitters have none, that for nearer ones."""
+        nearer = range(nth, 0, -2) if nth else [0]
+        return next((self.choices[KINDS[each]] for each in nearer if KINDS[each] in self.choices), None)
 
     def _of_kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> tuple[Bool[NDArray[np.bool_], "B"], ...]:
         """Which queries are of each kind; those of seen transmitters and carriers are as those of unseen carriers."""
-        unseen_tx = ~self.transmitters.knows(tx_position_m)
-        unseen_carrier = ~np.isin(carrier_hz, self.transmitters.carrier_hz)
-        return ~unseen_tx, unseen_tx & ~unseen_carrier, unseen_tx & unseen_carrier
+        is_known = self.transmitters.knows(tx_position_m)
+        is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
+        reach = _reach(self.transmitters, tx_position_m)
+        of_places = [~is_known & (reach == nth) for nth in range(len(_PLACES))]
+        return is_known, *(each for of in of_places for each in (of & is_heard, of & ~is_heard))
 
 
 def _knowing(predictor: type, train: PasDataset) -> Any:
@@ -154,7 +223,7 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
             continue
         for each in predictors:
             maps = _knowing(each, left).predict(rows.tx_position_m, rows.carrier_hz)
-            sums[each.__name__] += _similarities(maps, rows.pas()).sum()
+            sums[each.__name__] += similarities(maps, rows.pas()).sum()
     return max(sums, key=lambda name: sums[name])
 
 
@@ -166,11 +235,11 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
     """
     query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
     learned, maps = predict(*query), {name: known(*query) for name, known in trivial.items()}
-    name = max(maps, key=lambda each: _similarities(maps[each], truth).mean())
-    similar = {weight: _similarities(_mixed(learned, maps[name], weight), truth) for weight in _WEIGHTS}
-    best = max(_WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
+    name = max(maps, key=lambda each: similarities(maps[each], truth).mean())
+    similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth), strict=True))
+    best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
-        best = next(each for each in _WEIGHTS if _may_be_as_good(similar[each], similar[best], rows.tx_index))
+        best = next(each for each in WEIGHTS if _may_be_as_good(similar[each], similar[best], rows.tx_index))
     return Choice(predictor=name, weight=best)
 
 
@@ -180,19 +249,7 @@ def _may_be_as_good(
     """Whether the mean lies no more than the standard error of the difference below the best; of transmitters."""
     number = np.unique(tx_index, return_inverse=True)[1]
     by_tx = np.bincount(number, best - similar) / np.bincount(number)
-    return bool(by_tx.mean() <= by_tx.std() / np.sqrt(max(1, len(by_tx) - 1)))
-
-
-def _mixed(learned: Maps, trivial: Maps, weight: float) -> Maps:
-    """The weighted mean of maps, scaled to peak 1."""
-    mixed = weight * learned + (1 - weight) * trivial
-    return np.asarray(mixed / mixed.max(axis=(1, 2), keepdims=True), dtype=np.float32)
-
-
-def _similarities(maps: Maps, truth: Maps) -> Float[FloatArray, "n"]:
-    """SSIM of each of n maps, coarsely."""
-    pairs = (
-        (torch.as_tensor(each[None, ::_STRIDE, ::_STRIDE].copy()) for each in pair)
-        for pair in zip(maps, truth, strict=True)
-    )
-    return np.array([float(mean_ssim(shown, true, _WINDOW, _STRIDE)) for shown, true in pairs])
+    error = by_tx.std() / np.sqrt(max(1, len(by_tx) - 1))
+    return bool(
+        by_tx.mean() <= error * (1 + _ROUNDING)
+    )  # a gain at one transmitter alone is as large as its error

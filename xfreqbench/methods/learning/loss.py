@@ -38,7 +38,17 @@ def mean_ssim(
     window: int = SSIM_WINDOW,
     stride: int = 1,
 ) -> Float[Tensor, ""]:
-    """Mean SSIM as `metrics.ssim` scores it, but differentiable: uniform window, range 1, sample covariances.
+    """Mean over maps of `ssim_of_each`."""
+    return ssim_of_each(predicted, truth, window, stride).mean()
+
+
+def ssim_of_each(
+    predicted: Float[Tensor, "B E A"],
+    truth: Float[Tensor, "B E A"],
+    window: int = SSIM_WINDOW,
+    stride: int = 1,
+) -> Float[Tensor, "B"]:
+    """SSIM of B maps as `metrics.ssim` scores it, but differentiable: uniform window, range 1, sample covariances.
 
     On maps of which a view keeps every `stride`-th row and column, a slope varies (stride · window / 7)² times as
     much within the window as within the score's window of 7 × 7. C₂ is multiplied by that, where it is above 1, so
@@ -52,7 +62,7 @@ def mean_ssim(
     covariance = unbiased * (_box(predicted * truth, window) - mean_x * mean_y)
     luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x * mean_x + mean_y * mean_y + SSIM_C1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
-    return (luminance * structure).mean()
+    return (luminance * structure).mean(dim=(1, 2))
 
 
 def _c2_of_view(window: int, stride: int) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -25,7 +25,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.averaging import averaged, mean_weights
-from xfreqbench.methods.learning.blending import CHOOSE_AT, Blend, Holdout
+from xfreqbench.methods.learning.blending import Blend, Holdout
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.stored import (
     ADAM,
@@ -177,9 +177,10 @@ class LearnedMethod:
         if self._training is None:
             self._training = self.started(train, seed)
         training = self._training
-        holdout = Holdout.draw(train, seed) if self.config.blend == "auto" and self._blend is None else None
-        shown = train.subset(holdout.left) if holdout else train
-        targets = Targets(shown, training.beams, self.config.derive_targets)
+        chosen = self._blend.choices if self._blend else {}
+        holdouts = Holdout.draw(train, seed) if self.config.blend == "auto" else []
+        holdouts = [each for each in holdouts if not each.rows.keys() & chosen.keys()]
+        targets = self._targets(train, training, holdouts)
         if not len(targets):
             raise MethodError("No training row has a path; there is nothing to learn from.")
         own_share = training.step / self.config.steps
@@ -188,13 +189,19 @@ class LearnedMethod:
             training.share, own_share, budget.share(training.step, 0.0, maps * training.step)
         )
         while training.step < self.config.steps:
-            if holdout and training.share >= CHOOSE_AT:
-                self._blend = Blend.chosen(self.trivial, train, holdout, self._learned)
-                holdout, targets = None, Targets(train, training.beams, self.config.derive_targets)
+            while holdouts and training.share >= holdouts[0].until:
+                before = self._blend.choices if self._blend else {}
+                self._blend = Blend.chosen(self.trivial, train, holdouts.pop(0), self._learned, before)
+                targets = self._targets(train, training, holdouts)
             loss = self._step(training, targets)
             counts = training.field.counts() | {"maps": maps * training.step}
             spent = yield Progress(training.step, loss, counts)
             training.share = max(spent or 0.0, training.step / self.config.steps)
+
+    def _targets(self, train: PasDataset, training: Training, holdouts: Sequence[Holdout]) -> Targets:
+        """The rows that are trained on, while those of the first of `holdouts` are held out."""
+        shown = train.subset(holdouts[0].left) if holdouts else train
+        return Targets(shown, training.beams, self.config.derive_targets)
 
     def maps_a_step(self, train: PasDataset) -> int:
         """How many training maps one step shows."""

@@ -35,11 +35,9 @@ class SourceConfig:
     max_gain: Annotated[float, Limits(ge=0, le=1), Doc("by which a network may change gains; 0: none")] = 0.0
     free_sources: Annotated[int, Limits(ge=0), Doc("sources beside the images, as in aperture-gs")] = 32
     free_modes: Annotated[int, Limits(ge=1), Doc("channels of theirs whose powers add up")] = 2
-    lone_sources: Annotated[int, Limits(ge=1), Doc("free sources where few planes are found")] = 128
     render: Annotated[
         Literal["learned", "traced", "blended"],
         Doc(
             "maps of the learned field, of the room that is made of it and traced, or of both, by validation rows"
         ),
     ] = "blended"
-    lone_modes: Annotated[int, Limits(ge=1), Doc("channels of theirs whose powers add up")] = 4

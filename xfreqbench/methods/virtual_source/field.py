@@ -33,7 +33,7 @@ from xfreqbench.methods.virtual_source.search.range_profile import (
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-_FEWEST_PLANES = 3  # of a room; with fewer, free sources have to explain nearly everything
+_FEWEST_PLANES = 3  # of a room
 _MIN_STEPS_BETWEEN_LOOKS = 250
 _SEARCH_SHARE, _LOOK_SHARE = (
     0.75,
@@ -72,7 +72,6 @@ class VirtualSourceField(ChannelField):
     array_m: Tensor
     num_looks: Tensor
     last_look: Tensor
-    is_lone: Tensor
     gain: PathGain | None
     budget = Budget()  # of the fit, of which searches take a share
 
@@ -83,7 +82,6 @@ class VirtualSourceField(ChannelField):
         self.register_buffer("array_m", torch.zeros(3, dtype=torch.float64))
         self.register_buffer("num_looks", torch.tensor(0))
         self.register_buffer("last_look", torch.tensor(0))
-        self.register_buffer("is_lone", torch.tensor(False))
         self.room = LearnedRoom(config)
         self.network = network
         self.free = self._new_free()
@@ -91,14 +89,11 @@ class VirtualSourceField(ChannelField):
         self.gain = self._new_gain()
 
     def _new_free(self) -> ApertureField | None:
-        """Free sources before training; more of them where too few planes were found; None where the options say so."""
+        """Free sources before training; None where the options say so."""
         config = self.config
-        sizes = (
-            (config.lone_sources, config.lone_modes)
-            if self.is_lone
-            else (config.free_sources, config.free_modes)
-        )
-        return ApertureField(*sizes, self.network) if config.free_sources else None
+        if not config.free_sources:
+            return None
+        return ApertureField(config.free_sources, config.free_modes, self.network)
 
     def _new_gain(self) -> PathGain | None:
         """The network for gains before training, for the planes at hand; None where the options say so."""
@@ -109,8 +104,6 @@ class VirtualSourceField(ChannelField):
 
     def match(self, tensors: Mapping[str, Tensor]) -> None:
         """Take the numbers of planes, cells and images of stored tensors, so that they can be loaded."""
-        self.is_lone.copy_(tensors["is_lone"])
-        self.free = self._new_free()
         self.room.match({name[5:]: tensor for name, tensor in tensors.items() if name.startswith("room.")})
         self.gain = self._new_gain()
 
@@ -124,10 +117,6 @@ class VirtualSourceField(ChannelField):
         self.scaling.adapt(train)
         self.room.take([], self._first_planes(train, generator))
         self.gain = self._new_gain()
-        if self._searches and len(self.room.normal) < _FEWEST_PLANES:
-            self.is_lone.fill_(True)
-            self.log_free.data.zero_()
-            self.free = self._new_free()
         if self.free is not None:
             self.free.adapt(train, generator)
 
@@ -137,6 +126,11 @@ class VirtualSourceField(ChannelField):
         if self._searches:
             return find_planes(train, seed, self.budget.timer(_SEARCH_SHARE))
         return random_planes(train, seed, self.config.max_planes) if self.config.max_order else []
+
+    @property
+    def has_too_few_planes(self) -> bool:
+        """Whether planes were searched, but no room was found, so that free sources would have to explain the rest."""
+        return self._searches and len(self.room.normal) < _FEWEST_PLANES
 
     @property
     def _searches(self) -> bool:

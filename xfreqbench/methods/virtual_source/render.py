@@ -16,11 +16,12 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import SceneError
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.learning.mixing import Predict, mixed
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import RoomTracer
-from xfreqbench.methods.virtual_source.weights import LocalWeights, Predict, mixed
+from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, RoomTracer
+from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray
 
@@ -93,15 +94,23 @@ class RoomRender:
             refinement.step()
 
     def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:
-        """Take the room as it is now, and choose weights on the rows of validation transmitters."""
-        rows = _split(train)[1]
-        tracer = RoomTracer(train.header.receiver, refinement.room, train.beam, train.header.pas_kind)
+        """Take the room as it is now, and choose on the rows of validation transmitters.
+
+        Chosen are the weights, and whether the room is traced with diffraction.
+        """
+        rows, room = _split(train)[1], refinement.room
         self.refinement = None
-        if self.mode == "blended":
-            if len(np.unique(rows.tx_index)) < _LEAST_TX:
-                return
-            self.weights = LocalWeights.of(rows, learned, tracer.maps)
-        self.tracer = tracer
+        if len(np.unique(rows.tx_index)) < _LEAST_TX:
+            if self.mode == "traced":
+                self.tracer = RoomTracer.of_each_kind(train, room)[0]
+            return
+        tracers = RoomTracer.of_each_kind(train, room)
+        compared = LocalWeights.of_each(rows, learned, [each.maps for each in tracers])
+        is_blended = self.mode == "blended"
+        scores = [each.of_mixed if is_blended else each.of_traced for each in compared]
+        best = int(np.argmax(scores))
+        self.tracer = tracers[best]
+        self.weights = compared[best] if is_blended else None
 
     def maps(
         self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -130,6 +139,7 @@ class RoomRender:
         tracer = self.tracer and {
             "receiver": receiver.dump_python(self.tracer.receiver, mode="json"),
             "room": [surface_json(each) for each in self.tracer.room],
+            "diffracts": self.tracer.settings == DIFFRACTING,
         }
         stored = {
             "refinement": self._stored or (self.refinement and self.refinement.as_json()),
@@ -147,9 +157,9 @@ class RoomRender:
         render = cls(mode, has_begun=True, _stored=stored["refinement"] or {})
         if told := stored["tracer"]:
             receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
-            render.tracer = RoomTracer(
-                receiver, [surface_from_json(each) for each in told["room"]], beam, kind
-            )
+            room = [surface_from_json(each) for each in told["room"]]
+            settings = DIFFRACTING if told.get("diffracts") else COMPARING
+            render.tracer = RoomTracer(receiver, room, beam, kind, settings)
         if stored["weights"]:
             render.weights = LocalWeights.from_json(stored["weights"])
         return render

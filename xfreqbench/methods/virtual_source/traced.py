@@ -21,7 +21,7 @@ from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
-from xfreqbench.tracing.image.tracer import ImageTracer
+from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 
@@ -29,6 +29,7 @@ NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
+DIFFRACTING = replace(COMPARING, interactions=("specular", "refraction", "diffraction"))
 ROUGHLY = replace(COMPARING, rays=5_000)
 _STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, and of the SSIM
 
@@ -61,11 +62,25 @@ class RoomTracer:
     """A room that is traced to an array, at whichever carriers are asked for, as maps of some kind."""
 
     def __init__(
-        self, receiver: ReceiverArray, room: Sequence[RoomSurface], beam: BartlettBeam, kind: PasKind
+        self,
+        receiver: ReceiverArray,
+        room: Sequence[RoomSurface],
+        beam: BartlettBeam,
+        kind: PasKind,
+        settings: TraceSettings = COMPARING,
     ) -> None:
-        self.receiver, self.room = receiver, list(room)
+        self.receiver, self.room, self.settings = receiver, list(room), settings
         self._beam, self._kind = beam, kind
         self._tracers: dict[float, ImageTracer | FurnishedTracer] = {}
+
+    @classmethod
+    def of_each_kind(cls, train: PasDataset, room: Sequence[RoomSurface]) -> list[RoomTracer]:
+        """Tracers of a room without diffraction, and with it where the solver takes it."""
+        kinds = [COMPARING]
+        if can_solve(Geometry([surface.mesh for surface in room]), DIFFRACTING):
+            kinds.append(DIFFRACTING)
+        header = train.header
+        return [cls(header.receiver, room, train.beam, header.pas_kind, kind) for kind in kinds]
 
     def maps(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -76,7 +91,7 @@ class RoomTracer:
             if carrier not in self._tracers:
                 if len(self._tracers) == _MOST_TRACERS:
                     self._tracers.clear()
-                self._tracers[carrier] = tracer_in(self.room, self.receiver, [carrier])
+                self._tracers[carrier] = tracer_in(self.room, self.receiver, [carrier], self.settings)
             here = np.flatnonzero(carrier_hz == carrier)
             cfr[here] = self._tracers[carrier].channel(tx_position_m[here]).cfr[:, 0]
         return self._beam.maps(cfr, self._kind)[0]

@@ -2,50 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.contract import Maps
-from xfreqbench.methods.learning.loss import mean_ssim
+from xfreqbench.methods.learning.mixing import WEIGHTS, Predict, similarities_by_weight
 from xfreqbench.types import FloatArray
 
-_OF_LEARNED = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NEAR_M, _NEAR_OCTAVES = 0.6, 2.0  # standard deviations of the distance at which a validation row counts
 _ANYWHERE = 0.01  # what a validation row counts for at least
-_STRIDE, _WINDOW = 3, 3  # of the SSIM by which maps are compared
-_AT_ONCE = 32
-_TINY = 1e-12  # peak of a map where no path arrives
-
-Predict = Callable[[Float[FloatArray, "B 3"], Float[FloatArray, "B"]], Maps]
+_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
 class LocalWeights:
-    """The SSIM of n validation rows for each of W weights of the learned maps, `_OF_LEARNED`."""
+    """The SSIM of n validation rows for each of W weights of the learned maps, `WEIGHTS`."""
 
     position_m: Float[FloatArray, "n 3"]
     carrier_hz: Float[FloatArray, "n"]
     similar: Float[FloatArray, "W n"]
 
     @classmethod
-    def of(cls, rows: PasDataset, learned: Predict, traced: Predict) -> LocalWeights:
-        """Compare the maps that both give for validation rows, in all mixtures."""
-        similar = []
+    def of_each(cls, rows: PasDataset, learned: Predict, traced: Sequence[Predict]) -> list[LocalWeights]:
+        """For each of several traced rooms, the comparison with the learned maps of validation rows."""
+        similar = [[np.zeros((len(WEIGHTS), 0))] for _ in traced]
         for start in range(0, len(rows), _AT_ONCE):
             some = rows.subset(slice(start, start + _AT_ONCE))
             asked = some.tx_position_m, some.carrier_hz
-            given = learned(*asked), traced(*asked), some.pas()
-            maps, others, truth = (each[:, ::_STRIDE, ::_STRIDE] for each in given)
-            for each in zip(maps, others, truth, strict=True):
-                similar.append([_similarity(weight, *each) for weight in _OF_LEARNED])
-        return cls(rows.tx_position_m, rows.carrier_hz, np.array(similar).reshape(-1, len(_OF_LEARNED)).T)
+            maps, truth = learned(*asked), some.pas()
+            for parts, own in zip(similar, traced, strict=True):
+                parts.append(similarities_by_weight(maps, own(*asked), truth))
+        return [cls(rows.tx_position_m, rows.carrier_hz, np.concatenate(parts, axis=1)) for parts in similar]
+
+    @property
+    def of_traced(self) -> float:
+        """Mean SSIM of the traced maps alone."""
+        return float(self.similar[0].mean())
+
+    @property
+    def of_mixed(self) -> float:
+        """Mean SSIM of maps that are mixed by these weights, at the rows by which they are chosen."""
+        chosen = np.searchsorted(WEIGHTS, self.at(self.position_m, self.carrier_hz))
+        return float(self.similar[chosen, np.arange(len(chosen))].mean())
 
     def at(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -58,7 +60,7 @@ class LocalWeights:
         octaves = np.log2(carrier_hz[:, None] / self.carrier_hz)
         near = np.exp(-0.5 * ((away_m / _NEAR_M) ** 2 + (octaves / _NEAR_OCTAVES) ** 2))
         mean = (near + _ANYWHERE) @ self.similar.T[:, ::-1]
-        return np.array(_OF_LEARNED[::-1])[mean.argmax(axis=1)]
+        return np.array(WEIGHTS[::-1])[mean.argmax(axis=1)]
 
     def as_json(self) -> dict[str, Any]:
         """All numbers, for `from_json`."""
@@ -68,24 +70,3 @@ class LocalWeights:
     def from_json(cls, stored: dict[str, Sequence[Any]]) -> LocalWeights:
         """Inverse of `as_json`."""
         return cls(**{name: np.array(values, np.float64) for name, values in stored.items()})
-
-
-def mixed(
-    weight: Float[NDArray[np.float32], "B"], learned: Float[Maps, "B E A"], traced: Float[Maps, "B E A"]
-) -> Float[Maps, "B E A"]:
-    """The weighted means of maps, scaled to peak 1."""
-    sums = weight[:, None, None] * learned + (1 - weight[:, None, None]) * traced
-    return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True), dtype=np.float32)
-
-
-def _similarity(
-    weight: float,
-    learned: Float[NDArray[np.float32], "e a"],
-    traced: Float[NDArray[np.float32], "e a"],
-    truth: Float[NDArray[np.float32], "e a"],
-) -> float:
-    sums = weight * learned + (1 - weight) * traced
-    shown, true = (
-        torch.as_tensor(np.ascontiguousarray(each))[None] for each in (sums / max(sums.max(), _TINY), truth)
-    )
-    return float(mean_ssim(shown, true, _WINDOW, _STRIDE))

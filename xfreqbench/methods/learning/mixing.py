@@ -1,0 +1,55 @@
+"""Mixes of learned maps with others, and how near they are to the truth, from which weights are chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from xfreqbench.methods.contract import Maps
+from xfreqbench.methods.learning.loss import ssim_of_each
+from xfreqbench.types import FloatArray
+
+WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps, of which one is chosen
+_STRIDE, _WINDOW = 3, 3  # of the SSIM by which maps are compared
+_AT_ONCE = 64
+_TINY = 1e-12  # peak of a map where no path arrives
+
+Predict = Callable[[Float[FloatArray, "B 3"], Float[FloatArray, "B"]], Maps]
+
+
+def mixed(
+    weight: float | Float[NDArray[np.float32], "B"],
+    learned: Float[Maps, "B E A"],
+    other: Float[Maps, "B E A"],
+) -> Float[Maps, "B E A"]:
+    """The means of maps, of which the learned ones have a weight, one for all or one each, scaled to peak 1."""
+    weights = np.asarray(weight, np.float32).reshape(-1, 1, 1)
+    sums = weights * learned + (1 - weights) * other
+    return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)
+
+
+def similarities(maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]) -> Float[FloatArray, "n"]:
+    """SSIM of each of n maps, coarsely."""
+    return _of_view(_in_view(maps), _in_view(truth))
+
+
+def similarities_by_weight(
+    learned: Float[Maps, "n E A"], other: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]
+) -> Float[FloatArray, "W n"]:
+    """SSIM of n mixed maps, coarsely, for each of `WEIGHTS`."""
+    learned, other, truth = map(_in_view, (learned, other, truth))
+    return np.array([_of_view(mixed(weight, learned, other), truth) for weight in WEIGHTS])
+
+
+def _in_view(maps: Maps) -> Maps:
+    """The rows and columns that are compared, as an array of their own."""
+    return np.ascontiguousarray(maps[:, ::_STRIDE, ::_STRIDE])
+
+
+def _of_view(maps: Maps, truth: Maps) -> Float[FloatArray, "n"]:
+    parts = zip(torch.as_tensor(maps).split(_AT_ONCE), torch.as_tensor(truth).split(_AT_ONCE), strict=True)
+    return torch.cat([ssim_of_each(*part, _WINDOW, _STRIDE) for part in parts]).numpy().astype(np.float64)
