@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.protocols import find_split
-from xfreqbench.methods.virtual_source import refine
+from xfreqbench.methods.virtual_source import refine, traced
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
@@ -78,6 +80,26 @@ def test_the_true_room_is_nearer_to_the_training_rows_than_one_without_a_floor(d
     told = refinement(dataset, found_room())
     assert told.score(told.room) > 0.999
     assert told.score(told.room) > told.score(told.room[1:]) + 0.005
+
+
+def test_a_room_that_was_just_traced_is_not_traced_again(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, seen, channels_in = refinement(dataset, found_room()), [], traced.channels_in
+
+    def counted(room: Sequence[RoomSurface], *rest: Any) -> np.ndarray:
+        seen.append(len(room))
+        return channels_in(room, *rest)
+
+    monkeypatch.setattr(traced, "channels_in", counted)
+    monkeypatch.setattr(traced, "_MOST_KNOWN", 2)
+    whole, one, other = told.room, told.room[1:], told.room[2:]
+    first = [told.score(each) for each in (whole, one)]
+    assert [told.score(list(each)) for each in (whole, one)] == first
+    assert seen == [len(whole), len(one)]
+    told.score(other)
+    assert told.score(whole) == first[0]  # forgotten, and traced anew
+    assert seen == [len(each) for each in (whole, one, other, whole)]
 
 
 def wrong_room() -> dict[str, object]:

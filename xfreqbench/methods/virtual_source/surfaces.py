@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,7 @@ class RoomSurface:
         kind = "wall" if self.is_wall else "box" if self.depth_m else "face"
         return f"{kind} {self.number} of plane {self.plane}"
 
-    @property
+    @cached_property
     def mesh(self) -> SurfaceMesh:
         """The polygon as a fan of triangles, with the same behind it and the sides between, where it is a box."""
         number = len(self.corners_m)
