@@ -48,7 +48,7 @@ FITS: tuple[
     ("xfreq-gs, all pairs", "xfreq-gs", ("network=pairwise", "width=64", "layers=4")),
     ("xfreq-gs as in version 0.1", "xfreq-gs", FIRST),
     *((name, name, ()) for name in ("fixed-frequency-gs", "frequency-embedded-gs", "aperture-gs")),
-    *((name, name, ()) for name in ("gsrf", "wideband-3dgs", "wrf-gs-plus")),
+    *((name, name, ()) for name in ("gsrf", "swift-wrf", "wideband-3dgs", "wrf-gs-plus")),
 )
 FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s", "maps/s, of xfreq-gs as in version 0.1")
 CARRIERS_HZ = np.array([ghz_to_hz(carrier) for carrier in (1.0, 10.0)])  # of the training data

@@ -34,16 +34,22 @@ _PEAK_VIEW = GridView(6, 3, 3)  # with the loss's own directions, fine enough to
 
 
 @dataclass(frozen=True)
-class GaussianConfig(DensityConfig):
-    """Options of Gaussians: their number at the start, how it changes, and where they are accumulated.
+class BandConfig:
+    """Options of where power is accumulated.
 
-    With `band`, they are accumulated on every `splat_stride`-th row and column alone, and the power there is
-    projected on the maps that the array can give: a map is a combination of the array's few lag functions.
+    With `band`, that is every `splat_stride`-th row and column alone, and the power there is projected on the maps
+    that the array can give: a map is a combination of the array's few lag functions.
     """
 
-    num_gaussians: Annotated[Count, Doc("Gaussians at the start")] = 256
     band: Annotated[bool, Doc("whether power is projected on the maps that the array can give")] = True
     splat_stride: Annotated[Count, Doc("with band, power is computed on every so many rows and columns")] = 8
+
+
+@dataclass(frozen=True)
+class GaussianConfig(BandConfig, DensityConfig):
+    """Options of Gaussians: their number at the start, how it changes, and where they are accumulated."""
+
+    num_gaussians: Annotated[Count, Doc("Gaussians at the start")] = 256
     position_rate: Annotated[Positive, Doc("rate of the Gaussians' places, of the learning rate")] = 10.0
     move_from: Annotated[Fraction, Doc("share of the budget from which Gaussians move; 1: never")] = 0.0
 
@@ -61,12 +67,61 @@ class SplatTrainingConfig(TrainingConfig):
     averaging: Annotated[float, Limits(ge=0, lt=1)] = 0.995
 
 
-class GaussianField(ChannelField):
+class BandField(ChannelField):
+    """A field whose subclasses give the power that is `splatted`, projected on the array's band by the options."""
+
+    config: BandConfig
+
+    def power(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """Power |R_k|² from each direction in view, within the array's band where the options say so."""
+        if not self.config.band:
+            return self.splatted(tx_position_m, carrier_hz, view, beams)
+        return beams.power_of_lags(self._lags(tx_position_m, carrier_hz, beams), view)
+
+    def unit_power(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """The power divided by its peak, which is looked for in more directions where that costs little."""
+        if not self.config.band:
+            return super().unit_power(tx_position_m, carrier_hz, view, beams)
+        lags = self._lags(tx_position_m, carrier_hz, beams)
+        return beams.power_of_lags(lags / beams.peak_of_lags(lags, view, _PEAK_VIEW), view)
+
+    def _lags(
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], beams: Beams
+    ) -> Float[Tensor, "B L"]:
+        """Power on few directions, projected on the array's lag functions."""
+        coarse = beams.coarse_view(self.config.splat_stride)
+        return beams.lags_of(self.splatted(tx_position_m, carrier_hz, coarse, beams), coarse)
+
+    def splatted(
+        self,
+        tx_position_m: Float[Tensor, "B 3"],
+        carrier_hz: Float[Tensor, "B"],
+        view: GridView,
+        beams: Beams,
+    ) -> Float[Tensor, "B E A"]:
+        """Power of what is accumulated from each direction in view."""
+        raise NotImplementedError
+
+
+class GaussianField(BandField):
     """Complex Gaussians accumulated along each direction, nearest first; subclasses give their `attributes`.
 
     `network` is what `attributes` uses; it belongs to the parameters. `max_spread` is the upper bound of λ.
     """
 
+    config: GaussianConfig
     moves: Tensor
 
     def __init__(
@@ -107,38 +162,6 @@ class GaussianField(ChannelField):
         network = {"params": list(self.network.parameters()), "lr": learning_rate}
         rate = self.config.position_rate * learning_rate
         return [network, {"params": list(self.gaussians.parameters()), "lr": rate}]
-
-    def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
-    ) -> Float[Tensor, "B E A"]:
-        """Power |R_k|² from each direction in view, within the array's band where the options say so."""
-        if not self.config.band:
-            return self.splatted(tx_position_m, carrier_hz, view, beams)
-        return beams.power_of_lags(self._lags(tx_position_m, carrier_hz, beams), view)
-
-    def unit_power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
-    ) -> Float[Tensor, "B E A"]:
-        """The power divided by its peak, which is looked for in more directions where that costs little."""
-        if not self.config.band:
-            return super().unit_power(tx_position_m, carrier_hz, view, beams)
-        lags = self._lags(tx_position_m, carrier_hz, beams)
-        return beams.power_of_lags(lags / beams.peak_of_lags(lags, view, _PEAK_VIEW), view)
-
-    def _lags(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], beams: Beams
-    ) -> Float[Tensor, "B L"]:
-        """Power on few directions, projected on the array's lag functions."""
-        coarse = beams.coarse_view(self.config.splat_stride)
-        return beams.lags_of(self.splatted(tx_position_m, carrier_hz, coarse, beams), coarse)
 
     def splatted(
         self,

@@ -1,0 +1,107 @@
+"""Reduced SwiftWRF: Gaussians of the plane are where they say, add up, and learn, stop and go on."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from synthetic import write_dataset
+from training import predicted, reloaded, trained
+from xfreqbench.baselines.swift_wrf import SwiftWRF, SwiftWRFConfig, SwiftWRFField
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.learning.targets import Beams, GridView
+from xfreqbench.runs.predictions import fault_of_maps
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
+
+
+def small(**options: Any) -> SwiftWRF:
+    fixed = {
+        "num_gaussians": 30,
+        "batch_size": 8,
+        "stride": 15,
+        "width": 8,
+        "layers": 2,
+        "precision": "float32",
+    }
+    return SwiftWRF(SwiftWRFConfig(**{**fixed, **options}))
+
+
+def still(dataset: PasDataset, num_gaussians: int) -> tuple[SwiftWRFField, Beams]:
+    """A field that no transmitter deforms, and whose power is not projected on the array's band."""
+    training = small(num_gaussians=num_gaussians, band=False).started(dataset, seed=0)
+    assert isinstance(training.field, SwiftWRFField)
+    for parameter in training.field.network.head.parameters():
+        parameter.data.zero_()
+    return training.field, training.beams
+
+
+def power(field: SwiftWRFField, beams: Beams, dataset: PasDataset, carrier_hz: float = 1e9) -> torch.Tensor:
+    tx_position_m = torch.as_tensor(np.unique(dataset.tx_position_m, axis=0)[:3], dtype=torch.float32)
+    with torch.no_grad():
+        return field.power(tx_position_m, torch.full((3,), carrier_hz).double(), GridView(2), beams)
+
+
+def test_a_gaussian_is_where_it_says_and_as_wide_also_across_the_seam(dataset: PasDataset) -> None:
+    field, beams = still(dataset, 1)
+    grid = GridView(2).of_grid(beams.grid)
+    azimuth_rad, elevation_rad = np.meshgrid(grid.azimuth_rad, grid.elevation_rad)
+    for centre_deg in ((40.0, 30.0), (359.0, 60.0), (-1.0, 60.0)):
+        field.gaussians.centre_rad.data = torch.tensor([centre_deg]).deg2rad()
+        field.gaussians.log_size.data = torch.tensor([[10.0, 20.0]]).deg2rad().log()
+        across = np.remainder(azimuth_rad - math.radians(centre_deg[0]) + np.pi, 2 * np.pi) - np.pi
+        along = elevation_rad - math.radians(centre_deg[1])
+        bell = np.exp(-0.5 * ((across / math.radians(10)) ** 2 + (along / math.radians(20)) ** 2))
+        brightness = math.log1p(math.exp(-1.0))
+        # float32 angles of up to 2π, of which a deviation is 0.17
+        np.testing.assert_allclose(power(field, beams, dataset)[0].numpy(), brightness * bell, atol=1e-5)
+
+
+def test_powers_of_gaussians_add_up(dataset: PasDataset) -> None:
+    field, beams = still(dataset, 2)
+    both = power(field, beams, dataset)
+    brightness = field.gaussians.brightness.data.clone()
+    parts = []
+    for dark in range(2):
+        field.gaussians.brightness.data = brightness.clone()
+        field.gaussians.brightness.data[dark] = -100.0
+        parts.append(power(field, beams, dataset))
+    torch.testing.assert_close(both, parts[0] + parts[1])
+
+
+def test_transmitters_and_carriers_are_told_apart_by_the_network_alone(dataset: PasDataset) -> None:
+    field, beams = still(dataset, 5)
+    one, *others = power(field, beams, dataset)
+    assert all(torch.equal(one, other) for other in others)
+    torch.nn.init.normal_(field.network.head.weight, generator=torch.Generator().manual_seed(0))
+    first, second, _ = power(field, beams, dataset)
+    assert not torch.equal(first, second)
+    assert not torch.equal(first, power(field, beams, dataset, 37e9)[0])
+
+
+def test_sixty_steps_lower_the_loss_and_maps_are_finite(dataset: PasDataset) -> None:
+    model = small(ssim_weight=0.0, learning_rate=0.01, batch_size=16)
+    losses = [point.loss for point in trained(model, dataset, 60)]
+    assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])
+    assert fault_of_maps(predicted(model, dataset)) is None
+
+
+def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(dataset: PasDataset, tmp_path: Path) -> None:
+    unbroken, broken = small(), small()
+    points = trained(unbroken, dataset, 20)
+    before = trained(broken, dataset, 11, end=20)
+    resumed = reloaded(broken, tmp_path / "saved")
+    assert np.array_equal(predicted(resumed, dataset), predicted(broken, dataset))
+    assert [*before, *trained(resumed, dataset, 20)] == points
+    assert np.array_equal(predicted(resumed, dataset), predicted(unbroken, dataset))
+    assert {point.counts["gaussians"] for point in points} == {30}
