@@ -10,7 +10,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -226,8 +226,9 @@ def _made_channels(digest: str) -> Callable[..., tuple[F64, F64, I32]]:
         for i in prange(len(tx_position_m)):
             room = Room(facets, media, wedges, mirrors, aperture)
             near = find_sides(facets, mirrors, wedges, tx_position_m[i : i + 1], limits.max_planes)
+            number: Any = np.int64(i)  # of one type within the loop and without, as is compiled
             if len(near.length) > 0:
-                _add_all(room, near, far, limits, i, (real[i], imag[i]), num_paths[i])
+                _add_all(room, near, far, limits, number, (real[i], imag[i]), num_paths[i])
         return real, imag, num_paths
 
     return channels

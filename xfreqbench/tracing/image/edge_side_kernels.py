@@ -9,7 +9,7 @@ of those of `diffraction_kernels`.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,7 +241,8 @@ def _search(
         for c in range(3):
             images[o, 0, c] = points[o, c]
     sequence, level = np.full(MAX_SIDE_PLANES + 1, -1), 0
-    num = _look(facets, mirrors, wedges, sequence, 0, images, found, 0)
+    none: Any = np.int64(0)  # of the type of later calls, for which it is compiled alone
+    num = _look(facets, mirrors, wedges, sequence, none, images, found, none)
     while level >= 0 and max_planes > 0:
         sequence[level] += 1
         p = sequence[level]

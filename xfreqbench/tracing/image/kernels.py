@@ -12,7 +12,7 @@ A tuple that is passed on costs time for each array in it, so kernels take the t
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -206,7 +206,8 @@ def launch(facets: Facets, origin: F64, shot: Launch) -> list[U64]:
     """
     found = [np.zeros(0, np.uint64) for _ in range(NUM_CHUNKS)]
     for chunk in prange(NUM_CHUNKS):
-        found[chunk] = _sequences(facets, origin, shot, chunk)
+        number: Any = np.int64(chunk)  # of one type within the loop and without, as is compiled
+        found[chunk] = _sequences(facets, origin, shot, number)
     return found
 
 
