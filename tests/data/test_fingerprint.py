@@ -161,6 +161,27 @@ def test_where_no_path_can_be_missed_the_solvers_differ_by_digits(tmp_path: Path
     require_fingerprint(of_sionna)
 
 
+@pytest.mark.slow
+@pytest.mark.sionna
+def test_in_the_office_the_other_solver_shares_the_recipe_and_is_as_far_off_as_documented(
+    tmp_path: Path,
+) -> None:
+    """0.012 at 2.4 GHz, more than solver `image` is allowed: its rays miss some of the weak paths."""
+    known = read_fingerprint(fingerprint_path("office", diffraction=False))
+    of_sionna = generate(
+        load_scene("office"),
+        tmp_path / "sionna.h5",
+        [2.4],
+        tx_positions=known.tx_position_m[:16],
+        solver="sionna",
+        maps=False,
+    )
+    assert of_sionna.recipe.physics_sha256 == known.physics_sha256
+    match = require_fingerprint(of_sionna)
+    assert match.difference is not None
+    assert TOLERANCE < match.difference < 0.02
+
+
 def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tmp_path: Path) -> None:
     other = rooms(tmp_path / "moved.h5", with_wall_moved(ROOMS, "wall north", 1e-3))
     assert other.recipe.physics_sha256 != usual.recipe.physics_sha256
