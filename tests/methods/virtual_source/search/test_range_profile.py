@@ -130,3 +130,11 @@ def test_random_planes_lie_within_the_scene_and_follow_their_seed(room: PasDatas
     assert [plane.distance_m for plane in planes] == [plane.distance_m for plane in again]
     assert all(0 < plane.distance_m < reach_m for plane in planes)
     np.testing.assert_allclose([np.linalg.norm(plane.normal) for plane in planes], 1)
+
+
+def test_few_transmitters_tell_of_walls_that_all_of_them_see(tmp_path: Path) -> None:
+    few = replace(ROOM, walls=(WALL, SIDE, FLOOR), num_tx=60)
+    planes = find_planes(few.stored(tmp_path), 0)
+    for wall in few.walls:
+        assert abs(the_one(planes, wall).distance_m - wall.distance_m) < 5e-4
+    assert len(planes) == 3

@@ -36,8 +36,9 @@ from xfreqbench.methods.virtual_source.search.planes import Plane, plane_of
 from xfreqbench.methods.virtual_source.search.selection import mirrored_receivers_m
 from xfreqbench.types import FloatArray
 
-_NEIGHBOURHOOD_M = 1.0
+_NEIGHBOURHOOD_M = 1.0  # side at least
 _MIN_NEIGHBOURS = 6
+_NUM_NEIGHBOURS = (20, 60)  # for whose sake neighbourhoods are larger where transmitters are few
 _BLOCK_M, _STEP_M = 0.04, 8e-4  # steering vectors change from block to block; a step is λ/4 at 94 GHz
 _NEAREST_M = 0.05
 _CHANCE = 9.0  # only evidence of a neighbourhood above this counts; chance is exponential with mean 1
@@ -69,24 +70,31 @@ _TRIAL = _Demand(best=12.0, total=3.0, most=3)  # enough to try a plane in train
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Evidence for planes with one normal at S distances: `best` of any neighbourhood, `total` above chance."""
+    """Evidence for planes with one normal at S distances: `best` of any neighbourhood, `total` above chance.
 
+    Neighbourhoods have sides of `side_m`.
+    """
+
+    side_m: float
     normal: Float[FloatArray, "3"]
     distance_m: Float[FloatArray, "S"]
     best: Float[FloatArray, "S"]
     total: Float[FloatArray, "S"]
 
 
-def range_profile(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) -> Profile:
+def range_profile(
+    reference: LineOfSightReference, normal: Float[FloatArray, "3"], side_m: float = _NEIGHBOURHOOD_M
+) -> Profile:
     """Evidence for planes with a unit normal, from close to the receiver to behind the farthest transmitter.
 
     The evidence of a neighbourhood is |Σ x|² / Σ|x|² over its transmitters and all carriers.
     """
-    belongs = _neighbourhoods(reference, normal)
+    belongs = _neighbourhoods(reference, normal, side_m)
     farthest_m = float((reference.offset_m @ normal).max(initial=0)) + BEHIND_BOX_M
     starts_m = np.arange(_NEAREST_M, farthest_m, _BLOCK_M)
     evidence = np.concatenate([_block(reference, normal, start_m, belongs) for start_m in starts_m])
     return Profile(
+        side_m,
         normal,
         (starts_m[:, None] + _steps_m()).ravel(),
         evidence.max(axis=1, initial=0),
@@ -99,12 +107,31 @@ def _steps_m() -> Float[FloatArray, "m"]:
     return np.arange(round(_BLOCK_M / _STEP_M), dtype=np.float64) * _STEP_M
 
 
+def _sides_m(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) -> list[float]:
+    """Sides of neighbourhoods across a normal: one where transmitters are dense, larger ones where they are few.
+
+    A wall is seen by all of few transmitters, a cabinet by those of one place. So several sizes are tried.
+    """
+    floor_m2, across_m2 = (
+        float(np.ptp(place_m, axis=0).clip(_NEIGHBOURHOOD_M).prod())
+        for place_m in (reference.offset_m[:, :2], _across_m(reference, normal))
+    )
+    dense, num_tx = _NUM_NEIGHBOURS[0] * floor_m2 / _NEIGHBOURHOOD_M**2, len(reference.offset_m)
+    if num_tx >= dense:
+        return [_NEIGHBOURHOOD_M]
+    return sorted({max(_NEIGHBOURHOOD_M, math.sqrt(each * across_m2 / num_tx)) for each in _NUM_NEIGHBOURS})
+
+
+def _across_m(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) -> Float[FloatArray, "T 2"]:
+    """Places of transmitters across a normal."""
+    return reference.offset_m @ np.linalg.svd(normal[None])[2][1:].T
+
+
 def _neighbourhoods(
-    reference: LineOfSightReference, normal: Float[FloatArray, "3"]
+    reference: LineOfSightReference, normal: Float[FloatArray, "3"], side_m: float
 ) -> Float[NDArray[np.float32], "N T"]:
     """Membership, 0 or 1, of T transmitters in N neighbourhoods: squares across the normal, of any depth along it."""
-    across = np.linalg.svd(normal[None])[2][1:]
-    place = np.floor(reference.offset_m @ across.T / _NEIGHBOURHOOD_M).astype(np.int64)
+    place = np.floor(_across_m(reference, normal) / side_m).astype(np.int64)
     _, of_tx = np.unique(place, axis=0, return_inverse=True)
     return (np.arange(of_tx.max() + 1)[:, None] == of_tx.ravel()).astype(np.float32)
 
@@ -206,20 +233,25 @@ def profiled_planes(
     Their score is the evidence above chance, less what their tilt costs. Once the time of the search is over, the
     planes are those found until then.
     """
-    profiles = until_over(range_profile(reference, normal) for normal in normals)
-    found = [plane for profile in profiles for plane in _along(reference, profile, known, demand)]
+    profiles = until_over(
+        [range_profile(reference, normal, side_m) for side_m in _sides_m(reference, normal)]
+        for normal in normals
+    )
+    found = [plane for of_normal in profiles for plane in _along(reference, of_normal, known, demand)]
     return sorted(found, key=lambda plane: plane.score, reverse=True)
 
 
 def _along(
-    reference: LineOfSightReference, profile: Profile, known: Sequence[Plane], demand: _Demand
+    reference: LineOfSightReference, profiles: Sequence[Profile], known: Sequence[Plane], demand: _Demand
 ) -> list[Plane]:
-    """The planes of one profile, strongest first."""
-    is_peak = profile.total == maximum_filter1d(profile.total, round(_PEAK_M / _STEP_M))
-    speaks = np.flatnonzero(is_peak & (profile.best > demand.best) & (profile.total > demand.total))
-    highest_first = speaks[np.argsort(-profile.total[speaks])].tolist()
-    peaks = [index for index in highest_first if not _is_known(reference, profile, index, known)]
-    planes = until_over(_sharpened(reference, profile, index) for index in peaks[: 2 * demand.most])
+    """The planes of the profiles of one normal, strongest first."""
+    planes: list[Plane] = []
+    for profile in profiles:
+        is_peak = profile.total == maximum_filter1d(profile.total, round(_PEAK_M / _STEP_M))
+        speaks = np.flatnonzero(is_peak & (profile.best > demand.best) & (profile.total > demand.total))
+        highest_first = speaks[np.argsort(-profile.total[speaks])].tolist()
+        peaks = [index for index in highest_first if not _is_known(reference, profile, index, known)]
+        planes += until_over(_sharpened(reference, profile, index) for index in peaks[: 2 * demand.most])
     kept: list[Plane] = []
     for plane in sorted(planes, key=lambda plane: plane.score, reverse=True):
         if not any(_is_side_lobe(plane, other) for other in kept):
@@ -250,7 +282,7 @@ def _is_side_lobe(plane: Plane, stronger: Plane) -> bool:
 
 def _sharpened(reference: LineOfSightReference, profile: Profile, index: int) -> Plane:
     """The plane of a peak, its distance and tilts moved to where the evidence is greatest."""
-    peak = _Peak.of(reference, 2 * profile.distance_m[index] * profile.normal)
+    peak = _Peak.of(reference, 2 * profile.distance_m[index] * profile.normal, profile.side_m)
     simplex = np.vstack([np.zeros(3), _SIMPLEX_M * np.eye(3)])
     options = {"initial_simplex": simplex, "xatol": _SETTLED_M, "fatol": 1e-3, "maxfev": 300}
     best = minimize(lambda step_m: -peak.value(step_m), np.zeros(3), method="Nelder-Mead", options=options)
@@ -267,11 +299,11 @@ class _Peak:
     belongs: Float[NDArray[np.float32], "N T"]
 
     @classmethod
-    def of(cls, reference: LineOfSightReference, place_m: Float[FloatArray, "3"]) -> _Peak:
+    def of(cls, reference: LineOfSightReference, place_m: Float[FloatArray, "3"], side_m: float) -> _Peak:
         """The peak at a place, with the neighbourhoods that are usable there."""
         normal = place_m / np.linalg.norm(place_m)
         there = aligned(reference, place_m, less_mean=False)
-        belongs = _neighbourhoods(reference, normal)
+        belongs = _neighbourhoods(reference, normal, side_m)
         usable = _is_usable(belongs, there.term, reference.offset_m @ normal)
         return cls(place_m, there, reference.wavenumber, belongs[usable])
 
