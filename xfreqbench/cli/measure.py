@@ -166,7 +166,7 @@ def bench_peers(
     solvers: Annotated[
         str, Parameter(help="Comma-separated; those of DiffeRT need the extra `peers`.")
     ] = "sionna,PathSolver,PathSolver-batched,DiffeRT-exhaustive,DiffeRT-hybrid",
-    orders: Annotated[str, Parameter(help="Numbers of reflections, 1 to 6.")] = "1,2,3",
+    orders: Annotated[str, Parameter(help="Numbers of reflections, 1 to 6.")] = "1,2,3,4",
     seconds: Annotated[float, Parameter(help="How long a solver may run after its set-up.")] = 20.0,
     output: BenchOutput = None,
 ) -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from xfreqbench.bench.peers import run
 from xfreqbench.bench.peers.differt import DiffeRTSolver, require_differt
-from xfreqbench.bench.peers.measure import CARRIERS_HZ, PeerTask, differences_db, measured, missed
+from xfreqbench.bench.peers.measure import CARRIERS_HZ, Measured, PeerTask, differences_db, measured, missed
 from xfreqbench.bench.peers.rooms import panel_room, transmitters
-from xfreqbench.bench.peers.solvers import OurSolver, PathSolver
+from xfreqbench.bench.peers.solvers import SPECULAR_ALONE, OurSolver, PathSolver
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.runs.records import read
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.tracing.image.tracer import can_solve
+from xfreqbench.tracing.tracer import TraceSettings
 
 ORDER = 2
 
@@ -61,6 +67,28 @@ def test_a_solver_is_timed_in_a_process_of_its_own() -> None:
     assert result.channel.shape == (4, 16)
     assert [len(lengths) for lengths in result.lengths_m] == [7, 7, 7]  # the line of sight, and six walls
     assert result.tx_s > 0 and result.setup_s > 0
+
+
+def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[PeerTask] = []
+
+    def as_the_square_of_triangles(task: PeerTask) -> Measured:
+        asked.append(task)
+        return Measured(1.0, 1e-6 * task.num_triangles**2, 100.0, np.zeros((1, 16), complex), [np.ones(3)])
+
+    monkeypatch.setattr(run, "measured", as_the_square_of_triangles)
+    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+    run._tabulate_growth(bench, 1.0)
+    (record,) = read(tmp_path / "records.jsonl").benches
+    assert record.figure is not None
+    series = {point.series for point in record.figure.points}
+    assert {"triangles, image: exponent 2.00", "transmitters, image: exponent 1.00"} < series
+    assert len(record.rows) == len(asked) == len(record.figure.points)
+    most = max(task.num_triangles for task in asked if task.solver == "image")
+    settings = TraceSettings(solver="image", interactions=SPECULAR_ALONE, max_depth=3)
+    assert can_solve(Geometry(surface_meshes(panel_room(most))), settings)
 
 
 def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,23 +21,40 @@ from xfreqbench.bench.peers.solvers import BATCH, CONVERGED, CONVERGED_RAYS, RAY
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.runs.records import BenchFigure, BenchPoint
+from xfreqbench.tracing.image.tracer import MAX_MIRRORS
 from xfreqbench.units import format_ghz
 
 TRIANGLES, NUM_TX = 40, 64
 SAME_M = 1e-4  # a pair of paths whose lengths differ by less is one path in two solvers
 MAX_ORDER = 6
 GROWTH_ORDER = 3
-TRIANGLE_COUNTS, TX_COUNTS, CARRIER_COUNTS = (40, 100, 200, 400, 800), (10, 100, 1000, 10_000), (1, 10, 100)
 OURS = "image"
+GROWTHS: tuple[tuple[str, str, tuple[int, ...]], ...] = (  # what is varied, for which solver
+    ("triangles", OURS, (40, 100, 400, 1000)),  # MAX_MIRRORS is 1,000
+    ("triangles", "sionna", (40, 400, 4000)),
+    ("transmitters", OURS, (10, 100, 1000, 10_000)),
+    ("carriers", OURS, (1, 10, 100)),
+)
 PATH_COLUMNS = ("reflections", "solver", f"paths of {OURS}", "missed", "more", "greatest difference, m")
-TIME_COLUMNS = ("reflections", "solver", "set-up, s", "ms a transmitter", f": {OURS}", "dB", "peak MiB")
+TIME_COLUMNS = (
+    "reflections",
+    "solver",
+    "set-up, s",
+    "ms a transmitter",
+    f": {OURS}",
+    "paths a second",
+    "dB",
+    "peak MiB",
+)
 GROWTH_COLUMNS = (
     "varied",
+    "solver",
     "number",
     "set-up, s",
     "ms a transmitter",
     "ms a transmitter and carrier",
     "exponent",
+    "peak MiB",
 )
 Results = Mapping[tuple[int, str], Measured]
 
@@ -87,50 +104,65 @@ def _tabulate_times(bench: Bench, results: Results) -> None:
         f"process of its own; batched: {BATCH} transmitters a call. Set-up ends with the first answers, compilation "
         "included; DiffeRT compiles anew whenever the number of candidates changes, as it does from transmitter to "
         f"transmitter with `hybrid`. dB: channels against `{OURS}` with {CONVERGED_RAYS:,} rays, median over as many "
-        f"of {NUM_TX} transmitters as were solved in the time."
+        f"of {NUM_TX} transmitters as were solved in the time. Paths a second: those to the array's centre, each with "
+        "its field at every element."
     )
     with bench.table("Time of the solvers", note, TIME_COLUMNS) as table:
+        points = []
         for (order, solver), result in results.items():
             if solver != CONVERGED:
                 ratio = result.tx_s / results[order, OURS].tx_s
                 error_db = median(differences_db(result.channel, results[order, CONVERGED].channel).tolist())
                 times = f"{result.setup_s:.2f}", f"{result.tx_s * 1e3:.3g}", f"{ratio:.3g}"
-                table.add(str(order), solver, *times, f"{error_db:.0f}", f"{result.peak_mib:.0f}")
+                paths_s = np.mean([len(lengths) for lengths in result.lengths_m]) / result.tx_s
+                costs = f"{paths_s:,.3g}", f"{error_db:.0f}", f"{result.peak_mib:.0f}"
+                table.add(str(order), solver, *times, *costs)
+                points.append(BenchPoint(series=solver, label=str(order), x=1e3 * result.tx_s, y=order))
+        table.figure = BenchFigure(
+            x_label="ms a transmitter", y_label="reflections", log_x=True, points=tuple(points)
+        )
 
 
 def _tabulate_growth(bench: Bench, seconds: float) -> None:
     note = (
-        f"`{OURS}` with {GROWTH_ORDER} reflections on one core; of triangles, transmitters and carriers one grows, the "
-        f"others stay at {TRIANGLES}, {NUM_TX} and 1. Exponent: slope of the logarithm of the whole time after set-up."
+        f"{GROWTH_ORDER} reflections on one core; of triangles, transmitters and carriers one grows, the others stay "
+        f"at {TRIANGLES}, {NUM_TX} and 1. Exponent: slope of the logarithm of the whole time after set-up over that of "
+        f"the number, up to the row. `{OURS}` mirrors at {MAX_MIRRORS:,} triangles at most; for more `auto` takes "
+        "`sionna`."
     )
     with bench.table("Growth of the time", note, GROWTH_COLUMNS) as table:
-        points = []
-        for varied, numbers in (
-            ("triangles", TRIANGLE_COUNTS),
-            ("transmitters", TX_COUNTS),
-            ("carriers", CARRIER_COUNTS),
-        ):
-            totals_s: list[float] = []
+        points = list[BenchPoint]()
+        for varied, solver, numbers in GROWTHS:
+            totals_s, tx_ms = list[float](), list[float]()
             for number in numbers:
-                task = _task(varied, number, seconds)
+                task = _task(varied, solver, number, seconds)
                 result = measured(task)
-                totals_s.append(result.tx_s * (number if varied == "transmitters" else 1))
-                times_ms = 1e3 * result.tx_s, 1e3 * result.tx_s / len(task.carriers_hz)
-                cells = f"{result.setup_s:.2f}", *(f"{each:.3g}" for each in times_ms)
-                table.add(varied, f"{number:,}", *cells, _exponent(numbers[: len(totals_s)], totals_s))
-                points.append(BenchPoint(series=varied, label=f"{number:,}", x=number, y=times_ms[0]))
+                tx_ms.append(1e3 * result.tx_s)
+                totals_s.append(result.tx_s * task.num_tx)
+                times = (
+                    f"{result.setup_s:.2f}",
+                    f"{tx_ms[-1]:.3g}",
+                    f"{tx_ms[-1] / len(task.carriers_hz):.3g}",
+                )
+                exponent = _exponent(numbers[: len(totals_s)], totals_s)
+                table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")
+            series = f"{varied}, {solver}: exponent {exponent}"
+            points += [
+                BenchPoint(series=series, label=f"{number:,}", x=number, y=each)
+                for number, each in zip(numbers, tx_ms, strict=True)
+            ]
         table.figure = BenchFigure(
             x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points)
         )
 
 
-def _task(varied: str, number: int, seconds: float) -> PeerTask:
+def _task(varied: str, solver: str, number: int, seconds: float) -> PeerTask:
     triangles, num_tx, num_carriers = (
         number if varied == name else default
         for name, default in (("triangles", TRIANGLES), ("transmitters", NUM_TX), ("carriers", 1))
     )
     carriers_hz = tuple(np.linspace(1e9, 94e9, num_carriers)) if num_carriers > 1 else CARRIERS_HZ
-    return PeerTask(OURS, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz)
+    return PeerTask(solver, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz)
 
 
 def _exponent(numbers: Sequence[int], totals_s: Sequence[float]) -> str:
