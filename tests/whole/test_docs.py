@@ -21,6 +21,7 @@ from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.protocols import lofo
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
+from xfreqbench.report.leaderboard.shown_maps import ShownMaps
 from xfreqbench.runs.records import RunRecord
 
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
@@ -199,6 +200,11 @@ def test_the_table_of_records_names_every_field() -> None:
     described = table(FORMATS, "## Records")
     fields = [name for row in described for name in row[0].split(", ")]
     assert sorted(fields) == sorted(RunRecord.model_fields)
+
+
+def test_the_table_of_maps_to_show_names_every_field() -> None:
+    fields = [name for row in table(FORMATS, "## Maps to show") for name in row[0].split(", ")]
+    assert sorted(fields) == sorted(ShownMaps.model_fields)
 
 
 def test_the_table_of_conventions_is_that_of_the_code() -> None:
