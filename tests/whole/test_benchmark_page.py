@@ -4,6 +4,7 @@ import re
 import shutil
 from pathlib import Path
 
+import pytest
 from places import ROOT
 
 import xfreqbench as xb
@@ -13,6 +14,7 @@ from xfreqbench.report.leaderboard.report import write_report
 DETAILS = Path("docs") / "results"
 
 
+@pytest.mark.slow
 def test_the_benchmark_is_what_its_committed_records_say(tmp_path: Path) -> None:
     shutil.copy(ROOT / "BENCHMARK.md", tmp_path)
     shutil.copytree(ROOT / DETAILS, tmp_path / DETAILS)

@@ -13,6 +13,8 @@ from stored_records import make_record
 
 from xfreqbench.runs.records import append
 
+pytestmark = pytest.mark.slow
+
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 

@@ -128,6 +128,7 @@ def test_every_hostile_text_makes_whole_tables(text: str) -> None:
     assert markup_of(leaderboard_markdown(runs, benches)) == plain_markup()
 
 
+@pytest.mark.slow
 @settings(
     max_examples=1,
     deadline=None,

@@ -244,6 +244,7 @@ def test_the_solver_declines_what_it_cannot_do() -> None:
         ImageTracer(load_scene("office"), [1e9], TraceSettings(interactions=("specular", "diffuse")))
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
     program = """
 import hashlib, sys

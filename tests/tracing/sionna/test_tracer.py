@@ -161,6 +161,7 @@ def test_a_channel_does_not_depend_on_the_transmitters_asked_for_with_it() -> No
         np.testing.assert_array_equal(rays.channel(tx[row : row + 1]).cfr[0], together.cfr[row])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
     program = f"""
 import hashlib, numpy as np, sys

@@ -34,22 +34,18 @@ def mixed(
 
 def similarities(maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]) -> Float[FloatArray, "n"]:
     """SSIM of each of n maps, coarsely."""
-    return _of_view(_in_view(maps), _in_view(truth))
+    parts = (torch.as_tensor(_in_view(each)).split(_AT_ONCE) for each in (maps, truth))
+    similar = [ssim_of_each(shown, true, _WINDOW, _STRIDE) for shown, true in zip(*parts, strict=True)]
+    return torch.cat(similar).numpy().astype(np.float64)
 
 
 def similarities_by_weight(
     learned: Float[Maps, "n E A"], other: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]
 ) -> Float[FloatArray, "W n"]:
     """SSIM of n mixed maps, coarsely, for each of `WEIGHTS`."""
-    learned, other, truth = map(_in_view, (learned, other, truth))
-    return np.array([_of_view(mixed(weight, learned, other), truth) for weight in WEIGHTS])
+    return np.array([similarities(mixed(weight, learned, other), truth) for weight in WEIGHTS])
 
 
 def _in_view(maps: Maps) -> Maps:
     """The rows and columns that are compared, as an array of their own."""
     return np.ascontiguousarray(maps[:, ::_STRIDE, ::_STRIDE])
-
-
-def _of_view(maps: Maps, truth: Maps) -> Float[FloatArray, "n"]:
-    parts = zip(torch.as_tensor(maps).split(_AT_ONCE), torch.as_tensor(truth).split(_AT_ONCE), strict=True)
-    return torch.cat([ssim_of_each(*part, _WINDOW, _STRIDE) for part in parts]).numpy().astype(np.float64)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.protocols import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
-from xfreqbench.report.drawing.figures import map_png
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
 from xfreqbench.runs.folder import ResultsFolder
@@ -136,6 +135,8 @@ def shown_split(board: Board) -> str:
 
 def scales() -> dict[str, str]:
     """The colour bars of `power` and `error`, from low to high, as PNG files in base64."""
+    from xfreqbench.report.drawing.figures import map_png
+
     ramp = np.linspace(0, 1, 64, dtype=np.float32)[None]
     bars = {"power": _POWER_COLOURS, "error": _ERROR_COLOURS}
     return {name: b64encode(map_png(ramp, colours)).decode() for name, colours in bars.items()}
@@ -194,6 +195,8 @@ def _draw(
     pictures: dict[str, str],
 ) -> list[str]:
     """Draw levels of truth and prediction, and their error, into `pictures`; returns the names, which are hashes."""
+    from xfreqbench.report.drawing.figures import map_png
+
     power = [np.where(level > 0, 10 ** ((level - 1) * RANGE_DB / 10), 0) for level in (truth, predicted)]
     drawn = [
         (truth, _POWER_COLOURS),
