@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")"
 say() { printf '\n== %s\n' "$*"; }
-methods=${METHODS:-line-of-sight,nearest,mean-over-frequency,log-frequency,xfreq-gs,aperture-gs,virtual-source}
+methods=${METHODS:-line-of-sight,nearest,mean-over-frequency,log-frequency,frequency-embedded-gs,xfreq-gs,virtual-source}
 budget=${BUDGET:-quick} data=data/office-quick.h5 results=results/quickstart
 
 say "Installing; two minutes the first time, most of it downloads"
