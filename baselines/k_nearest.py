@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import inner_carriers_hz
@@ -85,8 +84,6 @@ class KNearest(TransmitterLookup):
 
     def _know(self, transmitters: TrainingTransmitters) -> None:
         self.transmitters = transmitters
-        _, first = np.unique(transmitters.train.tx_index, return_index=True)
-        self._tree = KDTree(transmitters.train.tx_position_m[first])
         self._softening_m = max(transmitters.spacing_m / 2, SAME_TRANSMITTER_M)
 
     def _neighbours(
@@ -97,7 +94,7 @@ class KNearest(TransmitterLookup):
         Transmitters stand in the order of their distance, and rows of each in that of their carriers' octaves.
         """
         known_hz, found = self.transmitters.train.carrier_hz, []
-        distance_m, nearest = self._tree.query(tx_position_m, k=np.arange(1, min(count, self._tree.n) + 1))
+        distance_m, nearest = self.transmitters.neighbours(tx_position_m, count)
         for each in nearest:
             rows = self.transmitters.rows(np.array([each]))
             octaves = np.abs(np.log2(known_hz[rows] / carrier_hz))

@@ -100,7 +100,7 @@ class VirtualSource(LearnedMethod):
         field = _field(training)
         if field.has_too_few_planes:
             self._told = field.room.findings(field.array_m)
-            self._instead = _instead(self.config)
+            self._instead = XFreqGS(XFreqGSConfig(steps=self.config.steps, device=self.config.device))
         else:
             self._training = training
 
@@ -187,11 +187,6 @@ class VirtualSource(LearnedMethod):
             training.optimizer = self.new_optimizer(field)
             self._rows = _TransmitterRows(field, targets)
         return self._rows
-
-
-def _instead(config: VirtualSourceConfig) -> XFreqGS:
-    """What learns the maps where too few planes are found."""
-    return XFreqGS(XFreqGSConfig(steps=config.steps))
 
 
 def _field(training: Training) -> VirtualSourceField:

@@ -39,9 +39,16 @@ class TrainingTransmitters:
         self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
         self._row[column, carrier] = np.arange(len(train))
 
+    def neighbours(
+        self, tx_position_m: Float[FloatArray, "3"], count: int
+    ) -> tuple[Float[FloatArray, "k"], Int[IntArray, "k"]]:
+        """Distances in metres and indices (k,) of the `count` nearest training transmitters, or of all if fewer."""
+        distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
+        return distance_m, index
+
     def nearest(self, tx_position_m: Float[FloatArray, "3"], count: int = 1) -> Int[IntArray, "k"]:
         """Indices (k,) of the `count` nearest training transmitters; a single one if it stands at this position."""
-        distance_m, index = self._tree.query(tx_position_m, k=np.arange(1, min(count, len(self._row)) + 1))
+        distance_m, index = self.neighbours(tx_position_m, count)
         return index[:1] if distance_m[0] <= SAME_TRANSMITTER_M else index
 
     @cached_property

@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import (
-    LEAST_VALIDATION_TX,
-    inner_carriers_hz,
-    validation_tx,
-)
+from xfreqbench.data.splits import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget, Maps
 from xfreqbench.methods.learning.mixing import (
     WEIGHTS,
@@ -38,7 +34,7 @@ CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
 _FEW_TX, _FOLDS = 16, 5  # with fewer held out the choice is a cautious one
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # of a standard error: a gain at one transmitter alone is as large as its error
 _FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
 _REGION_SHARE = 0.15  # of the transmitters
 _PLACES = ("transmitter", "far transmitter", "very far transmitter")
@@ -89,7 +85,7 @@ class Holdout:
             return cls(until, np.flatnonzero(left), rows)
 
         among = (is_carrier & ~is_tx, ~is_carrier & is_tx, is_carrier & is_tx)
-        last = drawn(CHOOSE_AT, ~is_carrier & ~is_tx, dict(zip(KINDS, among, strict=False)))
+        last = drawn(CHOOSE_AT, ~is_carrier & ~is_tx, dict(zip(KINDS[:3], among, strict=True)))
         is_unseen = is_tx | _is_in_region(train, generator)
         left = ~is_carrier & ~is_unseen
         if not left.any():
@@ -250,6 +246,4 @@ def _may_be_as_good(
     number = np.unique(tx_index, return_inverse=True)[1]
     by_tx = np.bincount(number, best - similar) / np.bincount(number)
     error = by_tx.std() / np.sqrt(max(1, len(by_tx) - 1))
-    return bool(
-        by_tx.mean() <= error * (1 + _ROUNDING)
-    )  # a gain at one transmitter alone is as large as its error
+    return bool(by_tx.mean() <= error * (1 + _ROUNDING))

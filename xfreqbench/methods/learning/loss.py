@@ -66,7 +66,7 @@ def ssim_of_each(
 
 
 def _c2_of_view(window: int, stride: int) -> float:
-    """C₂ for windows of a view; see `mean_ssim`."""
+    """C₂ for windows of a view; see `ssim_of_each`."""
     return SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
 
 

@@ -81,15 +81,17 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     colours = mpl.colormaps[colormap](np.linspace(0, 1, _NUM_COLOURS), bytes=True)[:, :3]
     picture = Image.fromarray(levels)
     picture.putpalette(colours.tobytes())
-    buffer = BytesIO()
-    picture.save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
+    return _png_bytes(picture)
 
 
 def grey_png(levels: UInt8[NDArray[np.uint8], "R C"]) -> bytes:
     """The bytes of a PNG of grey levels, of which `grey_levels` is the inverse."""
+    return _png_bytes(Image.fromarray(levels))
+
+
+def _png_bytes(picture: Image.Image) -> bytes:
     buffer = BytesIO()
-    Image.fromarray(levels).save(buffer, "PNG", optimize=True)
+    picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 

@@ -226,7 +226,7 @@ def _made_channels(digest: str) -> Callable[..., tuple[F64, F64, I32]]:
         for i in prange(len(tx_position_m)):
             room = Room(facets, media, wedges, mirrors, aperture)
             near = find_sides(facets, mirrors, wedges, tx_position_m[i : i + 1], limits.max_planes)
-            number: Any = np.int64(i)  # of one type within the loop and without, as is compiled
+            number: Any = np.int64(i)  # signed in prange too: compiled for one type
             if len(near.length) > 0:
                 _add_all(room, near, far, limits, number, (real[i], imag[i]), num_paths[i])
         return real, imag, num_paths

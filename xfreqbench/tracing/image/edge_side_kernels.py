@@ -241,7 +241,7 @@ def _search(
         for c in range(3):
             images[o, 0, c] = points[o, c]
     sequence, level = np.full(MAX_SIDE_PLANES + 1, -1), 0
-    none: Any = np.int64(0)  # of the type of later calls, for which it is compiled alone
+    none: Any = np.int64(0)  # no literal, as in later calls, so that it is compiled for one type
     num = _look(facets, mirrors, wedges, sequence, none, images, found, none)
     while level >= 0 and max_planes > 0:
         sequence[level] += 1

@@ -206,7 +206,7 @@ def launch(facets: Facets, origin: F64, shot: Launch) -> list[U64]:
     """
     found = [np.zeros(0, np.uint64) for _ in range(NUM_CHUNKS)]
     for chunk in prange(NUM_CHUNKS):
-        number: Any = np.int64(chunk)  # of one type within the loop and without, as is compiled
+        number: Any = np.int64(chunk)  # signed in prange too: compiled for one type
         found[chunk] = _sequences(facets, origin, shot, number)
     return found
 
