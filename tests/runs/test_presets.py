@@ -111,7 +111,7 @@ def test_the_standard_preset_fits_in_three_hours_on_two_cores(
 
 
 def test_ablations_change_the_setting_that_they_name() -> None:
-    for block in PRESETS["standard"].blocks:
+    for block in (*PRESETS["standard"].blocks, *PRESETS["ablations"].blocks):
         for setting in block.settings:
             changed = build_method(setting.method, setting.overrides).config
             assert bool(setting.overrides) == (changed != build_method(setting.method).config)

@@ -164,18 +164,19 @@ def bench_load(
 def bench_peers(
     *,
     solvers: Annotated[
-        str, Parameter(help="Comma-separated; those of DiffeRT need the extra `peers`.")
-    ] = "sionna,PathSolver,PathSolver-batched,DiffeRT-exhaustive,DiffeRT-hybrid",
+        str | None, Parameter(help="Comma-separated; all if absent, those of DiffeRT with the extra `peers`.")
+    ] = None,
     orders: Annotated[str, Parameter(help="Numbers of reflections, 1 to 6.")] = "1,2,3,4",
     seconds: Annotated[float, Parameter(help="How long a solver may run after its set-up.")] = 20.0,
+    limit: Annotated[float, Parameter(help="After how many seconds in all a solver is stopped.")] = 300.0,
     output: BenchOutput = None,
 ) -> None:
     """Print paths, time and error of our solvers beside those of Sionna RT and DiffeRT, on the same room."""
     from xfreqbench.bench.peers import run
 
-    names = [name.strip() for name in solvers.split(",")]
-    bench = _bench("peers", output, solvers=",".join(names), orders=orders, seconds=seconds)
-    run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds)
+    names = [name.strip() for name in solvers.split(",")] if solvers else run.installed_peers()
+    bench = _bench("peers", output, solvers=",".join(names), orders=orders, seconds=seconds, limit=limit)
+    run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds, limit)
 
 
 @bench.command(name="ceiling", help_epilogue=example("bench ceiling office.h5 --freqs 24.25"))

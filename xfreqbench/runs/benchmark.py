@@ -41,14 +41,23 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
     "render": (("bench", "render"), 2),
     "savings": (("bench", "savings"), 5),
     "stress": (("stress",), 1),
+    "scale-out": (("bench", "scale-out"), 4),
+    "peers": (("bench", "peers", "--orders", "1,2,3", "--seconds", "5", "--limit", "100"), 9),
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
 TracingProgress = Callable[[str, int, int], None]
 RunProgress = Callable[[int, int, Job], None]
 _TRIVIAL_S = 5.0  # of a run that fits nothing
-_SECONDS_A_MAP = 4e-4  # of training on one core, roughly: xfreq-gs takes 1e-4, wrf-gs-plus 2e-3
-_SLOW_SECONDS_A_MAP = {"xfreq-gs-paper": 0.1}
+_SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
+    "fixed-frequency-gs": 1e-4,
+    "frequency-embedded-gs": 1e-4,
+    "xfreq-gs": 1.5e-4,
+    "virtual-source": 2e-3,
+    "wrf-gs-plus": 2e-3,
+    "xfreq-gs-paper": 0.1,
+}
+_USUAL_SECONDS_A_MAP = 4e-4
 
 
 @dataclass(frozen=True)
@@ -165,7 +174,7 @@ def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float
 def _run_seconds(block: Block, setting: Setting) -> float:
     """Estimated seconds of one run on one core."""
     budget = parse_budget(block.budget)
-    a_map = _SLOW_SECONDS_A_MAP.get(setting.method, _SECONDS_A_MAP)
+    a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
     overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
     return (budget.max_seconds or (budget.max_maps or 0) * a_map) + overhead
 

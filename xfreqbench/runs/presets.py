@@ -86,7 +86,7 @@ ABLATIONS = (
     Setting("xfreq-gs", ("sees_carrier=false",)),
     Setting("xfreq-gs", ("blend=none",)),
 )
-BENCHES = ("generate", "plain", "render", "savings", "stress")
+BENCHES = ("generate", "plain", "render", "savings", "stress", "scale-out", "peers")
 _SCENES = ("office", "two_rooms")
 _ALL_SCENES = (*_SCENES, "corridor")
 _PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
@@ -119,7 +119,7 @@ _REDUCED = (Setting("fixed-frequency-gs"), Setting("frequency-embedded-gs"))
 STANDARD = Preset(
     description="every method in the lane quick, 64,000 maps a fit, with three seeds: all on lofo in the office, the "
     "paper's three and our two on lofo in two_rooms, and xfreq-gs and our two on the other protocols and in the "
-    "corridor; in the lane minutes xfreq-gs and virtual-source on lofo in the office",
+    "corridor; in the lane minutes xfreq-gs and virtual-source at 24.25 GHz in the office",
     blocks=(
         *_TRIVIAL,
         Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
@@ -131,18 +131,37 @@ STANDARD = Preset(
         ),
         Block("two_rooms", "lofo", (*_OURS, *_REDUCED), "quick", SEEDS),
         Block("corridor", "lofo", _OURS, "quick", SEEDS),
-        Block("office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS),
-        *(Block("two_rooms", protocol, _OURS, "quick", SEEDS) for protocol in _PROTOCOLS[2:]),
-        Block("two_rooms", "sparse", _OURS[:2], "quick", SEEDS),
-        Block("office", "lofo", (Setting("xfreq-gs"), *ABLATIONS), "quick", SEEDS, targets_ghz=(24.25,)),
-        Block("office", "lofo", (BLIND_APERTURE,), "quick", SEEDS, targets_ghz=(24.25,)),
-        Block("office", "lofo", VIRTUAL_SOURCE_ABLATIONS, "quick", targets_ghz=(24.25,)),
+        Block("two_rooms", "held-out-tx", _OURS, "quick", SEEDS),
+        *(
+            Block("two_rooms", protocol, _OURS[:2], "quick", SEEDS)
+            for protocol in ("sparse", "lofo-unseen-tx")
+        ),
+        Block(
+            "office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS, targets_ghz=(24.25,)
+        ),
     ),
-    left_out="the lane converged (preset converged), and the lane minutes for other methods, protocols and scenes; the "
-    "reduced baselines and the named systems where they are not named above; but for trivial predictors, the carriers "
-    "that the paper does not test; more than one seed of the ablations of virtual-source; in the corridor all but "
-    "lofo, and held-out-block but in the office",
+    left_out="ablations (presets ablations and paper); the lane converged (preset converged), and the lane minutes for "
+    "other methods, carriers, protocols and scenes (preset full); the reduced baselines and the named systems where "
+    "they are not named above; but for trivial predictors, the carriers that the paper does not test; virtual-source "
+    "on sparse and lofo-unseen-tx in two_rooms; in the corridor all but lofo, and held-out-block but in the office",
     benches=BENCHES,
+)
+ABLATED = Preset(
+    description="every ablation of xfreq-gs, aperture-gs and virtual-source, in the lane quick, on lofo at 24.25 GHz "
+    "in the office; three seeds, of virtual-source one",
+    blocks=(
+        Block("office", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(24.25,)),
+        Block(
+            "office",
+            "lofo",
+            (Setting("xfreq-gs"), *ABLATIONS, Setting("aperture-gs"), BLIND_APERTURE),
+            "quick",
+            SEEDS,
+            targets_ghz=(24.25,),
+        ),
+        Block("office", "lofo", (VIRTUAL_SOURCE, *VIRTUAL_SOURCE_ABLATIONS), "quick", targets_ghz=(24.25,)),
+    ),
+    left_out="every other scene, protocol, carrier and budget",
 )
 CONVERGED = Preset(
     description="every method on lofo in the office with 200,000 maps a fit, as many as the paper's fits have "
@@ -217,6 +236,7 @@ PAPER_SIZE = Preset(
 PRESETS: Mapping[str, Preset] = {
     "quick": QUICK,
     "standard": STANDARD,
+    "ablations": ABLATED,
     "converged": CONVERGED,
     "full": FULL,
     "carrier": CARRIER,

@@ -64,9 +64,31 @@ def test_paths_are_paired_one_to_one() -> None:
 
 def test_a_solver_is_timed_in_a_process_of_its_own() -> None:
     result = measured(PeerTask("image", 12, 1, num_tx=4, seconds=60.0))
-    assert result.channel.shape == (4, 16)
+    assert result is not None and result.channel.shape == (4, 16)
     assert [len(lengths) for lengths in result.lengths_m] == [7, 7, 7]  # the line of sight, and six walls
     assert result.tx_s > 0 and result.setup_s > 0
+
+
+def test_a_solver_that_takes_too_long_is_stopped_and_not_asked_for_more(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert measured(PeerTask("image", 12, 1, num_tx=4, seconds=60.0, limit_s=0.0)) is None
+    asked: list[PeerTask] = []
+
+    def rays_end_at_order_one(task: PeerTask) -> Measured | None:
+        asked.append(task)
+        if task.solver.startswith("sionna") and task.order > 1:
+            return None
+        return Measured(1.0, 1e-3, 100.0, np.ones((1, 16), complex), [np.ones(3)])
+
+    monkeypatch.setattr(run, "measured", rays_end_at_order_one)
+    monkeypatch.setattr(run, "GROWTHS", ())
+    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+    run.bench_peers(bench, ["sionna", "PathSolver"], [3, 1, 2], 1.0, 7.0)
+    _, times, _ = read(tmp_path / "records.jsonl").benches
+    assert [row[:2] for row in times.rows if row[1] == "sionna"] == [("1", "sionna")]
+    assert "Stopped after 7 s" in times.note and "`sionna` with 2" in times.note
+    assert {task.order for task in asked if task.solver == "sionna"} == {1, 2}
 
 
 def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
@@ -84,7 +106,11 @@ def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
     (record,) = read(tmp_path / "records.jsonl").benches
     assert record.figure is not None
     series = {point.series for point in record.figure.points}
-    assert {"triangles, image: exponent 2.00", "transmitters, image: exponent 1.00"} < series
+    assert {"triangles, image", "transmitters, image"} < series
+    assert {row[:2] + row[6:7] for row in record.rows} >= {
+        ("triangles", "image", "2.00"),
+        ("transmitters", "image", "1.00"),
+    }
     assert len(record.rows) == len(asked) == len(record.figure.points)
     most = max(task.num_triangles for task in asked if task.solver == "image")
     settings = TraceSettings(solver="image", interactions=SPECULAR_ALONE, max_depth=3)
@@ -94,9 +120,9 @@ def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
 def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench("peers", "xfreqbench bench peers", print)
     with pytest.raises(UnknownNameError, match="Did you mean 'PathSolver'"):
-        run.bench_peers(bench, ["PathSolvr"], [1], 1.0)
+        run.bench_peers(bench, ["PathSolvr"], [1], 1.0, 1.0)
     monkeypatch.setattr("xfreqbench.bench.peers.differt.find_spec", lambda name: None)
     with pytest.raises(XFreqBenchError, match=r'needs the extra "peers"'):
-        run.bench_peers(bench, ["DiffeRT-hybrid"], [1], 1.0)
+        run.bench_peers(bench, ["DiffeRT-hybrid"], [1], 1.0, 1.0)
     with pytest.raises(XFreqBenchError, match="pip install"):
         require_differt()

@@ -25,9 +25,14 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 Candidates = Literal["exhaustive", "hybrid"]
 
 
+def has_differt() -> bool:
+    """Whether the extra `peers` is installed."""
+    return find_spec("differt") is not None
+
+
 def require_differt() -> None:
     """Raise `XFreqBenchError` where the extra `peers` is not installed."""
-    if find_spec("differt") is None:
+    if not has_differt():
         raise XFreqBenchError('DiffeRT needs the extra "peers". Run: pip install "xfreqbench[peers]"')
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
 from xfreqbench.bench.peers.rooms import panel_room, transmitters
+from xfreqbench.errors import ClusterError
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.system.workers import LocalProcesses, own_cores
 from xfreqbench.types import FloatArray
@@ -21,7 +22,10 @@ LEAST_TX = 3  # a solver that is too slow for more is timed on these, or on as m
 
 @dataclass(frozen=True)
 class PeerTask:
-    """What a solver is asked: a room, a number of reflections, and for how many seconds it may run once it is warm."""
+    """What a solver is asked: a room and a number of reflections.
+
+    It may run for `seconds` once it is warm, and is stopped after `limit_s` in all.
+    """
 
     solver: str
     num_triangles: int
@@ -29,6 +33,7 @@ class PeerTask:
     num_tx: int
     seconds: float
     carriers_hz: tuple[float, ...] = CARRIERS_HZ
+    limit_s: float = 300.0
 
 
 @dataclass(frozen=True)
@@ -45,10 +50,13 @@ class Measured:
     lengths_m: Sequence[Float[FloatArray, "P"]]
 
 
-def measured(task: PeerTask) -> Measured:
-    """Do a task in a new process that is kept to one core."""
-    with LocalProcesses(own_cores()[:1], is_fresh=True) as processes:
-        return processes.submit(_measured, task).result()
+def measured(task: PeerTask) -> Measured | None:
+    """Do a task in a new process that is kept to one core; None where it is stopped or dies for lack of memory."""
+    try:
+        with LocalProcesses(own_cores()[:1], is_fresh=True) as processes:
+            return processes.submit(_measured, task).result(task.limit_s)
+    except (TimeoutError, ClusterError):
+        return None
 
 
 def _measured(task: PeerTask) -> Measured:

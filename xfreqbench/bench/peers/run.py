@@ -7,7 +7,7 @@ from statistics import median
 
 import numpy as np
 
-from xfreqbench.bench.peers.differt import require_differt
+from xfreqbench.bench.peers.differt import has_differt, require_differt
 from xfreqbench.bench.peers.measure import (
     CARRIERS_HZ,
     LEAST_TX,
@@ -29,6 +29,7 @@ SAME_M = 1e-4  # a pair of paths whose lengths differ by less is one path in two
 MAX_ORDER = 6
 GROWTH_ORDER = 3
 OURS = "image"
+OTHERS = tuple(name for name in SOLVERS if name not in (OURS, CONVERGED))
 GROWTHS: tuple[tuple[str, str, tuple[int, ...]], ...] = (  # what is varied, for which solver
     ("triangles", OURS, (40, 100, 400, 1000)),  # MAX_MIRRORS is 1,000
     ("triangles", "sionna", (40, 400, 4000)),
@@ -59,27 +60,47 @@ GROWTH_COLUMNS = (
 Results = Mapping[tuple[int, str], Measured]
 
 
-def bench_peers(bench: Bench, solvers: Sequence[str], orders: Sequence[int], seconds: float) -> None:
+def installed_peers() -> list[str]:
+    """Every solver but `image` that can run here."""
+    return [name for name in OTHERS if has_differt() or not name.startswith("DiffeRT")]
+
+
+def bench_peers(
+    bench: Bench, solvers: Sequence[str], orders: Sequence[int], seconds: float, limit_s: float
+) -> None:
     """Print how `solvers` compare with `image` for each number of reflections, and how the time of `image` grows.
 
-    Each may run for that many seconds after its set-up. Raises `UnknownNameError` for a solver or `XFreqBenchError`
-    where an extra is missing, before anything is timed.
+    Each may run for `seconds` after its set-up and is stopped after `limit_s` in all; it is not asked for more
+    reflections then. Raises `UnknownNameError` for a solver or `XFreqBenchError` where an extra is missing, before
+    anything is timed.
     """
-    others = [name for name in SOLVERS if name not in (OURS, CONVERGED)]
     for name in solvers:
-        if name not in others:
-            raise UnknownNameError("solver", name, others)
+        if name not in OTHERS:
+            raise UnknownNameError("solver", name, list(OTHERS))
     if any(name.startswith("DiffeRT") for name in solvers):
         require_differt()
     bench.introduce()
-    results = {
-        (order, solver): measured(PeerTask(solver, TRIANGLES, order, NUM_TX, seconds))
-        for order in orders
-        for solver in (OURS, CONVERGED, *solvers)
-    }
+    results: dict[tuple[int, str], Measured] = {}
+    stopped: dict[str, int] = {}
+    for order in sorted(orders):
+        for solver in (OURS, CONVERGED, *solvers):
+            if not stopped.keys() & {OURS, CONVERGED, solver}:  # all are compared with the first two
+                found = measured(PeerTask(solver, TRIANGLES, order, NUM_TX, seconds, limit_s=limit_s))
+                if found:
+                    results[order, solver] = found
+                else:
+                    stopped[solver] = order
     _tabulate_paths(bench, results)
-    _tabulate_times(bench, results)
+    _tabulate_times(bench, results, _told(stopped, limit_s))
     _tabulate_growth(bench, seconds)
+
+
+def _told(stopped: Mapping[str, int], limit_s: float) -> str:
+    """A sentence that names solvers which did not finish, and with how many reflections."""
+    if not stopped:
+        return ""
+    names = ", ".join(f"`{solver}` with {order}" for solver, order in stopped.items())
+    return f" Stopped after {limit_s:g} s or for lack of memory, and not asked for more reflections: {names}."
 
 
 def _tabulate_paths(bench: Bench, results: Results) -> None:
@@ -98,14 +119,14 @@ def _tabulate_paths(bench: Bench, results: Results) -> None:
                 table.add(str(order), solver, *map(str, numbers), f"{max(apart for _, apart in found):.0e}")
 
 
-def _tabulate_times(bench: Bench, results: Results) -> None:
+def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
     note = (
         f"The same room, an array of 4 × 4 elements at {format_ghz(CARRIERS_HZ[0])}, one core, each solver in a "
         f"process of its own; batched: {BATCH} transmitters a call. Set-up ends with the first answers, compilation "
         "included; DiffeRT compiles anew whenever the number of candidates changes, as it does from transmitter to "
         f"transmitter with `hybrid`. dB: channels against `{OURS}` with {CONVERGED_RAYS:,} rays, median over as many "
         f"of {NUM_TX} transmitters as were solved in the time. Paths a second: those to the array's centre, each with "
-        "its field at every element."
+        f"its field at every element.{stopped}"
     )
     with bench.table("Time of the solvers", note, TIME_COLUMNS) as table:
         points = []
@@ -133,24 +154,20 @@ def _tabulate_growth(bench: Bench, seconds: float) -> None:
     with bench.table("Growth of the time", note, GROWTH_COLUMNS) as table:
         points = list[BenchPoint]()
         for varied, solver, numbers in GROWTHS:
-            totals_s, tx_ms = list[float](), list[float]()
+            totals_s, exponent = dict[int, float](), "–"
             for number in numbers:
                 task = _task(varied, solver, number, seconds)
                 result = measured(task)
-                tx_ms.append(1e3 * result.tx_s)
-                totals_s.append(result.tx_s * task.num_tx)
-                times = (
-                    f"{result.setup_s:.2f}",
-                    f"{tx_ms[-1]:.3g}",
-                    f"{tx_ms[-1] / len(task.carriers_hz):.3g}",
-                )
-                exponent = _exponent(numbers[: len(totals_s)], totals_s)
+                if result is None:  # stopped, as would be what is greater
+                    break
+                totals_s[number] = result.tx_s * task.num_tx
+                exponent = _exponent(list(totals_s), list(totals_s.values()))
+                tx_ms = 1e3 * result.tx_s
+                times = f"{result.setup_s:.2f}", f"{tx_ms:.3g}", f"{tx_ms / len(task.carriers_hz):.3g}"
                 table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")
-            series = f"{varied}, {solver}: exponent {exponent}"
-            points += [
-                BenchPoint(series=series, label=f"{number:,}", x=number, y=each)
-                for number, each in zip(numbers, tx_ms, strict=True)
-            ]
+                points.append(
+                    BenchPoint(series=f"{varied}, {solver}", label=f"{number:,}", x=number, y=tx_ms)
+                )
         table.figure = BenchFigure(
             x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points)
         )
