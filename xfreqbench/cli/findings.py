@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import RESULTS, Output, Quiet, app, example, print_table, say
+
+if TYPE_CHECKING:
+    from xfreqbench.methods.virtual_source.refine import Refinement
+    from xfreqbench.report.findings.compared import ComparedFindings
+    from xfreqbench.report.findings.page import ScoredRoom
 
 RunData = Annotated[Path, Parameter(name="--data", help="The data set that the run was on.")]
 
@@ -35,7 +40,9 @@ def findings(
     results: Path,
     *,
     data: RunData,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for tables, figures and model.")],
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Folder for the page, its figures and the model.")
+    ],
     room: Annotated[
         Path | None,
         Parameter(
@@ -64,40 +71,53 @@ def findings(
     from xfreqbench.report.findings.compared import ComparedFindings, choose_record
     from xfreqbench.report.findings.room import refinement_of
     from xfreqbench.report.findings.room_files import claim_room, write_room
-    from xfreqbench.report.findings.room_score import HEADER as ROOM_COLUMNS
-    from xfreqbench.report.findings.room_score import score_rooms, score_rows
     from xfreqbench.report.findings.write import (
         missing_rows,
         plane_rows,
         small_missing,
         write_findings,
+        write_page,
     )
-    from xfreqbench.system.bars import progress_bars
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
-    refinement = None if room is None else refinement_of(compared)
-    if room is not None:
+    tables = [
+        (compared.title, *plane_rows(compared)),
+        ("Planes of the scene that were not found", *missing_rows(compared)),
+    ]
+    if room is None:
+        paths = write_findings(compared, output)
+    else:
+        refinement = refinement_of(compared)
         claim_room(chosen.id, room)
-    paths = write_findings(compared, output)
-    if room is not None and refinement is not None:
-        rooms = {"traced in the room, as found": refinement.found}
-        if refine:
-            with progress_bars("changes", ["refining the room"], quiet) as (progress,):
-                while not refinement.is_over:
-                    refinement.step()
-                    progress(refinement.done, len(refinement.steps))
-            rooms["traced in the room, refined"] = refinement.room
-        scores = score_rows(score_rooms(results, compared, rooms))
-        paths += write_room(compared, refinement.room, scores, room)
-    if not quiet:
-        print_table(compared.title, *plane_rows(compared))
-        print_table("Planes of the scene that were not found", *missing_rows(compared))
-        if room is not None:
-            print_table("The room at tested rows", ROOM_COLUMNS, scores)
+        paths = write_findings(compared, output)  # before what takes minutes
+        learned = _learned_room(results, compared, refinement, refine, quiet)
+        paths += write_room(compared, learned, room)
+        write_page(compared, output, learned)
+        tables.append(("The room at tested rows", learned.header, learned.scores))
+    for table in () if quiet else tables:
+        print_table(*table)
     say(small_missing(compared), quiet)
     for path in paths:
         say(f"wrote {path}", quiet)
+
+
+def _learned_room(
+    results: Path, compared: ComparedFindings, refinement: Refinement, refine: bool, quiet: bool
+) -> ScoredRoom:
+    """The room of findings, refined if that is asked for, with its scores."""
+    from xfreqbench.report.findings.page import ScoredRoom
+    from xfreqbench.report.findings.room_score import HEADER, score_rooms, score_rows
+    from xfreqbench.system.bars import progress_bars
+
+    rooms = {"traced in the room, as found": refinement.found}
+    if refine:
+        with progress_bars("changes", ["refining the room"], quiet) as (progress,):
+            while not refinement.is_over:
+                refinement.step()
+                progress(refinement.done, len(refinement.steps))
+        rooms["traced in the room, refined"] = refinement.room
+    return ScoredRoom(refinement.room, HEADER, score_rows(score_rooms(results, compared, rooms)))
 
 
 @app.command(group=RESULTS, help_epilogue=example("residual results --data office.h5 -o residual.md"))

@@ -12,12 +12,11 @@ from stored_records import make_record
 from xfreqbench.cli.data import generate
 from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.methods.virtual_source.materials import SlabNames
 from xfreqbench.methods.virtual_source.told import FoundSlab
 from xfreqbench.report.findings.compared import ComparedFindings
+from xfreqbench.report.findings.page import ScoredRoom
 from xfreqbench.report.findings.room import refinement_of
 from xfreqbench.report.findings.room_files import claim_room, write_room
 from xfreqbench.report.findings.room_score import score_rooms, score_rows
@@ -29,10 +28,9 @@ CARRIERS_HZ = [2.4e9, 24.25e9]
 WRITTEN = {"room.toml", "room.glb"}
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    plan = plan_generation(SCENE, CARRIERS_HZ, SETTINGS, num_transmitters=6)
-    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+@pytest.fixture
+def dataset(box: PasDataset) -> PasDataset:
+    return box
 
 
 def record_of(dataset: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
@@ -175,7 +173,7 @@ def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
     written = []
     for _ in range(2):
         claim_room("mine", tmp_path)
-        write_room(mine, refinement_of(mine).found, [], tmp_path)
+        write_room(mine, ScoredRoom(refinement_of(mine).found, (), []), tmp_path)
         written.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
     assert set(written[0]) == WRITTEN
     assert written[0] == written[1]

@@ -23,7 +23,6 @@ from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.placement import median_transmitter
 from xfreqbench.types import FloatArray
 
-_NUM_CARRIERS = 600  # along the band of a drawn curve
 _LEAST_POWER = 1e-4  # −40 dB relative to the line of sight: weaker images are not shown
 
 
@@ -126,16 +125,6 @@ class ComparedFindings:
     def sources(self) -> list[ImageSource]:
         """Images of that transmitter with a power of at least `_LEAST_POWER`, the strongest first."""
         return [each for each in virtual_sources(self.findings, self.tx_m) if each.power >= _LEAST_POWER]
-
-    def drawn_reflections(self) -> dict[str, tuple[Reflection, Reflection]]:
-        """For each plane that reflects, by title: |R| along the data's band, and at the data's carriers."""
-        carrier_hz = self.dataset.header.carrier_hz
-        band_hz = np.geomspace(carrier_hz.min(), carrier_hz.max(), _NUM_CARRIERS)
-        return {
-            f"{index}: {self.surface(index)}": (band, dots)
-            for index, dots in enumerate(self.reflections)
-            if dots and (band := self._reflection(index, band_hz))
-        }
 
     def _reflection(self, index: int, carrier_hz: Float[FloatArray, "F"]) -> Reflection | None:
         match, slabs = self.matches[index], self.findings.planes[index].slabs

@@ -160,7 +160,7 @@ def _match(
         return None
     foot_m = array_m + plane.distance_m * plane.normal
     shown = [facet for facet, weight in zip(plane.facets, share, strict=True) if weight]
-    points_m = np.array([_nearest_point(facet.corners_m, plane.normal, foot_m) for facet in shown])
+    points_m = np.array([nearest_point(facet.corners_m, plane.normal, foot_m) for facet in shown])
     point_m = points_m[np.linalg.norm(points_m - foot_m, axis=1).argmin()]
     error_m = (found.distance_m - float(found.unit_normal @ (point_m - array_m))) / cosine
     return Match(plane, share, error_m, tilt_rad, mirror) if abs(error_m) <= MATCH_DISTANCE_M else None
@@ -198,7 +198,7 @@ def axes_within(normal: Float[FloatArray, "3"]) -> Float[FloatArray, "2 3"]:
     return np.stack([first, np.cross(normal, first)])
 
 
-def _nearest_point(
+def nearest_point(
     corners_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"], point_m: Float[FloatArray, "3"]
 ) -> Float[FloatArray, "3"]:
     """The point of a convex facet that is nearest to a point of the facet's plane."""

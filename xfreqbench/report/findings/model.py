@@ -62,8 +62,22 @@ def true_coefficient(
 ) -> Complex[NDArray[np.complex128], "F"]:
     """R of a P.2040 slab at normal incidence; the material's power laws are extrapolated beyond their band."""
     material, thickness_m = slab
-    permittivity = [complex_permittivity(material, f, "extrapolate") for f in carrier_hz.tolist()]
+    permittivity = [true_permittivity(material, f) for f in carrier_hz.tolist()]
     return _coefficient(permittivity, thickness_m, carrier_hz)
+
+
+def true_permittivity(material: Material, carrier_hz: float) -> complex:
+    """Complex relative permittivity by P.2040, whose power laws are extrapolated beyond a material's band."""
+    return complex_permittivity(material, carrier_hz, "extrapolate")
+
+
+def reflection_over_angle(
+    permittivity: complex, thickness_m: float, carrier_hz: float, angle_rad: Float[FloatArray, "A"]
+) -> Float[FloatArray, "2 A"]:
+    """|R| of a slab, TE and TM, at angles of incidence from the normal (ITU-R P.2040, Eqs. 37, 43, 44)."""
+    turn = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
+    pairs = [slab_coefficients(cosine, permittivity, turn)[:2] for cosine in np.cos(angle_rad).tolist()]
+    return np.abs(np.array(pairs)).T
 
 
 def virtual_sources(findings: StoredFindings, tx_position_m: Float[FloatArray, "3"]) -> list[ImageSource]:

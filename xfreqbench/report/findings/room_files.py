@@ -11,21 +11,15 @@ from pydantic import TypeAdapter
 
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.report.drawing.figures import is_own_drawing
-from xfreqbench.report.drawing.glb import Colour, GlbModel
+from xfreqbench.report.drawing.glb import GlbModel
+from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.findings.compared import ComparedFindings
+from xfreqbench.report.findings.page import ScoredRoom
 from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
 from xfreqbench.system.files import require_own, require_space, write_text
 
 ROOM, SHAPE = "room.toml", "room.glb"
-_COLOURS: dict[str, Colour] = {
-    "concrete": (150, 150, 150, 110),
-    "plasterboard": (222, 203, 165, 110),
-    "glass": (86, 180, 233, 110),
-    "wood": (166, 110, 60, 160),
-    "chipboard": (196, 145, 85, 160),
-    "metal": (60, 70, 90, 220),
-}
-_OTHER: Colour = (0, 158, 115, 140)
+_OPACITY = 140
 
 
 def claim_room(record_id: str, folder: Path) -> None:
@@ -49,22 +43,17 @@ def claim_room(record_id: str, folder: Path) -> None:
     require_space(folder / ROOM, 1)
 
 
-def write_room(
-    compared: ComparedFindings,
-    surfaces: Sequence[RoomSurface],
-    scores: Sequence[tuple[str, ...]],
-    folder: Path,
-) -> list[Path]:
-    """Write a room of the data's array and transmitters into a folder, which `claim_room` has looked at.
+def write_room(compared: ComparedFindings, room: ScoredRoom, folder: Path) -> list[Path]:
+    """Write a room with the data's array and transmitters into a folder, which `claim_room` has looked at.
 
-    `scores` are cells as `score_rows` returns them, which the scene's file tells in comments. Returns the paths of
-    the scene and of its shape. Raises `StorageError`.
+    The scene's file tells the scores in comments. Returns the paths of the scene and of its shape. Raises
+    `StorageError`.
     """
     model = GlbModel()
-    for surface in surfaces:
-        colour = _COLOURS.get(surface.slab.material, _OTHER)
+    for surface in room.surfaces:
+        colour = material_colour(surface.slab.material, _OPACITY)
         model.add_surface(surface.mesh, colour, surface.slab_name)
-    write_text(folder / ROOM, _toml(compared, surfaces, scores))
+    write_text(folder / ROOM, _toml(compared, room))
     model.write(folder / SHAPE)
     return [folder / ROOM, folder / SHAPE]
 
@@ -73,15 +62,13 @@ def _first_line(record_id: str) -> str:
     return f"# The room that record {record_id} has learned."
 
 
-def _toml(
-    compared: ComparedFindings, surfaces: Sequence[RoomSurface], scores: Sequence[tuple[str, ...]]
-) -> str:
+def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     scene, job = compared.dataset.scene, compared.record.job
     parts = [
         _first_line(compared.record.id),
         "".join(
             f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n"
-            for what, median, mean, number in scores
+            for what, median, mean, number in room.scores
         )
         + _table(
             {
@@ -96,7 +83,7 @@ def _toml(
         "[transmitters]\n"
         + _table(TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")),
     ]
-    for name, own in sorted(_by_slab(surfaces).items()):
+    for name, own in sorted(_by_slab(room.surfaces).items()):
         unseen = [surface.name for surface in own if surface.is_unseen]
         note = f"# |ΔR| {max(surface.slab.distance for surface in own):.3f} from what was learned" + (
             f"; unseen: {', '.join(unseen)}" if unseen else ""

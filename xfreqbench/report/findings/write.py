@@ -1,4 +1,4 @@
-"""Writes what one run learned beside the true scene: a table, figures and a 3D model in one folder."""
+"""Writes what one run learned beside the true scene: a page, tables, figures and a 3D model in one folder."""
 
 from __future__ import annotations
 
@@ -9,19 +9,28 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.report.drawing.document import PageTable, Picture, is_of_subject
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.figures import DrawnPlane, DrawnScene, plot_reflection, plot_scene
+from xfreqbench.report.findings.figures import DrawnPlane, DrawnScene, plot_materials, plot_scene
 from xfreqbench.report.findings.match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
-from xfreqbench.system.files import require_own, require_space, write_text
+from xfreqbench.report.findings.materials import material_rows, shown_carriers_hz, shown_materials
+from xfreqbench.report.findings.page import ScoredRoom, findings_page, subject_of
+from xfreqbench.system.files import read_text, require_own, require_space, write_text
 from xfreqbench.types import FloatArray
 
-TABLE, NUMBERS, MODEL, PICTURE = "findings.md", "findings.json", "scene.glb", "scene.png"
+PAGE, TABLE, NUMBERS, MODEL, PICTURE = "index.html", "findings.md", "findings.json", "scene.glb", "scene.png"
 REFLECTION = ("reflection.svg", "reflection.png")
 _TITLE = "# Findings of "
-FILES = (TABLE, NUMBERS, *REFLECTION, PICTURE, MODEL)
+FILES = (PAGE, TABLE, NUMBERS, *REFLECTION, PICTURE, MODEL)
+_ALT = {
+    PICTURE: "Plan and elevation of the scene with the planes that were found",
+    REFLECTION[
+        0
+    ]: "Reflection over the angle of incidence, material by material, learned and by ITU-R P.2040",
+}
 LISTED_AREA_M2 = 4.0  # planes of the scene that were not found and are smaller are only counted
 _COLUMNS = (
     "plane",
@@ -33,6 +42,19 @@ _COLUMNS = (
     "held",
     "|ΔR| median",
     "|ΔR| max",
+)
+LEGEND = (
+    f"A found plane shows a surface within {MATCH_DISTANCE_M * 100:g} cm and {np.degrees(MATCH_TILT_RAD):g}°. Errors "
+    "of distance are along the true normal, positive beyond the surface, at its point nearest to the foot of the "
+    "perpendicular from the array. “Held”: the share of the cells touched by paths that hold something; where it is "
+    "0, the method itself says that nothing is there, and the surface is matched by the plane alone. |ΔR|: how far "
+    "the learned |R| is from that of ITU-R P.2040 at normal incidence, at the carriers of the data."
+)
+_REFLECTION_LEGEND = (
+    "Blue: ITU-R P.2040 for the scene's slab; orange: every slab that was learned where the scene has it. Each of "
+    "these is a row of the table: how much of its plane it fills; how much of that the paths of the training tell of "
+    "(where they tell of nothing, it is what learning began with); and the P.2040 slab that is nearest to it, with "
+    "the root mean square of |ΔR|."
 )
 _MISSING_COLUMNS = ("not found", "plane", "area (m²)", "in sight of the array")
 
@@ -89,23 +111,47 @@ def write_findings(comparison: ComparedFindings, folder: Path) -> list[Path]:
     write_text(folder / NUMBERS, json.dumps(_as_json(comparison), indent=1) + "\n")
     write_text(folder / TABLE, _markdown(comparison))
     for name in REFLECTION:
-        plot_reflection(comparison.drawn_reflections(), folder / name, Path(name).suffix[1:])
+        carriers_hz = shown_carriers_hz(comparison)
+        plot_materials(shown_materials(comparison), carriers_hz, folder / name, Path(name).suffix[1:])
     plot_scene(_drawn(comparison), folder / PICTURE)
     write_glb(comparison.meshes, _rectangles(comparison), _points(comparison), folder / MODEL)
+    write_page(comparison, folder)
     return paths
+
+
+def write_page(comparison: ComparedFindings, folder: Path, room: ScoredRoom | None = None) -> None:
+    """Write the page of findings whose figures lie in the folder, with a learned room if there is one.
+
+    Raises `StorageError`.
+    """
+    pictures = {name: Picture(name, alt, (folder / name).read_bytes()) for name, alt in _ALT.items()}
+    tables = {
+        "planes": PageTable(*plane_rows(comparison)),
+        "missing": PageTable(*missing_rows(comparison)),
+        "materials": PageTable(*_material_table(comparison)),
+    }
+    notes = {"planes": LEGEND, "missing": small_missing(comparison), "materials": _REFLECTION_LEGEND}
+    write_text(folder / PAGE, findings_page(comparison, pictures, tables, notes, room))
+
+
+def _material_table(comparison: ComparedFindings) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    carriers_hz = shown_carriers_hz(comparison)
+    return material_rows(shown_materials(comparison), carriers_hz[len(carriers_hz) // 2])
 
 
 def _claim(folder: Path, record_id: str) -> None:
     """Make the folder, or see that what is there was written for the same record."""
     is_same, fault = _owner(folder / NUMBERS) == record_id, f"was not written for record {record_id}"
     for name in FILES:
-        require_own(folder / name, lambda path: None if is_same and _is_ours(path) else fault)
+        require_own(folder / name, lambda path: None if is_same and _is_ours(path, record_id) else fault)
     require_space(folder / TABLE, 1)
 
 
-def _is_ours(path: Path) -> bool:
+def _is_ours(path: Path, record_id: str) -> bool:
     if path.name == TABLE:
         return path.read_bytes().startswith(_TITLE.encode())
+    if path.name == PAGE:
+        return is_of_subject(read_text(path), subject_of(record_id))
     return path.name == NUMBERS or is_own_drawing(path)
 
 
@@ -117,24 +163,20 @@ def _owner(path: Path) -> str | None:
 
 
 def _markdown(comparison: ComparedFindings) -> str:
-    legend = (
-        f"A found plane shows a surface within {MATCH_DISTANCE_M * 100:g} cm and "
-        f"{np.degrees(MATCH_TILT_RAD):g}°. Errors of distance are along the true normal, positive beyond the "
-        "surface, at its point nearest to the foot of the perpendicular from the array. “Held”: the share of the cells "
-        "touched by paths that hold something; where it is 0, the method itself says that nothing is there, and "
-        "the surface is matched by the plane alone. |ΔR|: how far the learned |R| is from that of ITU-R P.2040 at "
-        f"normal incidence, at the {comparison.dataset.num_carriers} carriers of the data."
-    )
     header, rows = missing_rows(comparison)
+    materials = _material_table(comparison)
     parts = [
         f"{_TITLE}{heading(comparison.title)}",
-        legend,
+        f"[The same as a page, with the scene in 3D]({PAGE}); [the model alone]({MODEL})",
+        LEGEND,
         table(*plane_rows(comparison)),
         *([table(header, rows)] if rows else []),
         small_missing(comparison),
-        f"![Found planes and virtual sources of transmitter {comparison.tx}]({PICTURE})",
-        f"![Reflection at normal incidence]({REFLECTION[0]})",
-        f"[The scene in 3D]({MODEL})",
+        f"![{_ALT[PICTURE]}]({PICTURE})",
+        "## Materials",
+        _REFLECTION_LEGEND,
+        *([table(*materials)] if materials[1] else []),
+        f"![{_ALT[REFLECTION[0]]}]({REFLECTION[0]})",
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -188,7 +230,6 @@ def _plane_json(comparison: ComparedFindings, index: int) -> dict[str, Any]:
 
 
 def _drawn(comparison: ComparedFindings) -> DrawnScene:
-    sources = comparison.sources
     return DrawnScene(
         facets_m=[facet.corners_m for plane in comparison.planes for facet in plane.facets],
         planes=[
@@ -200,8 +241,6 @@ def _drawn(comparison: ComparedFindings) -> DrawnScene:
         ],
         receiver_m=comparison.findings.array_m,
         tx_m=comparison.tx_m,
-        source_m=np.array([source.position_m for source in sources]).reshape(-1, 3),
-        source_db=10 * np.log10(np.array([source.power for source in sources], dtype=np.float64)),
     )
 
 

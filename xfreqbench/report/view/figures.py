@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.figures import draw_disc, label_decades, save_figure
+from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, Similarity
 from xfreqbench.scene.facets import planar_facets
@@ -39,20 +40,6 @@ _GROUP_COLOURS = {
     "in shadow": "#5a636e",
     "all transmitters": "#0072b2",
 }
-_MATERIAL_COLOURS = {
-    "concrete": "#7f7f7f",
-    "plasterboard": "#b8a37a",
-    "glass": "#56b4e9",
-    "wood": "#a0522d",
-    "chipboard": "#cd853f",
-    "plywood": "#d2a679",
-    "metal": "#3b5b92",
-    "brick": "#b5482f",
-    "marble": "#9d8fa8",
-    "ceiling_board": "#a9b39b",
-    "floorboard": "#8b6b3d",
-}
-_OTHER_MATERIAL = "#6b8e6b"
 
 Rgba = tuple[int, int, int, int]
 
@@ -65,11 +52,6 @@ def ray_colour(level_db: float) -> Rgba:
 def group_colour(name: str) -> Rgba:
     """Colour of a group of transmitters, see `ShownRoom.groups`."""
     return _bytes(to_rgba(_GROUP_COLOURS[name]))
-
-
-def material_colour(material: str, opacity: int) -> Rgba:
-    """Colour of a surface by its material."""
-    return (*_bytes(to_rgba(_MATERIAL_COLOURS.get(material, _OTHER_MATERIAL)))[:3], opacity)
 
 
 def plot_room(room: ShownRoom, path: Path) -> None:
@@ -175,7 +157,7 @@ def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     axis.set_facecolor(_BACKGROUND)
     for facet in planar_facets(room.meshes):
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
-        colour = _MATERIAL_COLOURS.get(str(room.meshes[facet.surface].material), _OTHER_MATERIAL)
+        colour = material_hex(str(room.meshes[facet.surface].material))
         axis.plot(*outline.T, color=colour, linewidth=1.2)
     _draw_receiver(axis, room, shown)
 
@@ -225,7 +207,7 @@ def _place_handles(room: ShownRoom) -> list[Line2D]:
 
 def _material_handles(room: ShownRoom) -> list[Line2D]:
     return [
-        Line2D([], [], color=_MATERIAL_COLOURS.get(name, _OTHER_MATERIAL), label=name.replace("_", " "))
+        Line2D([], [], color=material_hex(name), label=name.replace("_", " "))
         for name in sorted({str(mesh.material) for mesh in room.meshes})
     ]
 

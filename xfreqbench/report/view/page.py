@@ -13,8 +13,9 @@ from xfreqbench.data.splits import Split
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.document import PageTable, Picture, owner_mark
 from xfreqbench.report.drawing.markdown import ABSENT, number
+from xfreqbench.report.drawing.orbit import packed
 from xfreqbench.report.drawing.templates import render
-from xfreqbench.report.view.orbit import packed_scene
+from xfreqbench.report.view.orbit import orbit_scene
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
 from xfreqbench.report.view.summary import CarrierSummary
@@ -54,7 +55,7 @@ def view_page(
         dataset=view.dataset,
         summary=summary,
         pictures=pictures,
-        orbit=packed_scene(view.room),
+        orbit=packed(orbit_scene(view.room)),
         model=model,
         carrier=format_ghz(view.carrier_hz),
         tx_place=_metres(view.room.tx_m),

@@ -13,9 +13,9 @@ from xfreqbench.maps.bartlett import power_of
 from xfreqbench.report.drawing.document import Picture, is_of_subject
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.glb import GlbModel
+from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.view.figures import (
     group_colour,
-    material_colour,
     plot_carriers,
     plot_overview,
     plot_room,

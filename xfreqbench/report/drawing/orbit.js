@@ -1,4 +1,4 @@
-// Draws the room of `orbit.py` with three.js. Drag, pinch, wheel and keys turn it and change the distance.
+// Draws the scene of `orbit.py` with three.js. Drag, pinch, wheel and keys turn it and change the distance.
 (async () => {
   const figure = document.getElementById("orbit"), canvas = figure.querySelector("canvas");
   const context = canvas.getContext("webgl2", {antialias: true});
@@ -19,26 +19,33 @@
   camera.up.set(0, 0, 1);
   const lamp = new THREE.DirectionalLight("white", 0.7);
   scene.add(new THREE.AmbientLight("white", 0.5), lamp);
+  const layers = {};  // what is drawn, by the name of the box that hides it
+  const add = (layer, ...shapes) => {
+    scene.add(...shapes);
+    (layers[layer] ??= []).push(...shapes);
+  };
 
-  for (const {colour, points, triangles} of room.surfaces) {
+  for (const {colour, points, triangles, layer, opacity = 0.16} of room.surfaces) {
     let corner = 0;
     const corners = triangles.map((step) => corner += step);
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points)).setIndex(corners);
     const faces = new THREE.MeshPhongMaterial({
-      color: colour, opacity: 0.16, transparent: true, depthWrite: false, side: THREE.DoubleSide, flatShading: true});
+      color: colour, opacity, transparent: true, depthWrite: false, side: THREE.DoubleSide, flatShading: true});
     const lines = new THREE.LineBasicMaterial({color: colour, opacity: 0.7, transparent: true, depthWrite: false});
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), lines);
-    scene.add(new THREE.Mesh(geometry, faces), edges);
+    add(layer, new THREE.Mesh(geometry, faces), edges);
   }
   const bounds = new THREE.Box3().setFromObject(scene);
-  for (const {points} of [...room.groups, ...room.rays]) vectors(points).forEach((point) => bounds.expandByPoint(point));
+  for (const {points, far} of [...room.groups, ...room.rays]) {
+    if (!far) vectors(points).forEach((point) => bounds.expandByPoint(point));
+  }
   bounds.expandByPoint(vectors(room.receiver)[0]);
   const size = bounds.getSize(new THREE.Vector3()).length() || 1, middle = bounds.getCenter(new THREE.Vector3());
   const pixel = 0.85 * size / canvas.clientHeight;  // metres, in the middle of the room as it is first seen
 
-  for (const {colour, points} of room.groups) {
+  for (const {colour, points, layer, size = 4} of room.groups) {
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points));
-    scene.add(new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: 4 * pixel})));
+    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: size * pixel})));
   }
   // What follows is drawn over the surfaces, each shape over the one before it; weak rays come first.
   let drawn = 0;
@@ -77,6 +84,13 @@
     eye = {turn: eye.turn + turn, tilt: eye.tilt + tilt, distance: eye.distance / nearer};
     asked ||= requestAnimationFrame(draw);
   };
+
+  for (const box of figure.querySelectorAll("input")) {
+    box.addEventListener("change", () => {
+      for (const shape of layers[box.name] ?? []) shape.visible = box.checked;
+      asked ||= requestAnimationFrame(draw);
+    });
+  }
 
   const held = new Map();  // pointers that are down: their places
   const spread = () => {
