@@ -24,7 +24,7 @@ class ApertureGSConfig(NetworkConfig, TrainingConfig):
 
 
 class ApertureGS(LearnedMethod):
-    """Array-domain Gaussians: the network of XFreq-GS, accumulated at the elements rather than on pixels."""
+    """Array-domain Gaussians: a network of all pairs (Eq. 7), accumulated at the elements rather than on pixels."""
 
     Config = ApertureGSConfig
     trivial = TRIVIAL

@@ -66,6 +66,7 @@ VIRTUAL_SOURCE_ABLATIONS = tuple(
         "lengths=float32",
         "max_gain=0.5",
         "render=learned",
+        "render=traced",
         "sparsity=0",
     )
 )
@@ -84,6 +85,7 @@ ABLATIONS = (
     Setting("xfreq-gs", ("transmittance=false",)),
     Setting("xfreq-gs", ("max_spread=1",)),
     Setting("xfreq-gs", ("sees_carrier=false",)),
+    Setting("xfreq-gs", ("latent=0",)),
     Setting("xfreq-gs", ("blend=none",)),
 )
 BENCHES = ("generate", "plain", "render", "savings", "stress", "scale-out", "peers")
@@ -143,7 +145,8 @@ STANDARD = Preset(
     left_out="ablations (presets ablations and paper); the lane converged (preset converged), and the lane minutes for "
     "other methods, carriers, protocols and scenes (preset full); the reduced baselines and the named systems where "
     "they are not named above; but for trivial predictors, the carriers that the paper does not test; virtual-source "
-    "on sparse and lofo-unseen-tx in two_rooms; in the corridor all but lofo, and held-out-block but in the office",
+    "on sparse and lofo-unseen-tx in two_rooms; in the corridor all but lofo, and held-out-block but in the office; "
+    "random-samples (preset paper), and xfreq-gs-paper (preset paper-size)",
     benches=BENCHES,
 )
 ABLATED = Preset(
@@ -170,10 +173,11 @@ CONVERGED = Preset(
         _trivial("lofo", "office"),
         Block("office", "lofo", (*_OURS, *_REDUCED, *NAMED), "converged", SEEDS),
     ),
-    left_out="other scenes and protocols",
+    left_out="other scenes and protocols, and xfreq-gs-paper (preset paper-size)",
 )
 FULL = Preset(
-    description="every method and ablation on every protocol and carrier, three seeds, in the lane minutes",
+    description="every method and the ablations of xfreq-gs and aperture-gs on most protocols and every carrier, three "
+    "seeds, in the lane minutes",
     blocks=(
         *_TRIVIAL,
         *(
@@ -189,7 +193,8 @@ FULL = Preset(
             for protocol in _PROTOCOLS
         ),
     ),
-    left_out="the scene corridor, and the protocol held-out-block",
+    left_out="the scene corridor; held-out-block and random-samples; on lofo-unseen-tx the carriers that the paper "
+    "does not test; xfreq-gs-paper, and the ablations of virtual-source",
     benches=BENCHES,
 )
 _TOLD = Setting("xfreq-gs", ("blend=none",))
