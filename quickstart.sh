@@ -7,9 +7,11 @@ say() { printf '\n== %s\n' "$*"; }
 methods=${METHODS:-line-of-sight,nearest,mean-over-frequency,log-frequency,frequency-embedded-gs,xfreq-gs,virtual-source}
 budget=${BUDGET:-quick} data=data/office-quick.h5 results=results/quickstart
 
-say "Installing; two minutes the first time, most of it downloads"
-[ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
+if ! [[ .venv/bin/xfreqbench -nt pyproject.toml && .venv/bin/xfreqbench -nt constraints.txt ]]; then
+    say "Installing; two minutes, most of it downloads"
+    [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
+fi
 
 say "Tracing ${NUM_TX:-120} transmitters of the office at 10 carriers, from 1 to 94 GHz; ten seconds, and a minute to compile the first time"
 .venv/bin/xfreqbench generate office --tx "${NUM_TX:-120}" --output "$data"

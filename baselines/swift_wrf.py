@@ -19,9 +19,9 @@ from xfreqbench.methods.learning.network import PairwiseMLP, Precision
 from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive
 from xfreqbench.methods.splatting.field import BandConfig, BandField, SplatTrainingConfig
-from xfreqbench.methods.splatting.projection import MIN_VARIANCE
 
-_LEAST_SIZE_RAD, _MOST_SIZE_RAD = math.sqrt(MIN_VARIANCE), math.pi
+_LEAST_SIZE_RAD = math.radians(3.0)  # narrower ones fall between the rows of a view; beams are 26° wide
+_MOST_SIZE_RAD = math.pi
 _PARTS = (2, 2, 1)  # of a deformation: centre, logarithms of sizes, brightness
 _BRIGHTNESS = -1.0  # before softplus, at the start
 

@@ -7,16 +7,16 @@ from collections.abc import Generator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
+from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import MethodError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
@@ -39,6 +39,7 @@ _INSTEAD_FILE = "instead.json"
 class VirtualSourceConfig(SourceConfig, NetworkConfig, TrainingConfig):
     """Options. A training step uses all carriers of a few transmitters, so that each one's paths serve many rows."""
 
+    device: Annotated[Literal["cpu"], Doc("it runs on the processor")] = "cpu"
     batch_size: Count = 8  # transmitters
     learning_rate: Positive = 3e-3
 
@@ -51,10 +52,6 @@ class VirtualSource(LearnedMethod):
 
     def __init__(self, config: Any = None) -> None:
         super().__init__(config)
-        if self._device.type != "cpu":
-            raise MethodError(
-                f"virtual-source runs on the processor, but device={self._device} is asked for."
-            )
         self._rows: _TransmitterRows | None = None
         self._train: PasDataset | None = None
         self._budget = Budget()
@@ -100,7 +97,7 @@ class VirtualSource(LearnedMethod):
         field = _field(training)
         if field.has_too_few_planes:
             self._told = field.room.findings(field.array_m)
-            self._instead = XFreqGS(XFreqGSConfig(steps=self.config.steps, device=self.config.device))
+            self._instead = XFreqGS(XFreqGSConfig(steps=self.config.steps))
         else:
             self._training = training
 
@@ -146,8 +143,9 @@ class VirtualSource(LearnedMethod):
         return method
 
     def maps_a_step(self, train: PasDataset) -> int:
-        """How many training maps one step shows: those of some transmitters at every carrier."""
-        return self.config.batch_size * len(np.unique(train.carrier_hz))
+        """How many training maps one step shows in the mean: all those of some transmitters."""
+        heard_tx = train.tx_index[train.has_path]
+        return max(1, round(self.config.batch_size * len(heard_tx) / max(1, len(np.unique(heard_tx)))))
 
     def batch_loss(self, training: Training, targets: Targets) -> Tensor:
         """Eq. 12 for all rows of some transmitters, plus a small weight on the contents of the cells."""

@@ -67,6 +67,9 @@ def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> Non
     every = replace(view, rows=np.arange(len(dataset)))
     assert np.flatnonzero(np.abs(every.cfr).sum(axis=1)).tolist() == [1, 5]
     assert np.flatnonzero(every.peak_power).tolist() == [1, 5]
+    pickled = pickle.loads(pickle.dumps(view))
+    np.testing.assert_array_equal(pickled.tables["cfr"], view.tables["cfr"])
+    assert pickled.tables.keys() == view.tables.keys()
 
 
 def write_maps_alone(path: Path) -> tuple[PasDataset, np.ndarray]:

@@ -11,6 +11,7 @@ from fuzzing import xfreqbench
 from plans import SETTINGS, small_plan
 from synthetic import append_all, make_header
 
+from xfreqbench.data import retrace
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
@@ -62,6 +63,14 @@ def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp
         with pytest.raises(DataError, match=refusal):
             require_origin(rewritten(traced, tmp_path / f"{name}.h5", **changes), 2)
     require_origin(rewritten(traced, tmp_path / "same.h5"), 2)
+
+
+def test_a_sample_that_is_traced_to_no_number_is_found_out(
+    traced: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrace, "_apart", lambda stored, again: float("nan"))
+    with pytest.raises(DataError, match="differs by nan"):
+        require_origin(traced, 3)
 
 
 def test_a_generation_whose_channels_are_not_its_own_leaves_no_file(

@@ -253,10 +253,12 @@ def test_all_faults_are_found_at_once(own_method) -> None:
 
 def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) -> None:
     text = FIT + "        yield from super().fit(train, budget, np.random.default_rng().integers(10**9))\n"
-    (finding,) = [finding for finding in check_method(own_method(text)) if finding.fault]
+    finding, *not_checked = [finding for finding in check_method(own_method(text)) if finding.fault]
     assert finding.is_warning
     assert str(finding).startswith("warn ")
     assert "same seed" in finding.requirement
+    assert ["not checked, because" in str(each.fault) for each in not_checked] == [True, True]
+    assert not any(each.is_fault for each in not_checked)
 
 
 def test_options_reach_the_method(own_method) -> None:

@@ -11,6 +11,7 @@ from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.registry import (
     build_method,
     code_sha256,
+    device_option,
     method_description,
     method_names,
     method_summaries,
@@ -170,6 +171,12 @@ def test_a_constructor_without_a_default_configuration_is_told_so() -> None:
 def test_a_configuration_that_is_no_dataclass_is_told_so() -> None:
     with pytest.raises(MethodError, match="must be an instance of a frozen dataclass"):
         build_method("stub_methods:ConfiguredByADict")
+
+
+def test_a_device_is_given_to_methods_that_have_the_choice() -> None:
+    assert device_option("xfreq-gs", "cuda") == ("device=cuda",)
+    assert device_option("virtual-source", "cuda") == device_option("nearest", "cuda") == ()
+    assert device_option("xfreq-gs", "cpu") == ()
 
 
 def test_options_reach_the_configuration() -> None:

@@ -91,7 +91,7 @@ def test_a_method_that_starts_anew_is_not_charged_twice(
         patch.setattr(Forgetful, "pause_s", 0.1)
         interrupted(dataset, tmp_path, Forgetful, 10, max_steps=20)
     resumed = run_job(make_job(dataset, "Forgetful", 20), tmp_path)
-    assert Forgetful.num_steps_done == 20
+    assert Forgetful.num_steps_done == WARM_UP_STEPS + 20
     assert curve(resumed) == curve(unbroken)
     assert resumed.fit_seconds < 1  # ten steps of 0.1 s were lost
 
@@ -180,6 +180,22 @@ def test_only_the_newest_checkpoint_is_kept(folder: CheckpointFolder) -> None:
         save(folder, step)
     assert names(folder) == ["11"]
     assert folder.read().step == 11
+
+
+def test_a_fit_that_goes_on_while_its_checkpoint_is_read_is_not_called_damaged(
+    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(folder, 1)
+    hashed = checkpoints._sha256_by_name
+
+    def overtaken(path: Path) -> dict[str, str]:
+        if folder.newest().name == "1":
+            monkeypatch.setattr(checkpoints, "_sha256_by_name", hashed)
+            save(folder, 2)
+        return hashed(path)
+
+    monkeypatch.setattr(checkpoints, "_sha256_by_name", overtaken)
+    assert folder.read().step == 2
 
 
 def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(

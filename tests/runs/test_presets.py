@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.presets import PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
 
+_RUN = subprocess.run
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
     blocks=(
@@ -154,7 +156,13 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     assert {record.id for record in again.records} == {record.id for record in stored.records}
 
 
-def test_a_measurement_that_fails_is_named_and_its_tables_are_kept(
+def _ended_with_1(command: list[str]) -> subprocess.CompletedProcess[bytes]:
+    """A command that stores its tables, and fails after them."""
+    assert _RUN(command).returncode == 0
+    return subprocess.CompletedProcess(command, 1)
+
+
+def test_a_measurement_that_fails_is_named_and_made_again(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
@@ -162,7 +170,12 @@ def test_a_measurement_that_fails_is_named_and_its_tables_are_kept(
     monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "no such case"), 1))
     (failure,) = benchmarks.measure(planned, "stress")
     assert "`xfreqbench stress --only no such case` ended with 2" in failure
-    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "skill"), 1))
+    fails = ("stress", "--only", "skill")
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (fails, 1))
+    with monkeypatch.context() as patch:
+        patch.setattr(benchmarks.subprocess, "run", lambda command: _ended_with_1(command))
+        (failure,) = benchmarks.measure(planned, "stress")
+    assert "ended with 1" in failure and not planned.results.stored.benches
     assert benchmarks.measure(planned, "stress") == []
     assert [record.bench for record in planned.results.stored.benches] == ["stress"]
 

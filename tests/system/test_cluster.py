@@ -233,11 +233,12 @@ def _told(results: Path) -> dict[tuple[str, str, int], RunRecord]:
         "time_utc": "",
         "git_commit": None,
     }
+    untimed = {"seconds": 0.0, "share": None}
     stored = read(results / "records.jsonl").records
     assert len({record.id for record in stored}) == len(stored)
     return {
         (record.job.method, record.job.split, record.job.seed): record.model_copy(
-            update={**blank, "curve": [point.model_copy(update={"seconds": 0.0}) for point in record.curve]}
+            update={**blank, "curve": [point.model_copy(update=untimed) for point in record.curve]}
         )
         for record in stored
     }

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -164,6 +165,20 @@ def test_leaving_early_cancels_what_waits() -> None:
     next(calls)
     calls.close()
     assert [future.cancelled() for future in workers.futures] == [False, True, True]
+
+
+def test_other_processes_of_the_caller_outlive_an_exception() -> None:
+    mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    mine.start()
+    try:
+        with pytest.raises(KeyError), LocalProcesses(own_cores()[:1]) as processes:
+            future = processes.submit(time.sleep, 60)
+            while not future.running():
+                time.sleep(0.01)
+            raise KeyError
+        assert mine.is_alive()
+    finally:
+        mine.kill()
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "two", "tcp://host:1", "dask://host", "Serial"])

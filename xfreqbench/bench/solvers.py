@@ -22,6 +22,7 @@ from xfreqbench.bench.reference import REFERENCE_SETTINGS, Reference, read_refer
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr, ssim
@@ -281,14 +282,12 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     bench.introduce()
     base, points = TraceSettings(), []
     can_diffract = "diffraction" in with_interactions(scene).interactions
-    rungs = [
-        rung for rung in ladder(solvers) if can_diffract or "diffraction" not in rung.settings.interactions
-    ]
+    every = ladder(solvers)
+    rungs = [each for each in every if can_diffract or "diffraction" not in each.settings.interactions]
     note = (
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
-        f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once and serve every "
-        "transmitter, but with diffraction by Sionna RT, which is not reciprocal. Times are the least of "
-        f"{_REPEATS} warm runs, of one there."
+        f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once for all transmitters, but "
+        f"with diffraction by Sionna RT, not reciprocal. Times are the least of {_REPEATS} warm runs, of one there."
     )
     title = f"Error of the generated maps against run time, {scene_name}"
     with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
@@ -327,7 +326,7 @@ def _reference_note(reference: Reference) -> str:
         "Errors are those of power maps against a stored reference (`xfreqbench bench reference`): "
         f"{about['way']}, {about['rays']:,} rays, depth "
         f"{about['max_depth']}, seed {about['seed']}, {' and '.join(about['interactions'])}; "
-        f"{len(reference.tx_position_m)} transmitters, half of them shadowed. Cells: PSNR median / 5th "
+        f"{len(reference.tx_position_m)} transmitters, up to half of them shadowed. Cells: PSNR median / 5th "
         f"percentile in dB / SSIM median. Bar: median {MEDIAN_BAR_DB:g} dB and 5th percentile "
         f"{FIFTH_PERCENTILE_BAR_DB:g} dB at each carrier."
     )
@@ -337,6 +336,8 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
     """Print the full pipeline's rate as a ratio to the plain way, both measured now, with errors."""
     scene = load_scene(scene_name)
     reference = read_reference(scene)
+    if not 2 <= num_plain_tx <= (most := len(reference.tx_position_m)):
+        raise XFreqBenchError(f"--plain-tx is {num_plain_tx}; give 2 to {most}, which the reference has.")
     bench.introduce()
     pipelines = dict(_pipelines(scene, num_tx))  # first, because the plain way leaves things in memory
     plain = _tabulate_plain(bench, scene, reference, num_plain_tx)
@@ -386,10 +387,11 @@ def _tabulate_pipelines(
     note = (
         "From scene to finished file, maps included, compilation apart. Rates are ratios to the plain way "
         f"({usual.label}: {usual.sample_ms:.0f} ms a sample) and to "
+        "the cheapest plain settings that meet the bar"
         + (
-            f"the cheapest plain settings that meet the bar ({best.label}: {best.sample_ms:.0f} ms a sample)."
+            f" ({best.label}: {best.sample_ms:.0f} ms a sample)."
             if best
-            else "the cheapest plain settings that meet the bar, of which there are none here."
+            else ", of which there are none here."
         )
     )
     with bench.table(f"The full pipeline, {scene_name}", note, PIPELINE_COLUMNS, _versions(SOLVERS)) as table:

@@ -12,6 +12,18 @@ from xfreqbench.system.files import require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
 
+def require_records(output: Path | None) -> None:
+    """Raise `StorageError` or `DataError` where records cannot be appended to a file; None stands for no file."""
+    if output is None:
+        return
+    with storage_errors(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        if output.exists():
+            require_regular(output)
+        output.open("ab").close()
+    read(output)
+
+
 @dataclass
 class MeasurementTable:
     """A table of measurements; each row is printed when it is added."""
@@ -45,13 +57,7 @@ class Bench:
 
         Raises `StorageError` or `DataError` where records could not be stored later.
         """
-        if self.output is not None:
-            with storage_errors(self.output):
-                self.output.parent.mkdir(parents=True, exist_ok=True)
-                if self.output.exists():
-                    require_regular(self.output)
-                self.output.open("ab").close()
-            read(self.output)
+        require_records(self.output)
         machine = hardware()
         gpus = f", {machine['gpu']}" if "gpu" in machine else ""
         self.say(f"{machine['processor']}, {machine['cores']} cores, {machine['system']}{gpus}.\n")

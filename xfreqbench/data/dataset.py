@@ -73,7 +73,8 @@ class PasDataset:
     `dataset[7]` is a `Sample`, and so is what iteration yields; a slice, whole numbers or a mask give a subset,
     which is a `PasDataset` too. `rows` are the numbers of the samples in the whole data set: a sample's row is
     tx_index · F + carrier index, where F is the number of carriers. Maps stay on disk until they are asked for, or
-    are derived from the channels where none are stored. A data set is pickled as its path and rows.
+    are derived from the channels where none are stored. A data set is pickled as its path and rows, and `is_isolated`
+    after `isolated`.
     """
 
     path: Path
@@ -82,6 +83,7 @@ class PasDataset:
     beam: BartlettBeam
     tables: Mapping[str, NDArray[Any]]
     rows: Int[IntArray, "N"]
+    is_isolated: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -129,7 +131,7 @@ class PasDataset:
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return reopen, (str(self.path), self.sha256, self.rows)
+        return reopen, (str(self.path), self.sha256, self.rows, self.is_isolated)
 
     @property
     def grid(self) -> AngularGrid:
@@ -310,7 +312,7 @@ class PasDataset:
             kept = np.zeros_like(samples)
             kept[self.rows] = samples[self.rows]
             tables[name] = kept.reshape(tables[name].shape)
-        return replace(self, tables=tables)
+        return replace(self, tables=tables, is_isolated=True)
 
     def _samples(self, name: str) -> NDArray[Any]:
         table = self.tables[name]
@@ -354,12 +356,12 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
 
 
-def reopen(path: str, sha256: str, rows: Rows) -> PasDataset:
+def reopen(path: str, sha256: str, rows: Rows, is_isolated: bool = False) -> PasDataset:
     """The rows of a data set that was pickled; raises `DataError` if the file has changed since."""
     dataset = open_dataset(path)
     if dataset.sha256 != sha256:
         raise DataError(f"{path} is another data set than before: its sha256 was {sha256}.")
-    return dataset.subset(rows)
+    return dataset.subset(rows).isolated() if is_isolated else dataset.subset(rows)
 
 
 def verify(path: str | Path) -> None:

@@ -78,7 +78,7 @@ class Plan:
 
     @property
     def summary(self) -> str:
-        """Counts and size in three lines, for a user to check before the work starts."""
+        """Counts and size in a few lines, for a user to check before the work starts."""
         rejected = sum(self.header.rejected.values())
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.header.rejected.items() if count)
         return (

@@ -305,8 +305,8 @@ def _require_training_tx(train: PasDataset, name: str) -> None:
     number = len(np.unique(train.tx_index))
     if number < LEAST_TRAINING_TX:
         raise ProtocolError(
-            f"Split {name!r} holds out a tenth of the training transmitters, of which there must be "
-            f"{LEAST_TRAINING_TX} or more, but there are {number}. Generate more."
+            f"Split {name!r} holds out some of its training transmitters, so that there must be {LEAST_TRAINING_TX} or "
+            f"more, but there are {number}. Generate more."
         )
 
 

@@ -53,7 +53,10 @@ def require_origin(
     where the scene's meshes are not at hand.
     """
     rows = np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
-    worst = max(_retraced(dataset, rows, folder, workers), key=lambda each: each.difference)
+    worst = max(
+        _retraced(dataset, rows, folder, workers),
+        key=lambda each: (np.isnan(each.difference), each.difference),
+    )
     if not worst.difference <= TOLERANCE:
         raise DataError(
             f"{dataset.path} does not hold what its header says: traced again, {worst}, more than {TOLERANCE:g}. "
@@ -113,7 +116,7 @@ def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> 
             differences.append(
                 _apart(*(each.impulse_response(receiver).gain.sum(axis=0) for each in compared))
             )
-        yield Retraced(int(row // dataset.num_carriers), carrier_hz, max(differences))
+        yield Retraced(int(row // dataset.num_carriers), carrier_hz, float(np.max(differences)))
 
 
 def _apart(

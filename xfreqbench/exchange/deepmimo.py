@@ -20,12 +20,11 @@ from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.exchange.path_arrays import PaddedPaths, carrier_names, stored_paths
 from xfreqbench.scene.imported import Slab
-from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
+from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, SPECULAR, RaggedPaths
 from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
-from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
 
 FORMAT_VERSION = "4.0.5"  # of the package whose files these are
 DIGITS = {SPECULAR: 1, DIFFRACTION: 2, DIFFUSE: 3, REFRACTION: 4}  # DeepMIMO's codes of interactions
@@ -157,7 +156,7 @@ def _materials(slabs: Sequence[Slab], carrier_hz: float, policy: MaterialPolicy)
             "id": number,
             "name": str(slab.material),
             "permittivity": permittivity.real,
-            "conductivity": -permittivity.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M,
+            "conductivity": conductivity_s_m(permittivity, carrier_hz),
             "thickness": slab.thickness_m,
         }
     return told

@@ -58,8 +58,8 @@ class BartlettBeam:
     def conjugate_steering(self) -> Complex[NDArray[np.complex64], "M EA"]:
         """a(d)* / M of every direction d; the directions are those of the grid, row by row."""
         directions = self.grid.directions.reshape(-1, 3)
-        one_hertz_wave = steering_vector(self.element_position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
-        return np.ascontiguousarray(one_hertz_wave.conj().T / len(self.element_position_wavelengths)).astype(
+        one_metre_wave = steering_vector(self.element_position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
+        return np.ascontiguousarray(one_metre_wave.conj().T / len(self.element_position_wavelengths)).astype(
             np.complex64
         )
 
@@ -83,12 +83,12 @@ class BartlettBeam:
                 f"Channels of shape (B, {num_elements}) become maps, but these have shape {cfr.shape}."
             )
         if kind == "phase-only":
-            cfr = _divide_or_zero(cfr, np.abs(cfr))
+            cfr = _divided_unless_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32
-        beam = self._beams(_divide_or_zero(cfr, scale).astype(np.complex64))
+        beam = self._beams(_divided_unless_zero(cfr, scale).astype(np.complex64))
         power = beam.real**2 + beam.imag**2
         peak = power.max(axis=1, keepdims=True)
-        maps = _divide_or_zero(power, peak)
+        maps = _divided_unless_zero(power, peak)
         if kind == "amplitude":
             maps = np.sqrt(maps)
         return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(
@@ -113,7 +113,7 @@ def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[
     return maps**2 if kind == "amplitude" else maps
 
 
-def _divide_or_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:
+def _divided_unless_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:
     """Quotient, with the numerator where the denominator is 0."""
     divisor = np.where(denominator == 0, denominator.dtype.type(1), denominator)
     if np.iscomplexobj(

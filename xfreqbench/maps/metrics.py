@@ -19,7 +19,7 @@ from skimage.metrics import structural_similarity as _untyped_structural_similar
 from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import PasKind, power_of
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 METRICS_VERSION = "2"
 SSIM_WINDOW = 7  # scikit-image's default, uniform
@@ -27,7 +27,6 @@ POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
 NUM_RESAMPLES = 1000
 
-Maps = NDArray[np.float32]
 structural_similarity: Any = _untyped_structural_similarity
 
 ScoreFunction = Callable[[Maps, Maps, AngularGrid], FloatArray]

@@ -10,18 +10,14 @@ from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
 
-import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from pydantic import Field
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ArgumentError, MethodError
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
-
-Maps = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

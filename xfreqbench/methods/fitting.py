@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
-from xfreqbench.methods.contract import Budget, Maps, Method, Progress
+from xfreqbench.methods.contract import Budget, Method, Progress
 from xfreqbench.methods.guard import readable
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 _ENDED = object()
 _RANGE_TOLERANCE = 1e-4  # rounding in float32 of a map that was divided by its maximum

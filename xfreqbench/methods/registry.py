@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from inspect import getdoc
@@ -145,12 +145,16 @@ def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -
 def device_option(name: str, device: str) -> tuple[str, ...]:
     """The `key=value` texts that make a method compute on a device.
 
-    None for the device `cpu`, and for a method whose configuration has no field `device`.
+    None for the device `cpu`, and for a method whose configuration has no field `device`, or one that is `cpu` alone.
     """
     if device == "cpu":
         return ()
-    names = [each.name for each in fields(build_method(name).config)]
-    return (f"device={device}",) if "device" in names else ()
+    chosen = f"device={device}"
+    try:
+        override(build_method(name).config, [chosen])
+    except (UnknownNameError, MethodError):
+        return ()
+    return (chosen,)
 
 
 def code_sha256(method: Method) -> str:

@@ -58,6 +58,7 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "xfreq-gs-paper": 0.1,
 }
 _USUAL_SECONDS_A_MAP = 4e-4
+_MAPS_A_STEP = 128  # of most methods
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,8 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     budget = parse_budget(block.budget)
     a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
     overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
-    return (budget.max_seconds or (budget.max_maps or 0) * a_map) + overhead
+    maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
+    return (budget.max_seconds or maps * a_map) + overhead
 
 
 def generate_data(benchmark: Benchmark, progress: TracingProgress, workers: Workers = HERE) -> None:
@@ -198,12 +200,15 @@ def run_benchmark(benchmark: Benchmark, progress: RunProgress, executor: str | N
 
 
 def measure(benchmark: Benchmark, name: str) -> list[str]:
-    """Run the command of one measurement, showing its output, and record its tables; returns what failed, in words."""
+    """Run the command of one measurement, showing its output; returns what failed, in words.
+
+    Its tables are recorded if all of it succeeded, so that what failed is measured again.
+    """
     with tempfile.TemporaryDirectory() as folder:
         measured = ResultsFolder(Path(folder))
         command = [*BENCH_COMMANDS[name][0], "--output", str(measured.records_path)]
         outcome = subprocess.run([sys.executable, "-m", "xfreqbench.cli", *command])
-        for record in measured.stored.benches:
+        for record in measured.stored.benches if outcome.returncode == 0 else ():
             benchmark.results.append(record)
     failure = f"`xfreqbench {' '.join(command[:-2])}` ended with {outcome.returncode}; see above"
     return [failure] if outcome.returncode else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -71,7 +72,10 @@ class Summary(BaseModel):
 
 
 class CurvePoint(BaseModel):
-    """How a fit stood at one step: `ssim` is the median over a sample of test maps, `seconds` is the fitting time."""
+    """How a fit stood at one step: `ssim` is the median over a sample of test maps, `seconds` is the fitting time.
+
+    `share` is the part of the budget that was spent; None in records written before it was kept.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
@@ -79,6 +83,7 @@ class CurvePoint(BaseModel):
     seconds: Amount
     loss: float
     ssim: Finite
+    share: Amount | None = None
 
 
 class External(BaseModel):
@@ -280,7 +285,7 @@ def _append_line(path: Path, descriptor: int, line: bytes) -> None:
     try:
         written = os.pwrite(descriptor, line, end)
         if written < len(line):
-            raise OSError(28, "No space left on device")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(descriptor)
     except OSError:
         os.ftruncate(descriptor, end)

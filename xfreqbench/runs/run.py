@@ -12,7 +12,7 @@ from typing import Any
 from jaxtyping import Float, Int
 
 from xfreqbench.errors import MethodError
-from xfreqbench.methods.contract import ExplainedMethod, Maps, Method
+from xfreqbench.methods.contract import ExplainedMethod, Method
 from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
 from xfreqbench.methods.guard import plain_json
 from xfreqbench.runs.folder import ResultsFolder
@@ -22,7 +22,7 @@ from xfreqbench.runs.records import Job, RunRecord, machine_and_time
 from xfreqbench.runs.scoring import BATCH_SIZE, scored_fields
 from xfreqbench.runs.watch import FittingCallback, WatchedFit
 from xfreqbench.system import machine
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, Maps
 
 __all__ = ["Job", "RunRecord", "run_job", "run_jobs", "run_one"]
 

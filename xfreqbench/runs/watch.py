@@ -47,7 +47,8 @@ class WatchedFit:
         """
         task = self._task
         train = task.dataset.subset(task.split.train).isolated()
-        if task.job.budget != Budget() and self._spent is None:
+        is_over = self._spent is not None and self._spent.share >= 1
+        if task.job.budget != Budget() and not is_over:
             self._warm_up(train)
         with task.method_errors("fit"), self._divergence_advice():
             fit = fit_within(
@@ -87,7 +88,9 @@ class WatchedFit:
     def _point(self, fit: Fit) -> CurvePoint:
         with self._task.method_errors("predict"):
             ssim_median = median(self._sampled_ssim())
-        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median)
+        return CurvePoint(
+            step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median, share=fit.share
+        )
 
     def _sampled_ssim(self) -> Float[FloatArray, "n"]:
         """SSIM of what the method now predicts for a sample of the test rows, the same sample for every method."""

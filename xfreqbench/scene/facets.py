@@ -188,8 +188,7 @@ def check_overlaps(geometry: Geometry) -> None:
     for index in np.unique(plane):
         for first, second in combinations(np.flatnonzero(plane == index), 2):
             a, b = (geometry.meshes[facets[facet].surface] for facet in (first, second))
-            is_same_slab = (a.material, a.thickness_m) == (b.material, b.thickness_m)
-            if not is_same_slab and _overlap(facets[first].corners_m, facets[second].corners_m):
+            if a.slab != b.slab and _overlap(facets[first].corners_m, facets[second].corners_m):
                 raise SceneError(
                     f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane: a ray could "
                     "meet either. Cut the one out of the other, or set them at least 1 cm apart."

@@ -250,6 +250,11 @@ def complex_permittivity(material: Material, carrier_hz: float, policy: Material
     )
 
 
+def conductivity_s_m(permittivity: complex, carrier_hz: float) -> float:
+    """The conductivity σ in S/m of a complex relative permittivity at one carrier (ITU-R P.2040, Eq. 9)."""
+    return -permittivity.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
+
+
 def materials_defined_at(carrier_hz: Iterable[float]) -> list[str]:
     """Names of the materials that P.2040 defines at all of the carriers."""
     carriers = list(carrier_hz)

@@ -75,19 +75,33 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     """
     distributed = _imported()
     scheduler = "tcp://" + address.removeprefix(SCHEME)
-    for name in ("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with _quiet("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ClusterError(
+                f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend "
+                "--executor."
+            ) from error
+        with client:
+            workers = DaskWorkers(client, address)
+            _require_workers(client, address)
+            _require_alike(workers)
+            yield workers
+
+
+@contextmanager
+def _quiet(*names: str) -> Iterator[None]:
+    """A block in which loggers tell of nothing but what is critical."""
+    loggers = [logging.getLogger(name) for name in names]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
-        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise ClusterError(
-            f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
-        ) from error
-    with client:
-        workers = DaskWorkers(client, address)
-        _require_workers(client, address)
-        _require_alike(workers)
-        yield workers
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def is_installed() -> bool:

@@ -54,8 +54,12 @@ def _remove_abandoned(target: Path) -> None:
     ours = re.compile(rf"{re.escape(f'.{target.name}.{platform.node()}')}-(\d+)\.partial")
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
         found = ours.fullmatch(path.name)
-        if found and Path("/proc/self").exists() and not Path(f"/proc/{found[1]}").exists():
+        if found and (int(found[1]) == os.getpid() or _has_ended(found[1])):
             remove(path)
+
+
+def _has_ended(pid: str) -> bool:
+    return Path("/proc/self").exists() and not Path(f"/proc/{pid}").exists()
 
 
 def remove(path: Path) -> None:

@@ -167,8 +167,8 @@ class LocalProcesses:
         self._is_ending.set()
         self._threads.shutdown(wait=error is None, cancel_futures=True)
         while self._free.qsize() < self.num_places:  # a thread may be starting another process
-            for process in multiprocessing.active_children():
-                process.terminate()
+            for place in self._places:
+                place.terminate()
             time.sleep(0.05)
         for place in self._places:
             place.close()
@@ -213,6 +213,11 @@ class _Place:
             context = multiprocessing.get_context("spawn")  # a fork would inherit numbers of threads
             self._process = ProcessPoolExecutor(1, context, self.settle)
         return self._process
+
+    def terminate(self) -> None:
+        """End the process, whatever it does."""
+        for process in list(((self._process and self._process._processes) or {}).values()):
+            process.terminate()
 
     def close(self) -> None:
         """End the process once it is idle."""

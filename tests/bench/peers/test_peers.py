@@ -11,7 +11,7 @@ from xfreqbench.bench.peers import run
 from xfreqbench.bench.peers.differt import DiffeRTSolver, require_differt
 from xfreqbench.bench.peers.measure import CARRIERS_HZ, Measured, PeerTask, differences_db, measured, missed
 from xfreqbench.bench.peers.rooms import panel_room, transmitters
-from xfreqbench.bench.peers.solvers import SPECULAR_ALONE, OurSolver, PathSolver
+from xfreqbench.bench.peers.solvers import CONVERGED, SPECULAR_ALONE, OurSolver, PathSolver
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.runs.records import read
@@ -91,6 +91,24 @@ def test_a_solver_that_takes_too_long_is_stopped_and_not_asked_for_more(
     assert {task.order for task in asked if task.solver == "sionna"} == {1, 2}
 
 
+def test_what_is_measured_stays_where_the_converged_solution_is_stopped(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def only_little(task: PeerTask) -> Measured | None:
+        is_much = (task.solver == CONVERGED and task.order > 1) or task.num_tx > 1000
+        channel = np.ones((1, 16), complex)
+        return None if is_much else Measured(1.0, 1e-3, 100.0, channel, [np.ones(3)])
+
+    monkeypatch.setattr(run, "measured", only_little)
+    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+    run.bench_peers(bench, ["PathSolver"], [1, 2, 3], 1.0, 7.0)
+    _, times, growth = read(tmp_path / "records.jsonl").benches
+    assert [row[:2] for row in times.rows] == [("1", "image"), ("1", "PathSolver")]
+    assert "`image, converged` with 2" in times.note
+    (stopped,) = [row for row in growth.rows if "over" in row[3]]
+    assert stopped[:4] == ("transmitters", "image", "10,000", "over 7 in all")
+
+
 def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -102,7 +120,7 @@ def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
 
     monkeypatch.setattr(run, "measured", as_the_square_of_triangles)
     bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
-    run._tabulate_growth(bench, 1.0)
+    run._tabulate_growth(bench, 1.0, 2.0)
     (record,) = read(tmp_path / "records.jsonl").benches
     assert record.figure is not None
     series = {point.series for point in record.figure.points}
@@ -121,6 +139,9 @@ def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(monkeypatch
     bench = Bench("peers", "xfreqbench bench peers", print)
     with pytest.raises(UnknownNameError, match="Did you mean 'PathSolver'"):
         run.bench_peers(bench, ["PathSolvr"], [1], 1.0, 1.0)
+    for seconds, limit_s in ((0.0, 1.0), (1.0, -1.0), (float("nan"), 1.0)):
+        with pytest.raises(XFreqBenchError, match="are seconds above 0"):
+            run.bench_peers(bench, ["PathSolver"], [1], seconds, limit_s)
     monkeypatch.setattr("xfreqbench.bench.peers.differt.find_spec", lambda name: None)
     with pytest.raises(XFreqBenchError, match=r'needs the extra "peers"'):
         run.bench_peers(bench, ["DiffeRT-hybrid"], [1], 1.0, 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,6 +108,20 @@ def test_images_of_surfaces_behind_a_wall_are_no_faces() -> None:
     found = faces([*box(), behind], TX_M)
     assert {face.plane for face in found} == set(range(6))
     assert 6 not in walls([*box(), behind], TX_M)
+
+
+def test_a_wall_that_lies_wholly_behind_a_corner_has_no_faces() -> None:
+    """A false plane, askew, in front of which all transmitters are, and of which the room's walls leave nothing."""
+    corner = cells(0, SIZE_M[0] + 3.0, EVERYWHERE)
+    askew = replace(
+        corner,
+        normal=np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0]),
+        axes=np.array([[-np.sqrt(0.5), np.sqrt(0.5), 0.0], [0.0, 0.0, 1.0]]),
+        distance_m=float(np.hypot(*SIZE_M[:2])) + 3.0,
+    )
+    planes = [*box(), askew]
+    assert 6 in walls(planes, TX_M)
+    assert {face.plane for face in faces(planes, TX_M)} == set(range(6))
 
 
 def test_a_room_that_is_open_ends_with_what_its_planes_hold() -> None:

@@ -13,11 +13,12 @@ from found_box import ALL_PLANES, SCENE, SETTINGS, found_room
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.render import FROM, RoomRender
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
 from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import Maps
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STEPS = Budget(max_steps=100)

@@ -80,7 +80,7 @@ def test_rows_say_what_paths_tell_of(box: PasDataset) -> None:
     (screen,) = [row for row in told if row["plane"] == "6"]
     assert screen["seen"] == "25%"
     assert screen["nearest of P.2040"] == "plasterboard 20.00 mm"
-    assert screen["|ΔR|"] == "0.000"
+    assert screen["to that, rms |ΔR|"] == "0.000"
     without_faces = {**found_room(), "faces": []}
     assert {
         row[header.index("seen")]

@@ -35,6 +35,23 @@ def test_a_fit_reaches_the_best_trivial_predictor_on_the_same_maps(trivial: floa
     assert rows_of(markdown, "ours (≤ 64 steps)")[0]["best trivial reached after"] == expected
 
 
+def test_a_point_stands_at_the_share_that_was_spent_and_not_at_a_mean_over_steps() -> None:
+    """Points of batches that shrank later: by the mean number of maps of a step the first would lie before 1/64."""
+    followed = make_followed()
+    points = [point.model_copy(update={"share": 2 * point.step / 64}) for point in followed.curve[:-1]]
+    shares = followed.model_copy(update={"curve": (*points, followed.curve[-1])})
+    before, after = (
+        list(
+            rows_of(leaderboard_markdown([each]).partition("Error against time")[2], "ours (≤ 64 steps)")[
+                0
+            ].values()
+        )
+        for each in (followed, shares)
+    )
+    assert before[2:5] == ["0.5000 (0.10 s)", "–", "–"]
+    assert after[2:5] == ["–", "0.5000 (0.10 s)", "–"]
+
+
 def test_learning_curves_are_means_over_seeds_and_times_their_medians() -> None:
     trivial = make_record("nearest", 0.68, SPLITS[0], ssim_by_tx=[(0.68,)] * 100)
     followed = [make_followed(seed=seed, end=end) for seed, end in enumerate((0.67, 0.70, 0.73))]

@@ -140,6 +140,15 @@ def test_the_page_loads_nothing(html: str) -> None:
     assert "default-src 'none'" in html and "@import" not in html and "url(" not in html
 
 
+def test_papers_and_programs_of_others_are_linked_and_not_loaded(tmp_path: Path) -> None:
+    for method in ("gsrf", "nearest"):
+        append(tmp_path / "records.jsonl", make_record(method))
+    parsed = Tables(write_page(tmp_path, tmp_path / "page.html").read_text("utf-8"))
+    addressed = [(tag, value) for tag, told in parsed.tags for value in told.values() if "://" in str(value)]
+    assert {tag for tag, _ in addressed} == {"a"}
+    assert ("a", "https://github.com/nesl/GSRF") in addressed
+
+
 def test_the_same_records_give_the_same_bytes(html: str, results: Path, tmp_path: Path) -> None:
     assert write_page(results, tmp_path / "other.html").read_text() == html
 

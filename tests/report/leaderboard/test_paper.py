@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from stored_records import make_record
+from stored_records import SPLITS, make_record
 
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
@@ -90,6 +90,16 @@ def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is
     assert drawing == (tmp_path / "second.svg").read_text("utf-8")
     for label in ("SSIM", "PSNR (dB)", "xfreq-gs", "mean-over-frequency"):
         assert label in drawing
+
+
+def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> None:
+    apart = [
+        make_record("xfreq-gs", 0.7, SPLITS[0], config=TOLD),
+        make_record("wrf-gs-plus", 0.6, SPLITS[1]),
+    ]
+    ranked = boards(apart)
+    assert paper_figures(ranked) == {}
+    assert not [row for row in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in row]
 
 
 def test_scores_on_random_samples_stand_with_what_they_leak() -> None:

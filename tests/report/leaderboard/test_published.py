@@ -4,7 +4,8 @@ import pytest
 from leaderboard_records import leaderboard_markdown, make_records, rows_of
 from stored_records import SPLITS, external, make_record
 
-from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, sources_of
 
 XFREQ = {"sees_carrier": True, "footprint": "projected"}
 
@@ -61,6 +62,15 @@ def test_sparse_splits_have_their_published_numbers_one_by_one() -> None:
 def test_nothing_was_published_of_an_average_over_other_splits() -> None:
     records = [make_record("xfreq-gs", 0.9, split, config=XFREQ) for split in (*SPLITS, "lofo-94GHz")]
     assert "published, other data" not in rows_of(leaderboard_markdown(records), "xfreq-gs")[0]
+
+
+def test_every_method_that_is_named_after_a_system_says_whose_it_is() -> None:
+    methods = ("gsrf", "wrf-gs-plus", "wideband-3dgs", "swift-wrf", "xfreq-gs", "nearest")
+    (board,) = boards([make_record(method) for method in methods])
+    sources = sources_of(board.rows)
+    assert {method for source in sources for method in source["methods"]} >= set(methods[:-1])
+    assert all(source[kind].startswith("https://") for source in sources for kind in ("paper", "program"))
+    assert not sources_of([row for row in board.rows if row.job.method == "nearest"])
 
 
 def test_an_external_row_has_no_published_counterpart() -> None:

@@ -79,6 +79,15 @@ def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: 
         write_report([tmp_path / "one", tmp_path / "empty"], tmp_path / "none.md")
 
 
+@pytest.mark.parametrize("scene", ["measurements", "b"])
+def test_two_pages_are_never_one_file(tmp_path: Path, scene: str) -> None:
+    for record in make_records():
+        append(tmp_path / "records.jsonl", record.model_copy(update={"scene": scene}))
+    with pytest.raises(OutputExistsError, match="Two pages of the report"):
+        write_report(tmp_path, tmp_path / "pages" / "b.md", tmp_path / "pages")
+    assert not (tmp_path / "pages").exists()
+
+
 def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
     store_all(tmp_path)
     output = tmp_path / "BENCHMARK.md"

@@ -138,6 +138,15 @@ def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
         compare_results(a, tmp_path / "nowhere")
 
 
+def test_other_samples_of_one_recipe_are_not_paired(tmp_path: Path) -> None:
+    of_recipe = {"recipe": "1-" + "d" * 64}
+    a = stored(tmp_path / "a", [make_record("ours", **of_recipe)])
+    others = {"dataset_sha256": "c" * 64, "split_sha256": "e" * 64}
+    b = stored(tmp_path / "b", [make_record("ours", **of_recipe, **others)])
+    with pytest.raises(DataError, match="test other samples on the split"):
+        compare_results(a, b)
+
+
 def test_the_command_prints_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     a = stored(tmp_path / "a", [make_record("ours")])
     compare(a, a / "records.jsonl")

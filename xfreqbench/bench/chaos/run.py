@@ -17,6 +17,7 @@ from typing import Any
 from xfreqbench.bench.chaos.commands import COMMANDS, Command, prepare
 from xfreqbench.bench.chaos.disturbances import DISTURBANCES, Round
 from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
+from xfreqbench.bench.tables import require_records
 from xfreqbench.runs.records import BenchRecord, append, machine_and_time
 
 # What a killed process leaves, hidden, which the next that needs the place removes.
@@ -25,6 +26,7 @@ _LINK = "link to "  # what it points to
 _RECORD = ": "  # between the path of a file and the identifier of a record in it
 _TIMED = {
     "fit_seconds",
+    "fit_processor_seconds",
     "predict_ms_per_map",
     "peak_memory_mib",
     "curve",
@@ -213,8 +215,10 @@ def stress_by_chaos(
 ) -> bool:
     """Run rounds, say each fault as it is found and a table at the end; return whether there was none.
 
-    The table is appended to the records in `output`. The folders of rounds with faults are kept, and named.
+    The table is appended to the records in `output`. The folders of rounds with faults are kept, and named. Raises
+    `StorageError` or `DataError`, before the first round, where `output` is no file of records.
     """
+    require_records(output)
     folder = Path(tempfile.mkdtemp(prefix="xfreqbench-chaos-"))
     verdicts = []
     for verdict in Chaos(command_line, folder).rounds(range(num_rounds)):

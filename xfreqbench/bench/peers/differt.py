@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.materials import Material, complex_permittivity
+from xfreqbench.scene.materials import Material, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Candidates = Literal["exhaustive", "hybrid"]
 
@@ -103,10 +103,10 @@ def _material(name: str, material: Material, thickness_m: float, carrier_hz: flo
     from differt.em import Material as DiffeRTMaterial
 
     permittivity = complex_permittivity(material, carrier_hz)
-    conductivity_s_m = -permittivity.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
+    sigma_s_m = conductivity_s_m(permittivity, carrier_hz)
 
     def properties(frequency_hz: Any) -> tuple[Any, Any]:
         shape = jnp.shape(frequency_hz)
-        return jnp.full(shape, permittivity.real), jnp.full(shape, conductivity_s_m)
+        return jnp.full(shape, permittivity.real), jnp.full(shape, sigma_s_m)
 
     return DiffeRTMaterial(name=name, properties=properties, thickness=thickness_m)

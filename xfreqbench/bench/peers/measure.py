@@ -51,7 +51,7 @@ class Measured:
 
 
 def measured(task: PeerTask) -> Measured | None:
-    """Do a task in a new process that is kept to one core; None where it is stopped or dies for lack of memory."""
+    """Do a task in a new process that is kept to one core; None where it is stopped, or its process dies."""
     try:
         with LocalProcesses(own_cores()[:1], is_fresh=True) as processes:
             return processes.submit(_measured, task).result(task.limit_s)

@@ -19,7 +19,7 @@ from xfreqbench.bench.peers.measure import (
 )
 from xfreqbench.bench.peers.solvers import BATCH, CONVERGED, CONVERGED_RAYS, RAYS, SOLVERS
 from xfreqbench.bench.tables import Bench
-from xfreqbench.errors import UnknownNameError
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.tracing.image.tracer import MAX_MIRRORS
 from xfreqbench.units import format_ghz
@@ -29,6 +29,7 @@ SAME_M = 1e-4  # a pair of paths whose lengths differ by less is one path in two
 MAX_ORDER = 6
 GROWTH_ORDER = 3
 OURS = "image"
+ABSENT = "–"
 OTHERS = tuple(name for name in SOLVERS if name not in (OURS, CONVERGED))
 GROWTHS: tuple[tuple[str, str, tuple[int, ...]], ...] = (  # what is varied, for which solver
     ("triangles", OURS, (40, 100, 400, 1000)),  # MAX_MIRRORS is 1,000
@@ -42,7 +43,7 @@ TIME_COLUMNS = (
     "solver",
     "set-up, s",
     "ms a transmitter",
-    f": {OURS}",
+    f"time : {OURS}",
     "paths a second",
     "dB",
     "peak MiB",
@@ -79,6 +80,10 @@ def bench_peers(
             raise UnknownNameError("solver", name, list(OTHERS))
     if any(name.startswith("DiffeRT") for name in solvers):
         require_differt()
+    if not (seconds > 0 and limit_s > 0):
+        raise XFreqBenchError(
+            f"--seconds and --limit are seconds above 0, but {seconds:g} and {limit_s:g} are given."
+        )
     bench.introduce()
     results: dict[tuple[int, str], Measured] = {}
     stopped: dict[str, int] = {}
@@ -92,7 +97,7 @@ def bench_peers(
                     stopped[solver] = order
     _tabulate_paths(bench, results)
     _tabulate_times(bench, results, _told(stopped, limit_s))
-    _tabulate_growth(bench, seconds)
+    _tabulate_growth(bench, seconds, limit_s)
 
 
 def _told(stopped: Mapping[str, int], limit_s: float) -> str:
@@ -100,7 +105,7 @@ def _told(stopped: Mapping[str, int], limit_s: float) -> str:
     if not stopped:
         return ""
     names = ", ".join(f"`{solver}` with {order}" for solver, order in stopped.items())
-    return f" Stopped after {limit_s:g} s or for lack of memory, and not asked for more reflections: {names}."
+    return f" Stopped after {limit_s:g} s, or died, and not asked for more reflections: {names}."
 
 
 def _tabulate_paths(bench: Bench, results: Results) -> None:
@@ -131,7 +136,7 @@ def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
     with bench.table("Time of the solvers", note, TIME_COLUMNS) as table:
         points = []
         for (order, solver), result in results.items():
-            if solver != CONVERGED:
+            if solver != CONVERGED and (order, CONVERGED) in results:
                 ratio = result.tx_s / results[order, OURS].tx_s
                 error_db = median(differences_db(result.channel, results[order, CONVERGED].channel).tolist())
                 times = f"{result.setup_s:.2f}", f"{result.tx_s * 1e3:.3g}", f"{ratio:.3g}"
@@ -144,7 +149,7 @@ def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
         )
 
 
-def _tabulate_growth(bench: Bench, seconds: float) -> None:
+def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
     note = (
         f"{GROWTH_ORDER} reflections on one core; of triangles, transmitters and carriers one grows, the others stay "
         f"at {TRIANGLES}, {NUM_TX} and 1. Exponent: slope of the logarithm of the whole time after set-up over that of "
@@ -154,11 +159,12 @@ def _tabulate_growth(bench: Bench, seconds: float) -> None:
     with bench.table("Growth of the time", note, GROWTH_COLUMNS) as table:
         points = list[BenchPoint]()
         for varied, solver, numbers in GROWTHS:
-            totals_s, exponent = dict[int, float](), "–"
+            totals_s, exponent = dict[int, float](), ABSENT
             for number in numbers:
-                task = _task(varied, solver, number, seconds)
+                task = _task(varied, solver, number, seconds, limit_s)
                 result = measured(task)
-                if result is None:  # stopped, as would be what is greater
+                if result is None:  # what is greater would not end either
+                    table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *[ABSENT] * 4)
                     break
                 totals_s[number] = result.tx_s * task.num_tx
                 exponent = _exponent(list(totals_s), list(totals_s.values()))
@@ -173,16 +179,16 @@ def _tabulate_growth(bench: Bench, seconds: float) -> None:
         )
 
 
-def _task(varied: str, solver: str, number: int, seconds: float) -> PeerTask:
+def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float) -> PeerTask:
     triangles, num_tx, num_carriers = (
         number if varied == name else default
         for name, default in (("triangles", TRIANGLES), ("transmitters", NUM_TX), ("carriers", 1))
     )
     carriers_hz = tuple(np.linspace(1e9, 94e9, num_carriers)) if num_carriers > 1 else CARRIERS_HZ
-    return PeerTask(solver, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz)
+    return PeerTask(solver, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz, limit_s)
 
 
 def _exponent(numbers: Sequence[int], totals_s: Sequence[float]) -> str:
     if len(numbers) < 2:
-        return "–"
+        return ABSENT
     return f"{np.polyfit(np.log(numbers), np.log(totals_s), 1)[0]:.2f}"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from xfreqbench.bench.stress.case import StressCase, Verdict
+from xfreqbench.bench.tables import require_records
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.runs.records import BenchRecord, append, machine_and_time
 
@@ -54,8 +55,10 @@ def run_cases(only: str | None = None) -> Iterator[Verdict]:
 def stress(only: str | None, output: Path | None, say: Callable[[str], None]) -> bool:
     """Print a row for each case as soon as it is done; return whether all cases keep their limits.
 
-    The table is appended to the records in `output`. Raises `UnknownNameError` where no case is selected.
+    The table is appended to the records in `output`. Raises `UnknownNameError` where no case is selected, and
+    `StorageError` or `DataError`, before the first case, where `output` is no file of records.
     """
+    require_records(output)
     verdicts: list[Verdict] = []
     for verdict in run_cases(only):
         if not verdicts:
@@ -77,7 +80,7 @@ def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchReco
     """The verdicts as a record with a table that a report shows."""
     return BenchRecord(
         bench="stress",
-        title="Numerical stability",
+        title="Numerical stability" + (f", {only}" if only else ""),
         command="xfreqbench stress" + (f" --only {only!r}" if only else ""),
         note=(
             "Errors against references that share constants, and no code, with what they check, and the limits they "

@@ -13,7 +13,6 @@ from xfreqbench.bench.stress.case import Area
 from xfreqbench.bench.stress.maps import beam, channels
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import (
-    Maps,
     beam_loss,
     bootstrap_interval,
     power_error,
@@ -24,6 +23,7 @@ from xfreqbench.maps.metrics import (
     ssim,
     ssim_wrapped,
 )
+from xfreqbench.types import Maps
 
 SCORES = Area("scores")
 _SSIM_C1 = 0.01**2  # of a data range of 1

@@ -20,7 +20,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.maps.metrics import Maps, ssim
+from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.loss import map_loss, mean_ssim
@@ -30,6 +30,7 @@ from xfreqbench.methods.learning.targets import Beams, GridView, Targets, as_kin
 from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField
 from xfreqbench.scene.array import planar_array
+from xfreqbench.types import Maps
 
 Arguments = ParamSpec("Arguments")
 TRAINING = Area("training")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
-from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.mixing import (
     WEIGHTS,
     Predict,
@@ -28,7 +28,7 @@ from xfreqbench.methods.learning.mixing import (
     similarities_by_weight,
 )
 from xfreqbench.methods.lookup import TrainingTransmitters
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, Maps
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters

@@ -9,9 +9,8 @@ import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from xfreqbench.methods.contract import Maps
 from xfreqbench.methods.learning.loss import ssim_of_each
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps, of which one is chosen
 _STRIDE, _WINDOW = 3, 3  # of the SSIM by which maps are compared

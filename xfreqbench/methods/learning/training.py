@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -352,7 +353,7 @@ class LearnedMethod:
 
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
-        share = training.share
+        share, before = training.share, list(training.field.parameters())
         loss = self.batch_loss(training, targets)
         training.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -364,7 +365,11 @@ class LearnedMethod:
         training.optimizer.step()
         training.field.after_step(training.optimizer, training.step, share)
         if self.config.averaging:
-            training.mean = averaged(training.mean, training.field, self.config.averaging)
+            now = list(training.field.parameters())
+            is_same = len(before) == len(now) and all(map(operator.is_, before, now))
+            training.mean = averaged(
+                training.mean if is_same else None, training.field, self.config.averaging
+            )
         return float(loss.detach())
 
 

@@ -211,9 +211,9 @@ class GaussianField(BandField):
         return bin_footprints(projection, grid, self._support)
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
-        """Divide and drop Gaussians, and let them move, when it is time."""
+        """Divide and drop Gaussians, and let them move, when it is time; while they stand still none is divided."""
+        self.density.after_step(self.gaussians, optimizer, step, share if self.moves else math.inf)
         self.moves.logical_or_(torch.tensor(share >= self.config.move_from and self.config.move_from < 1))
-        self.density.after_step(self.gaussians, optimizer, step, share)
 
     def counts(self) -> dict[str, float]:
         """Number of Gaussians."""

@@ -6,10 +6,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from xfreqbench.types import FloatArray, IntArray
 
 # one turn around the centre; the direction opposite belongs to its lower end alone, whatever the rounding
 LOWEST_RAD, HIGHEST_RAD = -math.pi * (1 + 1e-12), math.pi * (1 - 1e-12)

@@ -19,7 +19,7 @@ _MIN_WALL = 0.25  # share of the touched cells that a wall of the room holds
 _MIN_CELLS = 3.0  # cells that a face has more than openings in it
 _UNSEEN = -0.02  # what a cell that nothing touches counts for a face, where 1 is a full cell
 _REACH = 1.5  # cells from an edge to a wall, up to which the two meet
-_ALIKE = 0.9  # cosine between the normals of planes that face the same way
+ALIKE = 0.9  # cosine between the normals of planes that face the same way
 _NONE_M = 1e-6
 
 
@@ -80,7 +80,7 @@ def walls(planes: Sequence[Cells], offset_m: Float[FloatArray, "T 3"]) -> list[i
     for index in np.argsort([plane.distance_m for plane in planes], kind="stable").tolist():
         plane = planes[index]
         holds_all = bool((offset_m @ plane.normal < plane.distance_m).all())
-        is_first = all(planes[other].normal @ plane.normal <= _ALIKE for other in found)
+        is_first = all(planes[other].normal @ plane.normal <= ALIKE for other in found)
         if holds_all and is_first and plane.fullness >= _MIN_WALL:
             found.append(index)
     return found
@@ -104,6 +104,8 @@ def faces(planes: Sequence[Cells], offset_m: Float[FloatArray, "T 3"]) -> list[F
 def _wall(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]:
     held = plane.is_seen & (plane.share[..., 0] < 0.5)
     whole = _room_section(plane, around, held)
+    if len(whole) < 3:  # behind a corner of the room
+        return
     main, other = np.argsort(-plane.share[held].sum(0)[1:]).tolist()[:2]
     difference = plane.share[..., 1 + other] - plane.share[..., 1 + main]
     signed = np.where(held, difference, _UNSEEN)
@@ -124,7 +126,7 @@ def _inside(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]
     if not held.any():
         return
     whole = _room_section(plane, around, held)
-    if not len(whole):  # behind a wall, where images of the room's surfaces are
+    if len(whole) < 3:  # behind a wall, where images of the room's surfaces are
         return
     signed = np.where(is_seen, 1 - 2 * plane.share[..., 0], _UNSEEN)
     for low, high in best_rectangles(signed):

@@ -130,7 +130,7 @@ class VirtualSourceField(ChannelField):
     @property
     def has_too_few_planes(self) -> bool:
         """Whether planes were searched, but no room was found, so that free sources would have to explain the rest."""
-        return self._searches and len(self.room.normal) < _FEWEST_PLANES
+        return self._searches and len(self.room.normal) < min(_FEWEST_PLANES, self.config.max_planes)
 
     @property
     def _searches(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -37,14 +38,17 @@ class SlabNames:
 
     carrier_hz: Sequence[float]
 
+    @cached_property
+    def materials(self) -> list[str]:
+        """The names of these materials."""
+        return [name for name in materials_defined_at(self.carrier_hz) if name != "vacuum"]
+
     def nearest(self, slab: FoundSlab) -> list[NamedSlab]:
         """Every material with the thickness at which it is nearest to the slab, the nearest material first."""
         permittivity = np.array([slab.permittivity_at(carrier) for carrier in self.carrier_hz])
         learned = self._reflection(permittivity, slab.thickness_m)
         named = []
-        for material in materials_defined_at(self.carrier_hz):
-            if material == "vacuum":
-                continue
+        for material in self.materials:
             own = np.array([complex_permittivity(material, carrier) for carrier in self.carrier_hz])
             scale = np.sqrt(permittivity.real.mean() / own.real.mean())
             metres = [METAL_THICKNESS_M] if material == "metal" else slab.thickness_m * scale * _THICKNESSES

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import SceneError
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
-from xfreqbench.methods.contract import Budget, Maps
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.mixing import Predict, mixed
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
@@ -23,7 +23,7 @@ from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, RoomTracer
 from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 FROM, CHOOSE_AT = (
     0.8,

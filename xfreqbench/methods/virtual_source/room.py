@@ -12,7 +12,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from torch import Tensor, nn
 
 from xfreqbench.methods.virtual_source.config import SourceConfig
-from xfreqbench.methods.virtual_source.faces import Cells, faces
+from xfreqbench.methods.virtual_source.faces import ALIKE, Cells, faces
 from xfreqbench.methods.virtual_source.images import Antenna, Mirrors, Touch, Traces, sequences, trace
 from xfreqbench.methods.virtual_source.presence import METAL, NOTHING, Presence
 from xfreqbench.methods.virtual_source.search.planes import Plane
@@ -26,7 +26,6 @@ MIN_LENGTH_M = 1e-3
 _MIN_PRESENCE = 0.3  # of a plane's fullest cell; with less, the plane is dropped at the next search
 _MAX_ANTENNA_GAIN = 1.5  # of two dipoles together, in amplitude
 _HELD = 0.3  # share of slabs from which on a cell counts as full in findings
-_ALIKE = 0.9  # cosine between the normals of planes that face the same way
 
 
 class LearnedRoom(nn.Module):
@@ -296,7 +295,7 @@ def _some(offset_m: Float[Tensor, "T 3"]) -> Float[Tensor, "t 3"]:
 def _are_walls(mirrors: Mirrors, offset_m: Float[Tensor, "T 3"]) -> Bool[Tensor, "Q"]:
     """Whether a plane is a wall: all transmitters are in front of it, and no stronger such plane faces the same way."""
     holds_all = (offset_m @ mirrors.normal.T < mirrors.distance_m).all(0)
-    is_alike = mirrors.normal @ mirrors.normal.T > _ALIKE
+    is_alike = mirrors.normal @ mirrors.normal.T > ALIKE
     is_stronger = torch.ones_like(is_alike).tril(-1)
     return holds_all & ~(is_alike & is_stronger & holds_all).any(1)
 

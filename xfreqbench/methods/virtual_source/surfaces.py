@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
 from xfreqbench.methods.virtual_source.told import StoredFindings
@@ -16,7 +16,7 @@ from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.placement import MIN_SEPARATION_M
 from xfreqbench.scene.visibility import distance_to_surfaces
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what learning began with
@@ -53,8 +53,7 @@ class RoomSurface:
     @cached_property
     def mesh(self) -> SurfaceMesh:
         """The polygon as a fan of triangles, with the same behind it and the sides between, where it is a box."""
-        number = len(self.corners_m)
-        fan = np.array([[0, corner, corner + 1] for corner in range(1, number - 1)])
+        number, fan = len(self.corners_m), fan_of(len(self.corners_m))
         vertices_m, triangles = self.corners_m, [fan]
         if self.depth_m:
             vertices_m = np.concatenate([vertices_m, vertices_m + self.depth_m * self.normal])
@@ -67,11 +66,8 @@ class RoomSurface:
 
     @property
     def area_m2(self) -> float:
-        """Area of the polygon; 0 where it has fewer than three corners."""
-        if len(self.corners_m) < 3:
-            return 0.0
-        edges_m = self.corners_m[1:] - self.corners_m[0]
-        return float(np.linalg.norm(np.cross(edges_m[:-1], edges_m[1:]).sum(0)) / 2)
+        """Area of the polygon."""
+        return polygon_area_m2(self.corners_m)
 
     @property
     def slab_name(self) -> str:
@@ -94,6 +90,19 @@ class RoomSurface:
         return replace(self, depth_m=depth_m, open_sides=sides)
 
 
+def fan_of(number: int) -> Int[IntArray, "t 3"]:
+    """The triangles of a convex polygon with so many corners, all from the first of them."""
+    return np.array([[0, corner, corner + 1] for corner in range(1, number - 1)])
+
+
+def polygon_area_m2(corners_m: Float[FloatArray, "n 3"]) -> float:
+    """Area of a polygon by its corners in turn; 0 where it has fewer than three."""
+    if len(corners_m) < 3:
+        return 0.0
+    edges_m = corners_m[1:] - corners_m[0]
+    return float(np.linalg.norm(np.cross(edges_m[:-1], edges_m[1:]).sum(0)) / 2)
+
+
 def surface_json(surface: RoomSurface) -> dict[str, Any]:
     """A surface as values of JSON, for `surface_from_json`."""
     told = {each.name: getattr(surface, each.name) for each in fields(surface)}
@@ -113,9 +122,12 @@ def learned_surfaces(
 ) -> list[RoomSurface]:
     """The faces of findings, each of the P.2040 material that is nearest over some carriers.
 
-    A sliver is left out, and a face on which something stands, at one of the places `standing_m`.
+    A sliver is left out, and a face on which something stands, at one of the places `standing_m`; all are where P.2040
+    defines no material at the carriers.
     """
     names = SlabNames(carrier_hz)
+    if not names.materials:
+        return []
     nearest = {
         (face.plane, face.slab): names.nearest(findings.planes[face.plane].slabs[face.slab])[0]
         for face in findings.faces

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.methods.contract import Maps
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.scene.facets import Geometry
@@ -23,7 +22,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
 from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, Maps
 
 NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them

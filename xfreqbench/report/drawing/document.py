@@ -46,7 +46,7 @@ class PageTable:
 
 
 def owner_mark(subject: str) -> Markup:
-    """The element in a page's head that names the data set or scene which the page is about."""
+    """The element in a page's head that names what the page is about: a data set, a scene, or a record."""
     return Markup('<meta name="xfreqbench-subject" content="{}">').format(subject)
 
 

@@ -43,9 +43,9 @@
   const size = bounds.getSize(new THREE.Vector3()).length() || 1, middle = bounds.getCenter(new THREE.Vector3());
   const pixel = 0.85 * size / canvas.clientHeight;  // metres, in the middle of the room as it is first seen
 
-  for (const {colour, points, layer, size = 4} of room.groups) {
+  for (const {colour, points, layer, size: pixels = 1.3} of room.groups) {
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points));
-    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: size * pixel})));
+    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: pixels * pixel / Math.tan(camera.fov * Math.PI / 360)})));
   }
   // What follows is drawn over the surfaces, each shape over the one before it; weak rays come first.
   let drawn = 0;

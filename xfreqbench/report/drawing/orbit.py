@@ -14,6 +14,8 @@ from jaxtyping import Float
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.types import FloatArray
 
+BORESIGHT_M = 0.5  # drawn, in figures and models too
+
 
 def packed(scene: Mapping[str, Any]) -> str:
     """A scene as JSON, compressed by gzip, in base64; equal scenes give equal text.

@@ -28,6 +28,7 @@ _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and up
 _WIDTH_IN = 8.5  # as wide as a page shows it without making it smaller
 _ANGLE_RAD = np.radians(np.linspace(0, 89, 90))
 _LINES = {"TE": "-", "TM": "--"}
+_FAINTEST = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class DrawnScene:
 
     def bounds_m(self) -> tuple[FloatArray, FloatArray]:
         """The lowest and the highest x, y and z of the scene, with a margin; planes found outside are cut off."""
-        corners_m = np.concatenate([*self.facets_m, self.receiver_m[None]])
+        corners_m = np.concatenate([*self.facets_m, self.receiver_m[None], self.tx_m[None]])
         margin_m = _MARGIN * np.ptp(corners_m, axis=0).max()
         return corners_m.min(axis=0) - margin_m, corners_m.max(axis=0) + margin_m
 
@@ -94,13 +95,23 @@ def plot_materials(
 
 
 def _draw_reflection(axis: Any, material: ShownMaterial, carrier_hz: float) -> None:
+    """Draw the truth, and what was learned the fainter the less of its plane it fills."""
     angle_deg, true = np.degrees(_ANGLE_RAD), material.true_over_angle(carrier_hz, _ANGLE_RAD)
     learned = material.learned_over_angle(carrier_hz, _ANGLE_RAD)
-    for (name, line), *curves in zip(_LINES.items(), true, *learned, strict=True):
-        for number, curve in enumerate(curves):
-            colour, source = (_LEARNED, "learned") if number else (_TRUTH, "ITU-R P.2040")
-            label = f"{source}, {name}" if number < 2 else None
-            axis.plot(angle_deg, curve, line, color=colour, linewidth=1 if number else 2.2, label=label)
+    shares = [each.slab.share for each in material.learned]
+    for pol, (name, line) in enumerate(_LINES.items()):
+        axis.plot(angle_deg, true[pol], line, color=_TRUTH, linewidth=2.2, label=f"ITU-R P.2040, {name}")
+        for share, curves in zip(shares, learned, strict=True):
+            label = None if curves is not learned[0] else f"learned, {name}"
+            axis.plot(
+                angle_deg,
+                curves[pol],
+                line,
+                color=_LEARNED,
+                linewidth=1,
+                alpha=max(_FAINTEST, share),
+                label=label,
+            )
     axis.set(xlim=(0, 90), ylim=(0, 1), xticks=(0, 30, 60, 90))
     axis.grid(alpha=0.3)
 

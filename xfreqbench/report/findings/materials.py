@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.data.protocols import LOFO_TARGETS_HZ
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
+from xfreqbench.methods.virtual_source.surfaces import polygon_area_m2
 from xfreqbench.methods.virtual_source.told import FoundFace, FoundSlab
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.match import Match, nearest_point
 from xfreqbench.report.findings.model import TrueSlab, reflection_over_angle, true_permittivity
+from xfreqbench.scene.materials import conductivity_s_m
 from xfreqbench.types import FloatArray
-from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz
+from xfreqbench.units import format_ghz
 
-_LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
+LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
 _COLUMNS = (
     "material",
     "plane",
@@ -28,7 +31,7 @@ _COLUMNS = (
     "σ (S/m)",
     "thickness (mm)",
     "nearest of P.2040",
-    "|ΔR|",
+    "to that, rms |ΔR|",
 )
 
 
@@ -78,6 +81,7 @@ class ShownMaterial:
         ]
 
 
+@lru_cache(maxsize=1)  # every table and figure of one run asks
 def shown_materials(compared: ComparedFindings) -> list[ShownMaterial]:
     """The slabs of the scene that found planes show directly, by material and thickness."""
     names = SlabNames(compared.dataset.header.carrier_hz.tolist())
@@ -86,13 +90,13 @@ def shown_materials(compared: ComparedFindings) -> list[ShownMaterial]:
         if match is None or match.mirror is not None:
             continue
         for number_of_slab, slab in enumerate(plane.slabs):
-            if slab.share >= _LEAST_SHARE:
+            if slab.share >= LEAST_SHARE:
                 faces = [
                     face
                     for face in compared.findings.faces
                     if (face.plane, face.slab) == (index, number_of_slab)
                 ]
-                areas_m2 = np.array([_area_m2(face) for face in faces])
+                areas_m2 = np.array([polygon_area_m2(np.array(face.corners_m)) for face in faces])
                 seen = float(areas_m2 @ [face.seen for face in faces] / areas_m2.sum()) if faces else np.nan
                 nearest = names.nearest(slab)
                 told = LearnedSlab(index, slab, seen, nearest[0] if nearest else None)
@@ -117,14 +121,13 @@ def material_rows(
 
 def _row(material: ShownMaterial, each: LearnedSlab, carrier_hz: float) -> tuple[str, ...]:
     slab, named = each.slab, each.named
-    loss = -slab.permittivity_at(carrier_hz).imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
     return (
         material.title,
         str(each.plane),
         f"{slab.share:.0%}",
         ABSENT if np.isnan(each.seen) else f"{each.seen:.0%}",
         number(slab.permittivity, 2),
-        f"{loss:.3g}",
+        f"{conductivity_s_m(slab.permittivity_at(carrier_hz), carrier_hz):.3g}",
         number(slab.thickness_m * 1e3, 2),
         f"{named.material.replace('_', ' ')} {named.thickness_m * 1e3:.2f} mm" if named else ABSENT,
         number(named.distance, 3) if named else ABSENT,
@@ -147,10 +150,5 @@ def _true_slab(compared: ComparedFindings, match: Match, faces: Sequence[FoundFa
         ]
         mesh = compared.meshes[plane.facets[int(np.argmin(away_m))].surface]
         slab = mesh.material, mesh.thickness_m
-        areas_m2[slab] = areas_m2.get(slab, 0.0) + _area_m2(face)
+        areas_m2[slab] = areas_m2.get(slab, 0.0) + polygon_area_m2(np.array(face.corners_m))
     return max(areas_m2, key=lambda slab: areas_m2[slab])
-
-
-def _area_m2(face: FoundFace) -> float:
-    edges_m = np.array(face.corners_m[1:]) - np.array(face.corners_m[0])
-    return float(np.linalg.norm(np.cross(edges_m[:-1], edges_m[1:]).sum(0)) / 2)

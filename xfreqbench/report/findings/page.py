@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface, fan_of
 from xfreqbench.report.drawing.document import PageTable, Picture, owner_mark
 from xfreqbench.report.drawing.materials import material_hex
-from xfreqbench.report.drawing.orbit import by_material, millimetres, one_surface, packed
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
 from xfreqbench.report.drawing.templates import render
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.scene.meshes import SurfaceMesh
 
-_TRUE, _FOUND, _SOURCE = "#8a94a0", "#d55e00", "#56b4e9"
-_BORESIGHT_M, _SOURCE_PIXELS = 0.5, 24
+_TRUE, _FOUND, _SOURCE = "#f5f0dc", "#d55e00", "#f0e442"  # none is that of a material
+_SOURCE_PIXELS = 8
 _LAYERS = {
-    "true": "the true surfaces, grey",
+    "true": "the true surfaces, pale",
     "learned": "what was learned",
-    "sources": "virtual sources, blue",
+    "sources": "virtual sources, yellow",
 }
 
 
@@ -60,7 +60,7 @@ def findings_page(
         tx=compared.tx,
         orbit=packed(_scene(compared, room)),
         layers=_LAYERS.items(),
-        learned="every material in its colour" if room else "in orange",
+        key=_key(room),
         pictures=pictures,
         tables=tables,
         notes=notes,
@@ -87,14 +87,22 @@ def _facts(compared: ComparedFindings) -> dict[str, str]:
     }
 
 
+def _key(room: ScoredRoom | None) -> dict[str, str]:
+    """What was learned by the colours in which it is drawn: materials of a room, or whatever was found."""
+    if room is None:
+        return {"what was found": _FOUND}
+    materials = sorted({surface.slab.material for surface in room.surfaces})
+    return {material.replace("_", " "): material_hex(material) for material in materials}
+
+
 def _scene(compared: ComparedFindings, room: ScoredRoom | None) -> dict[str, Any]:
     """What `orbit.js` draws."""
     receiver_m = compared.findings.array_m
-    ahead_m = receiver_m + _BORESIGHT_M * compared.dataset.header.receiver.rotation[:, 2]
+    ahead_m = receiver_m + BORESIGHT_M * compared.dataset.header.receiver.rotation[:, 2]
     sources_m = np.array([source.position_m for source in compared.sources]).reshape(-1, 3)
     return {
         "surfaces": [
-            one_surface(compared.meshes, _TRUE, layer="true", opacity=0.1),
+            *([one_surface(compared.meshes, _TRUE, layer="true", opacity=0.1)] if compared.meshes else []),
             *_learned(compared, room),
         ],
         "groups": [
@@ -125,10 +133,8 @@ def _learned(compared: ComparedFindings, room: ScoredRoom | None) -> list[dict[s
     outlines = [face.corners_m for face in findings.faces] or [
         plane.corners_m for plane in findings.planes if plane.corners_m
     ]
-    shapes = [_polygon(np.array(corners_m)) for corners_m in outlines]
+    shapes = [
+        SurfaceMesh("found", "vacuum", 0.0, np.array(corners_m), fan_of(len(corners_m)))
+        for corners_m in outlines
+    ]
     return [one_surface(shapes, _FOUND, layer="learned", opacity=0.3)] if shapes else []
-
-
-def _polygon(corners_m: np.ndarray) -> SurfaceMesh:
-    fan = np.array([[0, corner, corner + 1] for corner in range(1, len(corners_m) - 1)])
-    return SurfaceMesh("found", "vacuum", 0.0, corners_m, fan)

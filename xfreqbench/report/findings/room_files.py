@@ -102,4 +102,4 @@ def _by_slab(surfaces: Sequence[RoomSurface]) -> dict[str, list[RoomSurface]]:
 
 def _table(content: Mapping[str, Any]) -> str:
     """Lines of TOML, which writes numbers, texts and lists of them as JSON does."""
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in content.items())
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in content.items())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.methods.virtual_source.traced import channels_in
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.residual import DRAW_SEED
+from xfreqbench.report.findings.room import settings_in_room
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.types import FloatArray
@@ -44,8 +44,8 @@ def score_rooms(
     except (DataError, KeyError):  # not kept, or of other rows
         pass
     for label, room in rooms.items():
-        settings = replace(samples.trace_settings, solver="image", materials="extrapolate")
-        maps = samples.beam.maps(channels_in(room, samples, settings), samples.header.pas_kind)[0]
+        cfr = channels_in(room, samples, settings_in_room(samples))
+        maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
     return scores
 

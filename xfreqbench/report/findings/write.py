@@ -16,7 +16,12 @@ from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.figures import DrawnPlane, DrawnScene, plot_materials, plot_scene
 from xfreqbench.report.findings.match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
-from xfreqbench.report.findings.materials import material_rows, shown_carriers_hz, shown_materials
+from xfreqbench.report.findings.materials import (
+    LEAST_SHARE,
+    material_rows,
+    shown_carriers_hz,
+    shown_materials,
+)
 from xfreqbench.report.findings.page import ScoredRoom, findings_page, subject_of
 from xfreqbench.system.files import read_text, require_own, require_space, write_text
 from xfreqbench.types import FloatArray
@@ -40,21 +45,22 @@ _COLUMNS = (
     "tilt (mrad)",
     "± std",
     "held",
-    "|ΔR| median",
-    "|ΔR| max",
+    "Δ|R| median",
+    "Δ|R| max",
 )
 LEGEND = (
     f"A found plane shows a surface within {MATCH_DISTANCE_M * 100:g} cm and {np.degrees(MATCH_TILT_RAD):g}°. Errors "
     "of distance are along the true normal, positive beyond the surface, at its point nearest to the foot of the "
     "perpendicular from the array. “Held”: the share of the cells touched by paths that hold something; where it is "
-    "0, the method itself says that nothing is there, and the surface is matched by the plane alone. |ΔR|: how far "
+    "0, the method itself says that nothing is there, and the surface is matched by the plane alone. Δ|R|: how far "
     "the learned |R| is from that of ITU-R P.2040 at normal incidence, at the carriers of the data."
 )
 _REFLECTION_LEGEND = (
-    "Blue: ITU-R P.2040 for the scene's slab; orange: every slab that was learned where the scene has it. Each of "
+    "Blue: ITU-R P.2040 for the scene's slab; orange: what was learned where the scene has it, every slab that fills "
+    f"at least {LEAST_SHARE:.0%} of a plane which shows a surface directly, the fainter the less it fills. Each of "
     "these is a row of the table: how much of its plane it fills; how much of that the paths of the training tell of "
     "(where they tell of nothing, it is what learning began with); and the P.2040 slab that is nearest to it, with "
-    "the root mean square of |ΔR|."
+    "the root mean square of |ΔR| over carriers, angles and polarisations, phases included."
 )
 _MISSING_COLUMNS = ("not found", "plane", "area (m²)", "in sight of the array")
 

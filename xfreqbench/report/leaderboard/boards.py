@@ -102,7 +102,9 @@ class Board:
         """What the file names of its figures begin with."""
         named = slug_of(f"{self.scene}-{self.protocol}")
         data = self.data_name.rpartition("@")[2] if "-" in self.data else self.data[:8]
-        return f"{named}-{data}" + (f"-{re.sub('[^0-9a-z]+', '', self.lane)}" if self.lane else "")
+        return f"{named}-{data}" + (
+            f"-{re.sub('[^0-9a-z_]+', '', self.lane.replace('.', '_'))}" if self.lane else ""
+        )
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of the trivial predictors on a split; nan where `trivial_rows` are none."""
@@ -234,7 +236,7 @@ def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapp
             "ranked together. Delete the older lines and run those jobs again."
         )
     splits = sorted({record.job.split for record in records}, key=_natural)
-    _require_same_samples(key, records)
+    require_same_samples(key, records)
 
     def place(row: BoardRow) -> tuple[float, str]:
         average = row.average(splits, median_ssim)
@@ -247,7 +249,7 @@ def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapp
     return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
 
 
-def _require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
+def require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
     """Raise `DataError` for records of two files of data that test other samples on a split of the same name."""
     first: dict[str, RunRecord] = {}
     for each in records:

@@ -167,7 +167,7 @@ def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]
     """Cases of the stress suite by area: how many there are, and how many failed, most cases first."""
     area, verdict = 0, len(record.columns) - 1
     cases = Counter(row[area] for row in record.rows)
-    failed = Counter(row[area] for row in record.rows if row[verdict] != "ok")
+    failed = Counter(row[area] for row in record.rows if row[verdict].startswith("FAILED"))
     return ("area", "cases", "failed"), [
         (name, str(number), str(failed[name])) for name, number in cases.most_common()
     ]

@@ -26,6 +26,7 @@ from xfreqbench.report.leaderboard.page_tables import (
     overview_rows,
     page_facts,
 )
+from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -71,6 +72,7 @@ def _page(found: RankedResults) -> str:
         overview_rows=overview_rows([each[0] for each in comparisons]),
         overview_protocols=overview_protocols(boards),
         costs={name: COSTS[name].hint for name in CHART_COSTS},
+        sources=sources_of([row for board in boards for row in board.rows]),
         benches=found.benches,
         machine_name=machine_name,
         content=_finite(content),

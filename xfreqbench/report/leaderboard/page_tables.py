@@ -10,7 +10,7 @@ from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
 from xfreqbench.report.leaderboard.columns import PAGE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.origins import short_commit
+from xfreqbench.report.leaderboard.origins import record_key, short_commit
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 
 
@@ -84,7 +84,7 @@ def _link(comparison: Comparison) -> BoardLink:
 
 def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     """Data sets, machines, commits and dates of all records, each fact with its lines."""
-    records = [record for board in ranked for record in board.records]
+    records = list({record_key(each): each for board in ranked for each in board.records}.values())
     data = {f"{board.scene}, {board.pas_kind} maps, {_told(board)}" for board in ranked}
     commits = {short_commit(record.git_commit) for record in records}
     days = sorted({record.time_utc[:10] for record in records})

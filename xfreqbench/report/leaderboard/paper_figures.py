@@ -19,7 +19,7 @@ _METRICS = {"ssim": 4, "psnr": 2}  # with decimals
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
     """For each figure of the page its link from the page, and what draws it to a path and may raise `StorageError`."""
-    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if published_rows(board)}
+    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
 
 
 def cdf_link(board: Board) -> str:
@@ -28,11 +28,12 @@ def cdf_link(board: Board) -> str:
 
 
 def level_table(board: Board) -> str:
-    """SSIM and PSNR at the 90 % level of their distributions, theirs and ours; empty where no method is the paper's."""
+    """SSIM and PSNR at the 90 % level of their distributions, theirs and ours; empty where `_splits` are none."""
     published = published_content()["table"]["cdf"]["rows"]
-    rows, splits = _rows(board), _splits(board)
-    if not rows:
+    splits = _splits(board)
+    if not splits:
         return ""
+    rows = _rows(board)
     cells = [
         [
             row.short_label,
@@ -76,9 +77,9 @@ def _rows(board: Board) -> dict[str, BoardRow]:
 
 
 def _splits(board: Board) -> tuple[str, ...]:
-    """The splits that all of the paper's rows were run on."""
+    """The splits that all of the paper's rows were run on; none where there are no such rows."""
     rows = published_rows(board).values()
-    return tuple(split for split in board.splits if all(split in row.by_split for row in rows))
+    return tuple(split for split in board.splits if rows and all(split in row.by_split for row in rows))
 
 
 def _pooled(row: BoardRow, splits: Sequence[str], metric: str) -> list[float]:

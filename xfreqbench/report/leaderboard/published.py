@@ -46,6 +46,12 @@ def reduced_statement(rows: Sequence[BoardRow]) -> str:
     return f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {told}."
 
 
+def sources_of(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
+    """Whose papers and programs methods among the rows are named after: `name`, and addresses `paper` and `program`."""
+    methods = {row.job.method for row in rows if not row.is_external}
+    return [each for each in published_content()["source"] if methods & set(each["methods"])]
+
+
 @cache
 def published_content() -> dict[str, Any]:
     """The published numbers, and which of our rows stand for which, as `paper_results.toml` holds them."""

@@ -9,6 +9,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+from xfreqbench.errors import OutputExistsError
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import (
@@ -105,6 +106,7 @@ def write_report(
     """
     found = read_results(results)
     pages = [_whole(found, output_md)] if details is None else _pages(found, output_md, details)
+    _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
         require_own_figures(page.boards, page.benches, page.drawn, page.path.parent)
@@ -118,6 +120,17 @@ def write_report(
         generated = page.generated.replace("<!--", "&lt;!--")  # no marker but ours
         write_text(page.path, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
     return WrittenReport((*(page.path for page in pages), *figures), found.num_truncated)
+
+
+def _require_files_of_their_own(paths: Sequence[Path]) -> None:
+    """Raise `OutputExistsError` where two pages would be one file."""
+    places = [path.resolve() for path in paths]
+    twice = next((path for path, place in zip(paths, places, strict=True) if places.count(place) > 1), None)
+    if twice is not None:
+        raise OutputExistsError(
+            f"Two pages of the report would both be {twice}: each scene has a page of its name, beside "
+            f"{_MEASUREMENTS_PAGE} and {_PAPER_PAGE}. Give another --output or --details, or name the scene otherwise."
+        )
 
 
 def _whole(found: RankedResults, output_md: Path) -> _Page:

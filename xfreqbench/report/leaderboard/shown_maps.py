@@ -19,13 +19,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import power_of
-from xfreqbench.maps.metrics import Maps, score_all
+from xfreqbench.maps.metrics import score_all
 from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import Finite, RunRecord, fault_of_fields
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, require_own, write_text
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, Maps
 
 NUM_SHOWN = 12  # samples of a split
 RANGE_DB = 30.0

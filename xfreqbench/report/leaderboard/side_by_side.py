@@ -10,7 +10,14 @@ from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import Board, Identity, boards, comparable, short_name
+from xfreqbench.report.leaderboard.boards import (
+    Board,
+    Identity,
+    boards,
+    comparable,
+    require_same_samples,
+    short_name,
+)
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
@@ -94,7 +101,11 @@ def _boards(records: Sequence[RunRecord], identity: Identity) -> _Boards:
 
 
 def _section(a: Board, b: Board) -> str:
-    """The tables of two boards of the same data set and protocol; empty where they have no rows in common."""
+    """The tables of two boards of the same data set and protocol; empty where they have no rows in common.
+
+    Raises `DataError` where they test other samples.
+    """
+    require_same_samples((a.scene, a.data, a.protocol), [*a.records, *b.records])
     pairs = [RowPair.of(a, *rows) for rows in _paired_rows(a, b)]
     pairs = [pair for pair in pairs if pair.comparison.splits]
     if not pairs:
@@ -152,7 +163,11 @@ def _other_table(pairs: Sequence[RowPair]) -> str:
 
 def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
     """What the intervals do not say, and what the tables leave out."""
-    few = [pair.label for pair in pairs if not all(map(pair.comparison.is_ranked, (pair.a, pair.b)))]
+    few = [
+        pair.label
+        for pair in pairs
+        if not isnan(pair.interval[0]) and not all(map(pair.comparison.is_ranked, (pair.a, pair.b)))
+    ]
     shown = {row.label for pair in pairs for row in (pair.a, pair.b)}
     alone = {
         side: [row.label for row in board.rows if f"{side} {row.label}" not in shown]

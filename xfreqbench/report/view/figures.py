@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.figures import draw_disc, label_decades, save_figure
 from xfreqbench.report.drawing.materials import material_hex
+from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, Similarity
 from xfreqbench.scene.facets import planar_facets
@@ -26,7 +27,6 @@ from xfreqbench.types import FloatArray
 
 _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _MARGIN_M = 0.25
-_BORESIGHT_M = 0.5
 _OVERVIEW_MAPS = 6
 _NUMBERED_RAYS = 9  # more numbers would cover each other
 _SSIM_COLOURS = "viridis"
@@ -188,8 +188,8 @@ def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
 
 
 def _draw_receiver(axis: Any, room: ShownRoom, shown: list[int]) -> None:
-    start, along = room.receiver_m[shown], room.boresight[shown] * _BORESIGHT_M
-    if np.linalg.norm(along) > 0.1 * _BORESIGHT_M:
+    start, along = room.receiver_m[shown], room.boresight[shown] * BORESIGHT_M
+    if np.linalg.norm(along) > 0.1 * BORESIGHT_M:
         arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
         axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
     axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.report.drawing.materials import material_hex
-from xfreqbench.report.drawing.orbit import by_material, millimetres, one_surface
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface
 from xfreqbench.report.view.figures import Rgba, group_colour, ray_colour
 from xfreqbench.report.view.room import ShownRoom
-
-_BORESIGHT_M = 0.5
 
 
 def orbit_scene(room: ShownRoom) -> dict[str, Any]:
@@ -20,7 +18,7 @@ def orbit_scene(room: ShownRoom) -> dict[str, Any]:
     `surfaces` are one a material, `groups` the transmitters in sight and in shadow, and `rays` lines from the
     transmitter to the array centre, the weakest first, so that strong ones are drawn over them.
     """
-    ahead_m = room.receiver_m + _BORESIGHT_M * room.boresight
+    ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
     groups = room.groups().items()
     rays = sorted(room.rays, key=lambda ray: ray.level_db)
     return {

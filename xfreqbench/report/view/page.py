@@ -20,9 +20,9 @@ from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
 from xfreqbench.report.view.summary import CarrierSummary
 from xfreqbench.scene.imported import Slab
-from xfreqbench.scene.materials import complex_permittivity, material_bands
+from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of
-from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz, format_ghz_list
+from xfreqbench.units import format_ghz, format_ghz_list
 
 _SPLIT_COLUMNS = (
     "split",
@@ -148,7 +148,7 @@ def _material_row(view: ViewPlan, slab: Slab) -> tuple[str, ...]:
     bands = material_bands(material)
     outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
     permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
-    conductivity_s_m = -permittivity.imag * 2 * np.pi * view.carrier_hz * VACUUM_PERMITTIVITY_F_M
+    sigma_s_m = conductivity_s_m(permittivity, view.carrier_hz)
     return (
         str(material).replace("_", " "),
         f"{thickness_m * 1e3:g}",
@@ -158,7 +158,7 @@ def _material_row(view: ViewPlan, slab: Slab) -> tuple[str, ...]:
         else "none: the scene's own, the same at every carrier",
         f"{format_ghz_list(outside)}, extrapolated" if outside else ABSENT,
         f"{permittivity.real:.3g}",
-        f"{conductivity_s_m:,.0f}" if conductivity_s_m > 1000 else f"{conductivity_s_m:.3g}",
+        f"{sigma_s_m:,.0f}" if sigma_s_m > 1000 else f"{sigma_s_m:.3g}",
     )
 
 

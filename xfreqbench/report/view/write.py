@@ -14,6 +14,7 @@ from xfreqbench.report.drawing.document import Picture, is_of_subject
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
+from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.figures import (
     group_colour,
     plot_carriers,
@@ -45,7 +46,7 @@ _ALT = {
 }
 _SURFACE_OPACITY = 60
 _ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
-_BALL_M, _MARKER_M, _RAY_M, _ELEMENT_M, _BORESIGHT_M = 0.07, 0.02, 0.008, 0.015, 0.5
+_BALL_M, _MARKER_M, _RAY_M, _ELEMENT_M = 0.07, 0.02, 0.008, 0.015
 
 
 def claim(view: ViewPlan, folder: Path) -> None:
@@ -98,7 +99,7 @@ def room_model(room: ShownRoom) -> GlbModel:
 
 def _add_receiver(model: GlbModel, room: ShownRoom) -> None:
     elements_m = room.receiver.element_position_m(SPEED_OF_LIGHT_M_S / room.lowest_hz)
-    ahead_m = room.receiver_m + _BORESIGHT_M * room.boresight
+    ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
     model.add_ball("receiver", room.receiver_m, _ELEMENT_M, _ORANGE)
     model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, _ELEMENT_M, _ORANGE)
     model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), _RAY_M, _ORANGE)

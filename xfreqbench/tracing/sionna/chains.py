@@ -28,10 +28,8 @@ from xfreqbench.scene.visibility import fibonacci_sphere
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
-
-IntArray = NDArray[np.int64]
 
 REFLECTION_PROBABILITY = 0.5  # of a ray at a slab, whatever the carrier, because chains serve all carriers
 OPAQUE_DB = (

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.tracing.paths import SPECULAR
-from xfreqbench.tracing.sionna.chains import Chains, IntArray, Planes
-from xfreqbench.types import FloatArray
+from xfreqbench.tracing.sionna.chains import Chains, Planes
+from xfreqbench.types import FloatArray, IntArray
 
 NEAR = 6.0  # times the array's radius: nearer images are kept, for the disc is no longer a disc
 _SECOND_ORDER = 1 / (1 - 1 / NEAR)  # how much wider the disc may be than to first order

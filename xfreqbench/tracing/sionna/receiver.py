@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
-from xfreqbench.tracing.sionna.chains import Chains, IntArray, opaque_meshes, planes_of, shoot
+from xfreqbench.tracing.sionna.chains import Chains, opaque_meshes, planes_of, shoot
 from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
 from xfreqbench.tracing.sionna.reach import PlaneBoxes, Reach
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f, rt
 from xfreqbench.tracing.tracer import Channel, TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 PathsBuffer = rt.path_solvers.paths_buffer.PathsBuffer

@@ -14,14 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 from numpy.typing import NDArray
 
-from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, complex_permittivity
+from xfreqbench.scene.materials import (
+    MaterialPolicy,
+    ScatteringPattern,
+    complex_permittivity,
+    conductivity_s_m,
+)
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.system.signals import interrupted_afterwards
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
 from xfreqbench.types import FloatArray
-from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
 
 ensure_llvm()
 
@@ -126,9 +130,8 @@ class RadioScene:
         self.sionna.frequency = dr.opaque(mi.Float, carrier_hz)
         for name, material in self.sionna.radio_materials.items():
             value = permittivity[int(name.rpartition("-")[2])]
-            conductivity_s_m = -value.imag * 2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M
             material.relative_permittivity = dr.opaque(mi.Float, value.real)
-            material.conductivity = dr.opaque(mi.Float, conductivity_s_m)
+            material.conductivity = dr.opaque(mi.Float, conductivity_s_m(value, carrier_hz))
 
 
 def _load(meshes: Sequence[SurfaceMesh]) -> Any:
