@@ -22,6 +22,9 @@ from xfreqbench.methods.splatting.field import BandConfig, BandField, SplatTrain
 
 _LEAST_SIZE_RAD = math.radians(3.0)  # narrower ones fall between the rows of a view; beams are 26° wide
 _MOST_SIZE_RAD = math.pi
+_MOST_MOVE_RAD = math.radians(
+    45.0
+)  # without a limit all may leave the hemisphere at once, where no gradient is left
 _PARTS = (2, 2, 1)  # of a deformation: centre, logarithms of sizes, brightness
 _BRIGHTNESS = -1.0  # before softplus, at the start
 
@@ -122,9 +125,11 @@ class SwiftWRFField(BandField):
         centre = positional_encoding(gaussians.centre_rad.detach() / math.pi, self.config.centre_octaves)
         outputs = self.network(query, centre, query.new_zeros(len(query), len(centre), 0))
         moved, scaled, brightened = outputs.split(_PARTS, dim=-1)
-        log_size = (gaussians.log_size + scaled).clamp(math.log(_LEAST_SIZE_RAD), math.log(_MOST_SIZE_RAD))
+        log_size = (gaussians.log_size + scaled).clamp_max(math.log(_MOST_SIZE_RAD))
+        size_rad = (_LEAST_SIZE_RAD**2 + (2 * log_size).exp()).sqrt()
         brightness = softplus(gaussians.brightness + brightened)
-        return gaussians.centre_rad + moved, log_size.exp(), brightness
+        moved_rad = _MOST_MOVE_RAD * torch.tanh(moved / _MOST_MOVE_RAD)
+        return gaussians.centre_rad + moved_rad, size_rad, brightness
 
 
 class SwiftWRF(LearnedMethod):
@@ -135,8 +140,8 @@ class SwiftWRF(LearnedMethod):
     Left out: all but some hundreds of Gaussians, and their slant: axes lie along azimuth and elevation; training in
     two stages, first without deformation; residuals between groups of neighbouring transmitters; noise on positions
     that fades.
-    Changed: the carrier is one more input of the network; power is projected on what the array can give, as in
-    `xfreq-gs`; maps are normalised and the loss is Eq. 12.
+    Changed: the carrier is one more input of the network; shifts and sizes are bounded; power is projected on what the
+    array can give, as in `xfreq-gs`; maps are normalised and the loss is Eq. 12.
     """
 
     Config = SwiftWRFConfig

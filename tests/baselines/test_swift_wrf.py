@@ -61,7 +61,8 @@ def test_a_gaussian_is_where_it_says_and_as_wide_also_across_the_seam(dataset: P
         field.gaussians.log_size.data = torch.tensor([[10.0, 20.0]]).deg2rad().log()
         across = np.remainder(azimuth_rad - math.radians(centre_deg[0]) + np.pi, 2 * np.pi) - np.pi
         along = elevation_rad - math.radians(centre_deg[1])
-        bell = np.exp(-0.5 * ((across / math.radians(10)) ** 2 + (along / math.radians(20)) ** 2))
+        wide, high = (math.radians(math.hypot(deg, 3)) for deg in (10, 20))  # 3° is the least
+        bell = np.exp(-0.5 * ((across / wide) ** 2 + (along / high) ** 2))
         brightness = math.log1p(math.exp(-1.0))
         # float32 angles of up to 2π, of which a deviation is 0.17
         np.testing.assert_allclose(power(field, beams, dataset)[0].numpy(), brightness * bell, atol=1e-5)
@@ -105,3 +106,17 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(dataset: PasDat
     assert [*before, *trained(resumed, dataset, 20)] == points
     assert np.array_equal(predicted(resumed, dataset), predicted(unbroken, dataset))
     assert {point.counts["gaussians"] for point in points} == {30}
+
+
+def test_gaussians_that_the_network_pushes_away_and_shrinks_stay_in_sight_with_a_slope(
+    dataset: PasDataset,
+) -> None:
+    field, beams = still(dataset, 8)
+    tx_position_m, carrier_hz = torch.zeros(1, 3), torch.tensor([1e9], dtype=torch.float64)
+    field.network.head.bias.data = torch.tensor([9.0, 9.0, -9.0, -9.0, 0.0])
+    centre_rad, size_rad, _ = field.deformed(tx_position_m, carrier_hz)
+    assert math.radians(3) < float(size_rad.detach().min())
+    assert float((centre_rad - field.gaussians.centre_rad).detach().abs().max()) < math.radians(46)
+    field.power(tx_position_m, carrier_hz, GridView(2), beams).sum().backward()
+    slope = field.network.head.bias.grad
+    assert slope is not None and (slope[2:] != 0).all()
