@@ -138,8 +138,7 @@ class GSRFField(GaussianField):
     ) -> Attributes:
         """Signal and attenuation of the Gaussians `seen`, the same at every carrier."""
         tx_m = self.scaling.in_frame(tx_position_m)
-        position_m = self.gaussians.position_m if self.moves else self.gaussians.position_m.detach()
-        direction = normalize(position_m[seen] - tx_m[:, None], dim=-1)
+        direction = normalize(self.position_m[seen] - tx_m[:, None], dim=-1)
         coefficient = torch.view_as_complex(self.gaussians.coefficient[seen])
         signal = (self.network(direction) * coefficient).sum(-1).T
         attenuation = torch.sigmoid(self.gaussians.attenuation_logit[seen])[:, None].expand(signal.shape)

@@ -22,9 +22,7 @@ from xfreqbench.methods.splatting.field import BandConfig, BandField, SplatTrain
 
 _LEAST_SIZE_RAD = math.radians(3.0)  # narrower ones fall between the rows of a view; beams are 26° wide
 _MOST_SIZE_RAD = math.pi
-_MOST_MOVE_RAD = math.radians(
-    45.0
-)  # without a limit all may leave the hemisphere at once, where no gradient is left
+_MOST_MOVE_RAD = math.radians(45.0)  # or all may leave the hemisphere at once, and have no gradient any more
 _PARTS = (2, 2, 1)  # of a deformation: centre, logarithms of sizes, brightness
 _BRIGHTNESS = -1.0  # before softplus, at the start
 

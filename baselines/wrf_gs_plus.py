@@ -122,8 +122,7 @@ class WRFGSPlusField(GaussianField):
         of_all = covariance(
             (gaussians.quaternion + turned).flatten(0, 1), (gaussians.log_scale + scaled).flatten(0, 1)
         )
-        static_m = gaussians.position_m if self.moves else gaussians.position_m.detach()
-        projection = project((static_m + moved_m).flatten(0, 1), of_all)
+        projection = project((self.position_m + moved_m).flatten(0, 1), of_all)
         return projection, torch.relu(gaussians.signal + signal.norm(dim=-1)).T
 
 

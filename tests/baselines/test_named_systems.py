@@ -72,6 +72,25 @@ def test_sixty_steps_lower_the_loss(method: type[LearnedMethod], dataset: PasDat
 
 
 @every_system
+def test_gaussians_stand_still_undivided_until_they_move(
+    method: type[LearnedMethod], dataset: PasDataset
+) -> None:
+    """Dividing them before would leave footprints of others; a fit of 20 steps moves them from the tenth on."""
+    model = small(method, move_from=0.5, densify_every=2, densify_until=1.0, growth=0.2)
+    places = []
+    saved = model.batch_loss
+
+    def watched(training: Any, targets: Any) -> torch.Tensor:
+        places.append(training.field.gaussians.position_m.detach().clone())
+        return saved(training, targets)
+
+    model.batch_loss = watched  # type: ignore[method-assign]
+    trained(model, dataset, 20)
+    assert all(torch.equal(place, places[0]) for place in places[:10])
+    assert len(places[10]) == len(places[0]) < len(places[-1])
+
+
+@every_system
 def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     method: type[LearnedMethod], dataset: PasDataset, tmp_path: Path
 ) -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 sync_api = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
@@ -72,6 +75,19 @@ def set_screen(page: Any, device: str, scheme: str) -> None:
     """The screen of a device, and light or dark colours."""
     page.set_viewport_size(dict(zip(("width", "height"), WIDTHS[device], strict=True)))
     page.emulate_media(color_scheme=scheme)
+
+
+def canvas_pixels(page: Any) -> np.ndarray:
+    """What the canvas of the orbit viewer shows within its rim, (rows, columns, 3), once it is drawn and rests."""
+    last = b""
+    for _ in range(50):
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        shot = page.locator("#orbit canvas").screenshot()
+        drawn = np.asarray(Image.open(BytesIO(shot)).convert("RGB"))[5:-5, 5:-5]  # focus is shown around it
+        if shot == last and drawn.std() > 1:  # a canvas that is not drawn yet has one colour
+            return drawn
+        last = shot
+    raise AssertionError("the canvas is never drawn, or never rests")
 
 
 def _is_foreign(url: str, file: Path) -> bool:

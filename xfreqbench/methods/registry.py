@@ -149,9 +149,9 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
     """
     if device == "cpu":
         return ()
-    chosen = f"device={device}"
+    config, chosen = build_method(name).config, f"device={device}"
     try:
-        override(build_method(name).config, [chosen])
+        override(config, [chosen])
     except (UnknownNameError, MethodError):
         return ()
     return (chosen,)

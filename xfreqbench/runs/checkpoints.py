@@ -89,18 +89,22 @@ class CheckpointFolder:
         if newest is None:
             return None
         try:
+            return self._checked(newest)
+        except DataError:
+            if self.newest() == newest:
+                raise
+            return self.read()  # its fit, in another process, has gone on
+
+    def _checked(self, newest: Path) -> Checkpoint:
+        try:
             checkpoint = Checkpoint.model_validate_json(read_bytes(newest / _STATE_FILE))
             sha256 = _sha256_by_name(newest / _METHOD_FOLDER)
         except (OSError, ValidationError) as error:
-            if self.newest() != newest:  # its fit, in another process, has gone on
-                return self.read()
             fault = error.strerror if isinstance(error, OSError) else fault_of_fields(error)
             raise self._refusal(f"cannot be read: {fault}") from error
         if checkpoint.task_id != self.task_id:
             raise self._refusal(f"belongs to job {checkpoint.task_id}, not to {self.task_id}")
         if sha256 != checkpoint.sha256:
-            if self.newest() != newest:
-                return self.read()
             names = sorted(name for name, _ in sha256.items() ^ checkpoint.sha256.items())
             raise self._refusal(f"is damaged: {', '.join(dict.fromkeys(names))} changed since it was written")
         return checkpoint

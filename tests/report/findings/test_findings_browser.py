@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
-from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
+from chromium import WIDTHS, canvas_pixels, check_screen, launched, needs_chromium, opened, set_screen
 from found_box import found_room
-from PIL import Image
 from stored_records import make_record
 
 from xfreqbench.cli.findings import findings as findings_command
@@ -38,19 +35,6 @@ def file(request: pytest.FixtureRequest, box: PasDataset, tmp_path_factory: pyte
     return folder / "out" / "index.html"
 
 
-def pixels(page) -> np.ndarray:
-    """What the canvas shows, (rows, columns, 3), once it rests."""
-    last = b""
-    for _ in range(50):
-        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        shot = page.locator("#orbit canvas").screenshot()
-        drawn = np.asarray(Image.open(BytesIO(shot)).convert("RGB"))
-        if shot == last and drawn.std() > 1:
-            return drawn
-        last = shot
-    raise AssertionError("the canvas is never drawn, or never rests")
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("device", WIDTHS)
 def test_the_page_fits_the_screen_with_its_figures(browser, file: Path, device: str, scheme: str) -> None:
@@ -65,13 +49,13 @@ def test_the_page_fits_the_screen_with_its_figures(browser, file: Path, device: 
 
 def test_each_layer_is_drawn_and_hidden_by_its_box(browser, file: Path) -> None:
     with opened(browser, file) as page:
-        before = pixels(page)
+        before = canvas_pixels(page)
         for box in page.locator("#orbit input").all():
             box.uncheck()
-            hidden = pixels(page)
+            hidden = canvas_pixels(page)
             assert (hidden != before).any(axis=-1).sum() > 20, box.get_attribute("name")
             box.check()
-            assert (pixels(page) == before).all()
+            assert (canvas_pixels(page) == before).all()
 
 
 def test_planes_materials_and_the_traced_room_are_told(browser, file: Path) -> None:

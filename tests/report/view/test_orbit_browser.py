@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import launched, needs_chromium, opened, set_screen
-from PIL import Image
+from chromium import canvas_pixels, launched, needs_chromium, opened, set_screen
 
 from xfreqbench.report.drawing.document import Picture
 from xfreqbench.report.view.figures import ray_colour
@@ -32,19 +30,6 @@ def browser() -> Iterator[object]:
         yield browser
 
 
-def pixels(page) -> np.ndarray:
-    """What the canvas shows within its rim, (rows, columns, 3), once it is drawn and rests."""
-    last = b""
-    for _ in range(50):
-        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        shot = page.locator("#orbit canvas").screenshot()
-        drawn = np.asarray(Image.open(BytesIO(shot)).convert("RGB"))[5:-5, 5:-5]  # focus is shown around it
-        if shot == last and drawn.std() > 1:  # a canvas that is not drawn yet has one colour
-            return drawn
-        last = shot
-    raise AssertionError("the canvas is never drawn, or never rests")
-
-
 def num_near(drawn: np.ndarray, colour: tuple[int, ...]) -> int:
     return int((abs(drawn.astype(int) - colour[:3]).max(axis=-1) < SMOOTHED).sum())
 
@@ -54,7 +39,7 @@ def num_near(drawn: np.ndarray, colour: tuple[int, ...]) -> int:
 def test_room_rays_and_both_ends_are_drawn(browser, folder: Path, device: str, scheme: str) -> None:
     with opened(browser, folder / "index.html") as page:
         set_screen(page, device, scheme)
-        drawn = pixels(page)
+        drawn = canvas_pixels(page)
         assert page.locator("#orbit canvas").is_visible()
     assert drawn.shape[1] > 0.8 * {"desktop": 1060, "phone": 366}[device]
     assert 0.1 < (abs(drawn.astype(int) - BACKGROUND).max(axis=-1) > 5).mean() < 0.9
@@ -64,20 +49,20 @@ def test_room_rays_and_both_ends_are_drawn(browser, folder: Path, device: str, s
 
 def test_drag_wheel_and_keys_turn_it_and_home_brings_it_back(browser, folder: Path) -> None:
     with opened(browser, folder / "index.html") as page:
-        seen = [pixels(page)]
+        seen = [canvas_pixels(page)]
         box = page.locator("#orbit canvas").bounding_box()
         page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 100)
         page.mouse.down()
         page.mouse.move(box["x"] + box["width"] / 2 + 120, box["y"] + 140)
         page.mouse.up()
-        seen.append(pixels(page))
+        seen.append(canvas_pixels(page))
         for key in ("ArrowLeft", "ArrowUp", "+"):
             page.keyboard.press(key)  # the canvas has the focus since it was dragged
-            seen.append(pixels(page))
+            seen.append(canvas_pixels(page))
         page.mouse.wheel(0, 200)
-        seen.append(pixels(page))
+        seen.append(canvas_pixels(page))
         page.keyboard.press("Home")
-        back = pixels(page)
+        back = canvas_pixels(page)
     changed = [(before != after).any(axis=-1).mean() for before, after in pairwise(seen)]
     assert min(changed) > 0.01
     assert (back == seen[0]).all()
@@ -103,5 +88,5 @@ def test_a_strong_ray_is_drawn_over_a_weak_one(browser, view: ViewPlan, tmp_path
         drawn = tmp_path / f"{len(rays)}.html"
         drawn.write_text(view_page(shown, None, DRAWN, "scene.glb"), "utf-8")
         with opened(browser, drawn) as page:
-            found.append([num_near(pixels(page), ray_colour(ray.level_db)) for ray in (strong, weak)])
+            found.append([num_near(canvas_pixels(page), ray_colour(ray.level_db)) for ray in (strong, weak)])
     assert found[0][0] > 100 and found[0][1] < 0.1 * found[1][1]

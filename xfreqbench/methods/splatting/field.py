@@ -157,6 +157,11 @@ class GaussianField(BandField):
         """
         return RFGaussians(number)
 
+    @property
+    def position_m(self) -> Float[Tensor, "N 3"]:
+        """Where the Gaussians are, which training can change only once they move."""
+        return self.gaussians.position_m if self.moves else self.gaussians.position_m.detach()
+
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates: the network, and the Gaussians."""
         network = {"params": list(self.network.parameters()), "lr": learning_rate}

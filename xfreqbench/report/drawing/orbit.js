@@ -45,7 +45,8 @@
 
   for (const {colour, points, layer, size: pixels = 1.3} of room.groups) {
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points));
-    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: pixels * pixel / Math.tan(camera.fov * Math.PI / 360)})));
+    const width = pixels * pixel / Math.tan(camera.fov * Math.PI / 360);  // points do not know the field of view
+    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: width})));
   }
   // What follows is drawn over the surfaces, each shape over the one before it; weak rays come first.
   let drawn = 0;

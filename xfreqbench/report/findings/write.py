@@ -27,14 +27,12 @@ from xfreqbench.system.files import read_text, require_own, require_space, write
 from xfreqbench.types import FloatArray
 
 PAGE, TABLE, NUMBERS, MODEL, PICTURE = "index.html", "findings.md", "findings.json", "scene.glb", "scene.png"
-REFLECTION = ("reflection.svg", "reflection.png")
+CURVES, CURVES_PNG = "reflection.svg", "reflection.png"
 _TITLE = "# Findings of "
-FILES = (PAGE, TABLE, NUMBERS, *REFLECTION, PICTURE, MODEL)
+FILES = (PAGE, TABLE, NUMBERS, CURVES, CURVES_PNG, PICTURE, MODEL)
 _ALT = {
     PICTURE: "Plan and elevation of the scene with the planes that were found",
-    REFLECTION[
-        0
-    ]: "Reflection over the angle of incidence, material by material, learned and by ITU-R P.2040",
+    CURVES: "Reflection over the angle of incidence, material by material, learned and by ITU-R P.2040",
 }
 LISTED_AREA_M2 = 4.0  # planes of the scene that were not found and are smaller are only counted
 _COLUMNS = (
@@ -116,9 +114,9 @@ def write_findings(comparison: ComparedFindings, folder: Path) -> list[Path]:
     paths = [folder / name for name in FILES]
     write_text(folder / NUMBERS, json.dumps(_as_json(comparison), indent=1) + "\n")
     write_text(folder / TABLE, _markdown(comparison))
-    for name in REFLECTION:
-        carriers_hz = shown_carriers_hz(comparison)
-        plot_materials(shown_materials(comparison), carriers_hz, folder / name, Path(name).suffix[1:])
+    drawn = shown_materials(comparison), shown_carriers_hz(comparison)
+    plot_materials(*drawn, folder / CURVES)
+    plot_materials(*drawn, folder / CURVES_PNG, "png")
     plot_scene(_drawn(comparison), folder / PICTURE)
     write_glb(comparison.meshes, _rectangles(comparison), _points(comparison), folder / MODEL)
     write_page(comparison, folder)
@@ -182,7 +180,7 @@ def _markdown(comparison: ComparedFindings) -> str:
         "## Materials",
         _REFLECTION_LEGEND,
         *([table(*materials)] if materials[1] else []),
-        f"![{_ALT[REFLECTION[0]]}]({REFLECTION[0]})",
+        f"![{_ALT[CURVES]}]({CURVES})",
     ]
     return "\n\n".join(parts) + "\n"
 

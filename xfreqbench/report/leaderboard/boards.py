@@ -102,9 +102,8 @@ class Board:
         """What the file names of its figures begin with."""
         named = slug_of(f"{self.scene}-{self.protocol}")
         data = self.data_name.rpartition("@")[2] if "-" in self.data else self.data[:8]
-        return f"{named}-{data}" + (
-            f"-{re.sub('[^0-9a-z_]+', '', self.lane.replace('.', '_'))}" if self.lane else ""
-        )
+        lane = re.sub("[^0-9a-z_]+", "", self.lane.replace(".", "_"))
+        return f"{named}-{data}" + (f"-{lane}" if lane else "")
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of the trivial predictors on a split; nan where `trivial_rows` are none."""

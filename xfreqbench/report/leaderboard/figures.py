@@ -97,9 +97,8 @@ def _panels(splits: Sequence[str]) -> Sequence[str]:
     """At most `_MAX_PANELS` splits to draw; of more, those at the paper's targets."""
     if len(splits) <= _MAX_PANELS:
         return splits
-    return [split for split in splits if short_name(split).rpartition("-")[2] in _PAPER_TARGETS] or splits[
-        :_MAX_PANELS
-    ]
+    of_paper = [split for split in splits if short_name(split).rpartition("-")[2] in _PAPER_TARGETS]
+    return of_paper or splits[:_MAX_PANELS]
 
 
 def _legible(rows: Sequence[BoardRow]) -> Sequence[BoardRow]:
