@@ -23,6 +23,7 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.tracing.image.trie_kernels",
     "xfreqbench.tracing.image.wedge_kernels",
     "xfreqbench.methods.learning.loss_kernels",
+    "xfreqbench.methods.virtual_source.obstacle_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
 }

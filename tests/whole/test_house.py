@@ -44,6 +44,7 @@ HOMES = {
         "methods/learning/loss_kernels.py",
         "methods/splatting/composite_kernels.py",
         "methods/splatting/footprint_kernels.py",
+        "methods/virtual_source/obstacle_kernels.py",
         "scene/visibility_kernels.py",
         "tracing/image/diffraction_kernels.py",
         "tracing/image/forest_kernels.py",

@@ -115,7 +115,7 @@ def _learned_room(
         with progress_bars("changes", ["refining the room"], quiet) as (progress,):
             while not refinement.is_over:
                 refinement.step()
-                progress(refinement.done, len(refinement.steps))
+                progress(refinement.done, refinement.num_steps)
         rooms["traced in the room, refined"] = refinement.room
     return ScoredRoom(refinement.room, HEADER, score_rows(score_rooms(results, compared, rooms)))
 

@@ -15,7 +15,7 @@ from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement
-from xfreqbench.methods.virtual_source.render import FROM, RoomRender
+from xfreqbench.methods.virtual_source.render import CHOOSE_AT, FROM, RoomRender
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import Maps
@@ -44,7 +44,7 @@ def diffracted(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 @pytest.fixture
 def unrefined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Refinements that have nothing to try, because tracing takes time."""
-    monkeypatch.setattr(Refinement, "steps", [])
+    monkeypatch.setattr(Refinement, "num_steps", 0)
 
 
 class Known:
@@ -188,11 +188,11 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
         self.done += 1
         done.append(self.done)
 
-    monkeypatch.setattr(Refinement, "steps", [None] * 8)
+    monkeypatch.setattr(Refinement, "num_steps", 8)
     monkeypatch.setattr(Refinement, "step", step)
     learned = Known(dataset)
     first = RoomRender("traced")
-    first.advance(dataset, STEPS, 0.86, found_room, learned)
+    first.advance(dataset, STEPS, (FROM + CHOOSE_AT) / 2, found_room, learned)
     assert 0 < done[-1] < 8
     assert first.tracer is None
     first.save(tmp_path)

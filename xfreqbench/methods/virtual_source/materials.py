@@ -31,6 +31,10 @@ class NamedSlab(NamedTuple):
     thickness_m: float
     distance: float
 
+    def thinned(self, factor: float) -> NamedSlab:
+        """The same of another thickness."""
+        return self._replace(thickness_m=self.thickness_m * factor)
+
 
 @dataclass(frozen=True, eq=False)
 class SlabNames:

@@ -1,8 +1,9 @@
 """Changes a learned room until what is traced in it is nearest to the training rows of its run.
 
 Learning knows planes to parts of a millimetre, but edges to a cell, and of furniture only the sides that mirror. So
-faces are tried without, of other materials, with other edges, and as the fronts of boxes of some depth. What raises
-the mean SSIM of some training rows is kept. No tested row is looked at.
+faces are tried without, of other materials, with other edges, and as the fronts of boxes of some depth. Then boxes are
+put where something hides paths, and their faces moved. What raises the mean SSIM of some training rows is kept. No
+tested row is looked at.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.virtual_source.boxes import (
+    THICKNESSES,
+    WAYS_M,
+    Box,
+    BoxFrame,
+    box_slabs,
+    holds_any,
+)
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
+from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
+from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, never
 from xfreqbench.methods.virtual_source.surfaces import (
     RoomSurface,
     is_clear,
@@ -29,7 +40,8 @@ from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import RoomScore
 from xfreqbench.types import FloatArray
 
-_MIN_GAIN = 1e-3  # of the mean SSIM, for which a room is changed
+_MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
+_MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
 _LISTED = 3  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
@@ -38,7 +50,7 @@ _TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 _FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
-_THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
+_NUM_NEAR_TX = 24  # those that a box matters to most
 _NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
 _THICK_M = 0.05  # with more, all carriers tell of the front alone
 _BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
@@ -52,63 +64,128 @@ class Refinement:
     """A room that is changed in steps, until what is traced in it is nearest to some training rows.
 
     Faces are changed in turn, the largest first, and then the slabs of walls. A step tries changes of one kind of one
-    face, and keeps the best of them, again and again, while they raise the mean SSIM. `room` is the room after the
-    first `done` steps.
+    face, and keeps the best of them, again and again, while they raise the mean SSIM. One step more looks for boxes
+    that hide paths, and each of these is fitted twice. `room` is the room after the first `done` steps.
     """
 
     found: Sequence[RoomSurface]
     known: Mapping[
         tuple[int, int], Sequence[NamedSlab]
     ]  # slabs that may be the one of a plane and a slab of findings
-    standing_m: Float[FloatArray, "N 3"]
-    score: RoomScore
+    train: PasDataset
     room: Room
     done: int = 0
+    boxes: list[Box] | None = None  # where something hides paths, once it was sought
 
     @classmethod
     def of(cls, findings: StoredFindings, train: PasDataset) -> Refinement | None:
         """The refinement of findings before the first step; None where they hold no surfaces."""
         carriers = np.unique(train.carrier_hz)
-        standing_m = _standing(train)
-        found = learned_surfaces(findings, carriers.tolist(), standing_m)
+        found = learned_surfaces(findings, carriers.tolist(), _standing(train))
         if not found:
             return None
         names = SlabNames(carriers.tolist())
         slabs = dict.fromkeys((each.plane, each.found_slab) for each in found)
         known = {key: _slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
-        return cls(found, known, standing_m, RoomScore.of(train), found)
+        return cls(found, known, train, found)
+
+    @cached_property
+    def score(self) -> RoomScore:
+        """How near a room is to training rows."""
+        return RoomScore.of(self.train)
+
+    @cached_property
+    def _at_lowest(self) -> RoomScore:
+        return RoomScore.of(self.train, at_lowest=True)
+
+    @cached_property
+    def _standing_m(self) -> Float[FloatArray, "N 3"]:
+        return _standing(self.train)
 
     @cached_property
     def steps(self) -> list[Callable[[Room], Iterator[Room]]]:
-        """What each step tries, given the room before it."""
+        """What each step tries, given the room before it, until boxes are sought."""
         fronts = sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
         steps: list[Callable[[Room], Iterator[Room]]] = []
+        again: list[Callable[[Room], Iterator[Room]]] = []  # where the others are by then
         for own in fronts:
             slabs = self.known[own.plane, own.found_slab]
-            steps += [partial(_with_edges, own.number), partial(_with_depths, own.number, slabs)]
-            steps += [partial(change, own.number) for change in (_deeper, _with_edges, _without)]
+            edges, finer = (partial(_with_edges, own.number, steps_m) for steps_m in (_EDGES_M, _FINER_M))
+            boxes, depths = partial(_with_depths, own.number, slabs), partial(_deeper, own.number)
+            steps += [edges, boxes, depths, edges, finer, partial(_without, own.number)]
+            again += [boxes, depths]
+        steps += again
         return steps + [partial(_other_slabs, key, slabs) for key, slabs in self.known.items()]
+
+    @property
+    def num_steps(self) -> int:
+        """Number of all steps; until boxes are sought as many of them are expected as there may be."""
+        num_boxes = MOST_OBSTACLES if self.boxes is None else len(self.boxes)
+        return len(self.steps) + 1 + len(WAYS_M) * num_boxes
 
     @property
     def is_over(self) -> bool:
         """Whether all steps are done."""
-        return self.done == len(self.steps)
+        return self.done == self.num_steps
 
-    def step(self, is_over: Callable[[], bool] = lambda: False) -> None:
+    def step(self, is_over: IsOver = never) -> None:
         """Do one step more, or what of it can be done before a time is over."""
+        later = self.done - len(self.steps)
+        if later < 0:
+            self._change(self.steps[self.done], is_over)
+        elif self.boxes is None:
+            self.boxes = obstacles(self.room, self.train, self._standing_m, is_over)
+        else:
+            turn, nth = divmod(later - 1, len(self.boxes))
+            self._fit(nth, self.boxes[nth], turn, is_over)
+        self.done += 1
+
+    def _change(self, changes: Callable[[Room], Iterator[Room]], is_over: IsOver) -> None:
+        """Keep the best changes of one kind."""
         best = self.score(self.room)
         for _ in range(_REPEATS):
-            candidates = [each for each in self.steps[self.done](self.room) if self._stands(each)]
+            candidates = [each for each in changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
                 roughly = self.score.roughly(self.room, candidates[0])
                 scores = _scores(roughly, candidates, is_over)
                 candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
             scores = _scores(self.score, candidates, is_over)
-            if not len(scores) or scores.max() < best + _MIN_GAIN:
+            if not len(scores) or scores.max() < best + _MIN_CHANGE:
                 break
             best = float(scores.max())
             self.room = candidates[int(scores.argmax())]
-        self.done += 1
+
+    def _fit(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
+        """Put a box into the room, or change that which is there: its slab and its faces, one after another.
+
+        They are compared at the lowest carriers, for the transmitters that it matters most to.
+        """
+        frame, number = BoxFrame.of(self.found), 1 + nth + max(each.number for each in self.found)
+        array_m, standing_m = np.array(self.train.header.receiver.position_m), frame.along(self._standing_m)
+        others = [each for each in self.room if each.number != number]
+        is_new = len(others) == len(self.room)
+        if is_new and turn:  # it was tried in vain
+            return
+        new = frame.surface(box, number, self._slabs[0])
+        own = next((each for each in self.room if each.number == number), new)
+        near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
+        for _ in range(1 + is_new):
+            for change in frame.changes(box, self._slabs, array_m, WAYS_M[turn]):
+                free = (each for each in change(own) if not holds_any(frame.box_of(each), standing_m))
+                candidates = [own, *(each for each in free if is_clear(each, self._standing_m))]
+                scores = _scores(near, [[*others, each] for each in candidates], is_over)
+                if scores.max() > best:
+                    own, best = candidates[int(scores.argmax())], float(scores.max())
+            if is_new and best < near(others) + _MIN_GAIN:
+                return
+        room, least = [*others, own], self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
+        if not is_over() and self._at_lowest(room) > least:
+            self.room = room
+
+    @cached_property
+    def _slabs(self) -> list[NamedSlab]:
+        """Slabs that a box may be made of."""
+        return box_slabs(SlabNames(np.unique(self.train.carrier_hz).tolist()).materials)
 
     def as_json(self) -> dict[str, Any]:
         """What of it does not follow from the training rows, for `resumed`."""
@@ -117,6 +194,7 @@ class Refinement:
             "known": [[*key, slabs] for key, slabs in self.known.items()],
             "room": [surface_json(each) for each in self.room],
             "done": self.done,
+            "boxes": self.boxes and [box.tolist() for box in self.boxes],
         }
 
     @classmethod
@@ -126,19 +204,21 @@ class Refinement:
         known = {
             (plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]
         }
-        return cls(found, known, _standing(train), RoomScore.of(train), room, stored["done"])
+        boxes = stored.get("boxes")
+        places = None if boxes is None else [np.array(box, np.float64) for box in boxes]
+        return cls(found, known, train, room, stored["done"], places)
 
     def _stands(self, room: Room) -> bool:
         """Whether nothing stands on the surfaces that would change."""
         changed = (each for each in room if not any(each is other for other in self.room))
-        return all(is_clear(each, self.standing_m) for each in changed)
+        return all(is_clear(each, self._standing_m) for each in changed)
 
 
 def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
 
 
-def _scores(score: RoomScore, rooms: Sequence[Room], is_over: Callable[[], bool]) -> Float[FloatArray, "n"]:
+def _scores(score: RoomScore, rooms: Sequence[Room], is_over: IsOver) -> Float[FloatArray, "n"]:
     """The score of each room; −∞ of those for which there is no time."""
     return np.array([-np.inf if is_over() else score(each) for each in rooms])
 
@@ -155,12 +235,8 @@ def _other_slabs(key: tuple[int, int], slabs: Sequence[NamedSlab], room: Room) -
     own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
     if own is None:
         return
-    for slab in [*slabs, *(_thinned(own, factor) for factor in _NEARLY)]:
+    for slab in [*slabs, *(own.thinned(factor) for factor in _NEARLY)]:
         yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
-
-
-def _thinned(slab: NamedSlab, factor: float) -> NamedSlab:
-    return slab._replace(thickness_m=slab.thickness_m * factor)
 
 
 def _without(number: int, room: Room) -> Iterator[Room]:
@@ -169,12 +245,12 @@ def _without(number: int, room: Room) -> Iterator[Room]:
         yield [each for each in room if each.number != number]
 
 
-def _with_edges(number: int, room: Room) -> Iterator[Room]:
+def _with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Room]:
     """The room with one edge of a face moved."""
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number:
-            for changed in _edged(own, walls):
+            for changed in _edged(own, walls, steps_m):
                 yield [changed if each is own else each for each in room]
 
 
@@ -190,7 +266,7 @@ def _with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterato
             for slab in slabs:
                 is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
                 for factor in _THINNER if is_thin else (1.0,):
-                    sheet = replace(own, slab=_thinned(slab, factor))
+                    sheet = replace(own, slab=slab.thinned(factor))
                     for depth_m in _DEPTHS_M:
                         box = sheet.with_depth(depth_m, walls)
                         yield [box if each is own else each for each in others]
@@ -204,7 +280,7 @@ def _deeper(number: int, room: Room) -> Iterator[Room]:
             changed = [
                 own.with_depth(own.depth_m + by_m, walls) for by_m in _FINER_M if own.depth_m + by_m > 0
             ]
-            changed += [replace(own, slab=_thinned(own.slab, factor)) for factor in _THICKNESSES]
+            changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
             for box in changed:
                 yield [box if each is own else each for each in room]
 
@@ -215,7 +291,9 @@ def _is_back(other: RoomSurface, front: RoomSurface) -> bool:
     return not other.is_wall and 0 < behind_m < _BACK_M and float(other.normal @ front.normal) > 0.999
 
 
-def _edged(own: RoomSurface, walls: Sequence[RoomSurface]) -> Iterator[RoomSurface]:
+def _edged(
+    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float] = _EDGES_M
+) -> Iterator[RoomSurface]:
     """The surface with one edge moved within its plane, up to a wall at most."""
     number = len(own.corners_m)
     for edge in range(number):
@@ -227,7 +305,7 @@ def _edged(own: RoomSurface, walls: Sequence[RoomSurface]) -> Iterator[RoomSurfa
             outward = -outward
         room_m = _way_to_wall(own.corners_m[ends], outward, walls)
         size_m = np.ptp(own.corners_m @ outward)
-        steps_m = {min(step_m, room_m) for step_m in _EDGES_M if size_m + step_m > _MIN_WIDTH_M}
+        steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}
         if room_m < _TO_WALL_M:
             steps_m.add(room_m)
         for step_m in sorted(steps_m - {0.0}):

@@ -25,10 +25,10 @@ from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
 
-FROM, CHOOSE_AT = (
-    0.8,
-    0.96,
-)  # shares of the budget after which a room is reconstructed, and weights are chosen
+# Shares of a budget after which a room is reconstructed, and weights are chosen: what is learned is best at the end,
+# but of a budget in seconds the refinement takes its part.
+FROM, CHOOSE_AT = 0.95, 0.99
+FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.8, 0.96
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
@@ -62,11 +62,12 @@ class RoomRender:
     ) -> None:
         """Do what is due at a share of the budget: reconstruct, refine a little, or choose the weights.
 
-        The refinement takes its part between `FROM` and `CHOOSE_AT`. Of a budget in seconds it takes no more than that
-        time, and ends where it is by then.
+        The refinement takes its part between the two shares. Of a budget in seconds it takes no more than that time,
+        and ends where it is by then.
         """
         seconds = budget.max_seconds
-        if self.mode == "learned" or share < FROM or self.tracer is not None:
+        begins, ends = (FROM, CHOOSE_AT) if seconds is None else (FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS)
+        if self.mode == "learned" or share < begins or self.tracer is not None:
             return
         try:
             if not self.has_begun:
@@ -79,18 +80,18 @@ class RoomRender:
                 self._stored = {}
             if self.refinement is not None:
                 self._refine(self.refinement, budget, share)
-                if share >= CHOOSE_AT or self.refinement.is_over:
+                if share >= ends or self.refinement.is_over:
                     self._weigh(self.refinement, train, learned)
         except SceneError:  # of a room that cannot be traced
             self.refinement = None
 
     def _refine(self, refinement: Refinement, budget: Budget, share: float) -> None:
-        due = (share - FROM) / (CHOOSE_AT - FROM)
         if budget.max_seconds is not None:
-            if due < 1:
-                refinement.step(budget.timer(CHOOSE_AT - share))
+            if share < CHOOSE_AT_OF_SECONDS:
+                refinement.step(budget.timer(CHOOSE_AT_OF_SECONDS - share))
             return
-        while not refinement.is_over and refinement.done < due * len(refinement.steps):
+        due = (share - FROM) / (CHOOSE_AT - FROM)
+        while not refinement.is_over and refinement.done < due * refinement.num_steps:
             refinement.step()
 
     def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:

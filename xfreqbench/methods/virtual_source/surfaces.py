@@ -23,6 +23,7 @@ _MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what le
 _ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
 _SAME_M = 0.01  # corners that are nearer to each other are one
 _LEAST_AREA_M2 = 0.01
+NO_PLANE = -1  # of a surface that was found by the paths that it hides
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +47,9 @@ class RoomSurface:
 
     @property
     def name(self) -> str:
-        """What it is, and in which plane it was found."""
+        """What it is, and in which plane it was found, if it was found by one."""
         kind = "wall" if self.is_wall else "box" if self.depth_m else "face"
-        return f"{kind} {self.number} of plane {self.plane}"
+        return f"{kind} {self.number}" + (f" of plane {self.plane}" if self.plane != NO_PLANE else "")
 
     @cached_property
     def mesh(self) -> SurfaceMesh:

@@ -30,6 +30,7 @@ _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
 DIFFRACTING = replace(COMPARING, interactions=("specular", "refraction", "diffraction"))
 ROUGHLY = replace(COMPARING, rays=5_000, max_depth=3)
+UNHIDDEN = replace(COMPARING, max_depth=3)  # paths that something may hide
 _MOST_KNOWN = 8  # rooms whose maps are remembered
 _STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, and of the SSIM
 
@@ -105,12 +106,15 @@ class RoomScore:
     settings: TraceSettings = COMPARING
 
     @classmethod
-    def of(cls, train: PasDataset) -> RoomScore:
-        """All pairs of some transmitters and carriers of training rows, evenly drawn."""
+    def of(cls, train: PasDataset, *, at_lowest: bool = False) -> RoomScore:
+        """All pairs of some transmitters and carriers of training rows, evenly drawn, or at the lowest carriers.
+
+        Long waves forgive a surface whose place is known to a centimetre only.
+        """
         carriers, tx = np.unique(train.carrier_hz), np.unique(train.tx_index)
-        chosen_hz = _evenly(carriers, NUM_CARRIERS + 2)[1:-1]
+        chosen_hz = carriers[:NUM_CARRIERS] if at_lowest else evenly(carriers, NUM_CARRIERS + 2)[1:-1]
         is_chosen = np.isin(train.carrier_hz, chosen_hz if len(chosen_hz) else carriers)
-        is_chosen &= np.isin(train.tx_index, _evenly(tx, NUM_TX))
+        is_chosen &= np.isin(train.tx_index, evenly(tx, NUM_TX))
         return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)))
 
     @cached_property
@@ -143,14 +147,16 @@ class RoomScore:
             self._known[key] = self._beam.maps(cfr, self.samples.header.pas_kind)[0]
         return self._known[key]
 
-    def roughly(self, room: Sequence[RoomSurface], other: Sequence[RoomSurface]) -> RoomScore:
+    def roughly(
+        self, room: Sequence[RoomSurface], other: Sequence[RoomSurface], num_tx: int = NUM_ROUGH_TX
+    ) -> RoomScore:
         """The same with fewer rays, for the transmitters whose maps differ most between two rooms."""
         changes = np.abs(self._maps(room) - self._maps(other)).sum((1, 2))
         tx, of_tx = np.unique(self.samples.tx_index, return_inverse=True)
-        most = tx[np.argsort(-np.bincount(of_tx.reshape(-1), changes), kind="stable")[:NUM_ROUGH_TX]]
+        most = tx[np.argsort(-np.bincount(of_tx.reshape(-1), changes), kind="stable")[:num_tx]]
         return RoomScore(self.samples.subset(np.flatnonzero(np.isin(self.samples.tx_index, most))), ROUGHLY)
 
 
-def _evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:
+def evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:
     """So many of ascending values, evenly drawn, the first and the last among them; all where there are fewer."""
     return values[np.unique(np.linspace(0, len(values) - 1, number).round().astype(int))]

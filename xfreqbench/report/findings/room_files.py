@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.methods.virtual_source.surfaces import NO_PLANE, RoomSurface
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
@@ -85,9 +85,13 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     ]
     for name, own in sorted(_by_slab(room.surfaces).items()):
         unseen = [surface.name for surface in own if surface.is_unseen]
-        note = f"# |ΔR| {max(surface.slab.distance for surface in own):.3f} from what was learned" + (
-            f"; unseen: {', '.join(unseen)}" if unseen else ""
+        learned = [surface.slab.distance for surface in own if surface.plane != NO_PLANE]
+        near = (
+            f"|ΔR| {max(learned):.3f} from what was learned"
+            if learned
+            else "of those tried, nearest to the maps"
         )
+        note = f"# {near}" + (f"; unseen: {', '.join(unseen)}" if unseen else "")
         entry = {"name": name, "itu": own[0].slab.material, "thickness_m": own[0].slab.thickness_m}
         parts.append(f"[[material]]  {note}\n{_table(entry)}")
     return "\n".join(parts)

@@ -25,6 +25,7 @@ _BRIEFLY = {  # measurements of which the first rows are shown
     "stress": "Stability",
 }
 _MOST_ROWS = 5
+_ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers nor unseen places
 
 
 def overview_markdown(
@@ -37,7 +38,11 @@ def overview_markdown(
     scene, main = main_scene(ranked), _main_boards(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main]
-    shown = [each for each in compared if each.board.scene == scene]
+    shown = [
+        each
+        for each in compared
+        if each.board.scene == scene and each.board.protocol not in _ON_ITS_PAGE_ALONE
+    ]
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
     parts = [
         *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
@@ -87,25 +92,33 @@ def _budget_tables(ranked: Sequence[Board]) -> list[str]:
     for main in _main_boards(ranked):
         lanes = [board for board in ranked if _place(board) == _place(main)]
         if len(lanes) > 1:
-            parts.append(_budget_table(lanes, main))
+            parts += _budget_table(lanes, main)
     return ["## Other budgets", *parts] if parts else []
 
 
-def _budget_table(lanes: Sequence[Board], main: Board) -> str:
-    splits = _first_comparison(main).splits
-    rows = {  # trivial predictors have one value in all columns, and a row in the table above
+def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
+    """The methods that several budgets were given to, on the splits that all of these have; nothing without any."""
+    fitted = [  # trivial predictors have one value in all columns, and a row in the table above
+        (lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"
+    ]
+    splits = [
+        split for split in _first_comparison(main).splits if all(split in row.by_split for _, row in fitted)
+    ]
+    every = {
         (row.short_label, lane.lane): number(row.average(splits, median_ssim), 4)
-        for lane in lanes
-        for row in lane.rows
-        if not row.is_trivial and row.family != "ablation" and set(splits) <= set(row.by_split)
+        for lane, row in fitted
+        if splits
     }
+    num_lanes = Counter(label for label, _ in every)
+    rows = {place: value for place, value in every.items() if num_lanes[place[0]] > 1}
     header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
     body = [
         [label, *(rows.get((label, lane.lane), ABSENT) for lane in lanes)]
         for label in sorted({label for label, _ in rows})
     ]
     words = heading(f"{main.scene} · {main.protocol}")
-    return f"{words}, average median SSIM on {', '.join(map(short_name, splits))}:\n\n{table(header, body)}"
+    caption = f"{words}, average median SSIM on {', '.join(map(short_name, splits))}:"
+    return [f"{caption}\n\n{table(header, body)}"] if body else []
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> str:

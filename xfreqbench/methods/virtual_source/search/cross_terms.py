@@ -97,10 +97,10 @@ class LineOfSightReference:
         element = train.beam.element_position_wavelengths
         referred = np.zeros((len(first), len(carrier_hz), len(element)), complex)
         amplitude = np.zeros(referred.shape[:2])
-        lags = _Lags(train, is_over)
+        lags = LagAverages(train, is_over)
         for column, wavelength_m in enumerate(SPEED_OF_LIGHT_M_S / carrier_hz):
             here = np.flatnonzero(carrier == column)
-            waves = _spherical_waves(offset_m[tx[here]] @ receiver.rotation / wavelength_m, element)
+            waves = spherical_waves(offset_m[tx[here]] @ receiver.rotation / wavelength_m, element)
             cell = tx[here], column
             referred[cell], amplitude[cell] = lags.referred(
                 rows[here],
@@ -130,7 +130,7 @@ def _require_time(is_over: IsOver) -> None:
         raise SearchOverError
 
 
-class _Lags:
+class LagAverages:
     """Averages of h hᴴ over pairs of elements with equal lags, as the maps of a data set determine them."""
 
     def __init__(self, train: PasDataset, is_over: IsOver) -> None:
@@ -154,7 +154,7 @@ class _Lags:
         `travel` holds exp(+j2πfd₀/c) of each row, by which explained channels are referred to the line of sight.
         """
         _require_time(self._is_over)
-        measured, direct = self._measured(rows), self._told(self._of_channels(waves[None]))
+        measured, direct = self.measured(rows), self._told(self._of_channels(waves[None]))
         share = self._share(measured, direct).clip(0)
         known, known_share = direct, share
         if explained is not None:
@@ -173,7 +173,7 @@ class _Lags:
         self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
     ) -> Float[FloatArray, "B"]:
         """Factor of the known lag averages that fits the measured ones best in least squares."""
-        norm = np.einsum("bl,l,bl->b", known, self._count, known.conj()).real
+        norm = np.einsum("bl,l,bl->b", known, self._count, known.conj()).real.clip(1e-30)
         return np.einsum("bl,l,bl->b", measured, self._count, known.conj()).real / norm
 
     def _of_channels(self, cfr: Complex[ComplexArray, "Q B M"]) -> Complex[ComplexArray, "B L"]:
@@ -182,16 +182,29 @@ class _Lags:
         averages = products.real @ self._mean + 1j * (products.imag @ self._mean)
         return averages / abs(averages).max(axis=1, keepdims=True).clip(1e-30)
 
-    def _measured(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
+    def measured(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
         """Lag averages of rows, from their channels where the data set stores them, otherwise from their maps."""
         train = self._train
-        if not train.header.channels:
-            return self._of_maps(rows)
-        cfr = train.cfr[rows].astype(complex)
-        cfr /= abs(cfr).max(axis=1, keepdims=True)
-        if train.header.pas_kind == "phase-only":
+        return (
+            self.of_channels(train.cfr[rows].astype(complex))
+            if train.header.channels
+            else self._of_maps(rows)
+        )
+
+    def of_channels(self, cfr: Complex[ComplexArray, "B M"]) -> Complex[ComplexArray, "B L"]:
+        """Lag averages of channels, as maps of the data set's kind determine them."""
+        cfr = cfr / abs(cfr).max(axis=1, keepdims=True).clip(1e-30)
+        if self._train.header.pas_kind == "phase-only":
             cfr /= np.where(cfr == 0, 1, abs(cfr))
-        return self._of_channels(cfr[None])
+        return self._told(self._of_channels(cfr[None]))
+
+    def likeness(
+        self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
+    ) -> Float[FloatArray, "B"]:
+        """Share of the power of measured lag averages that known ones explain: 1 where they are proportional."""
+        power = np.einsum("bl,l,bl->b", measured, self._count, measured.conj()).real.clip(1e-30)
+        share = self._share(measured, known)
+        return share**2 * np.einsum("bl,l,bl->b", known, self._count, known.conj()).real / power
 
     def _of_maps(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
         """Lag averages r_l by least squares from maps P(d) = Σ_l r_l exp(−j2π l·d), scaled to a mean power of 1."""
@@ -235,7 +248,7 @@ class _Lags:
         return np.linalg.pinv(self._waves.T @ self._waves, _SMALLEST_SINGULAR**2) @ self._waves.T
 
 
-def _spherical_waves(
+def spherical_waves(
     source_wavelengths: Float[FloatArray, "B 3"], element_position_wavelengths: Float[FloatArray, "M 3"]
 ) -> Complex[ComplexArray, "B M"]:
     """Field at the elements, relative to the centre, of spherical waves from sources in the receiver's frame."""

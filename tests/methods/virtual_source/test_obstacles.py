@@ -1,0 +1,156 @@
+"""What stands in a room though no plane of it was found, by the paths that it hides."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from found_box import ARRAY_M, SCENE, SETTINGS, found_room
+
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
+from xfreqbench.maps.bartlett import PasKind
+from xfreqbench.methods.virtual_source import boxes, refine
+from xfreqbench.methods.virtual_source.boxes import BoxFrame, holds_any
+from xfreqbench.methods.virtual_source.materials import NamedSlab
+from xfreqbench.methods.virtual_source.obstacle_kernels import hidden_by
+from xfreqbench.methods.virtual_source.obstacles import obstacles
+from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.surfaces import standing
+from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.scene.model import Scene, Surface
+
+CRATE_M = np.array([[0.7, 2.2, 0.02], [1.8, 3.1, 0.7]])
+CRATE = Surface("crate", "metal", 0.002, tuple(CRATE_M[0].tolist()), tuple(CRATE_M[1].tolist()))
+FURNISHED = replace(SCENE, surface=(*SCENE.surface, CRATE))
+CARRIERS_HZ = [2.4e9, 24.25e9, 60e9]
+METAL = NamedSlab("metal", 0.002, 0.0)
+
+
+def generated(scene: Scene, folder: Path, kind: PasKind = "power") -> PasDataset:
+    plan = plan_generation(scene, CARRIERS_HZ, SETTINGS, pas_kind=kind)
+    return open_dataset(generate_planned(plan, folder / "box.h5"))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return generated(FURNISHED, tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    return generated(SCENE, tmp_path_factory.mktemp("data"))
+
+
+def refinement(dataset: PasDataset) -> Refinement:
+    """Of a room that has all of the box but the crate."""
+    made = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
+    assert made is not None
+    return made
+
+
+def standing_in(dataset: PasDataset) -> np.ndarray:
+    return standing(dataset.header.receiver, dataset.carrier_hz, np.unique(dataset.tx_position_m, axis=0))
+
+
+def shared(box_m: np.ndarray) -> float:
+    """Volume that a box shares with the crate, over the volume of both together."""
+    common = np.prod((np.minimum(box_m[1], CRATE_M[1]) - np.maximum(box_m[0], CRATE_M[0])).clip(0))
+    sizes = sum(np.prod(high - low) for low, high in (box_m, CRATE_M))
+    return float(common / (sizes - common))
+
+
+@pytest.mark.parametrize("kind", ["power", "phase-only"])
+def test_a_crate_is_found_by_the_paths_that_it_hides(tmp_path: Path, kind: PasKind) -> None:
+    dataset = generated(FURNISHED, tmp_path, kind)
+    room = refinement(dataset).found
+    first, *_ = obstacles(room, dataset, standing_in(dataset))
+    frame = BoxFrame.of(room)
+    world_m = first @ frame.axes
+    assert shared(np.stack([world_m.min(axis=0), world_m.max(axis=0)])) > 0.3
+    assert not holds_any(first, frame.along(standing_in(dataset)))
+
+
+def test_nothing_is_found_where_nothing_is(empty_room: PasDataset) -> None:
+    assert obstacles(refinement(empty_room).found, empty_room, standing_in(empty_room)) == []
+
+
+def test_a_search_whose_time_is_over_finds_nothing(empty_room: PasDataset) -> None:
+    assert obstacles(refinement(empty_room).found, empty_room, standing_in(empty_room), lambda: True) == []
+
+
+def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
+    told = refinement(dataset)
+    told.done = len(told.steps)
+    told.step()
+    assert told.boxes
+    told.boxes = told.boxes[:1]
+    while not told.is_over:
+        told.step()
+    (crate,) = told.room[len(told.found) :]
+    assert crate.slab.material == "metal"
+    assert crate.name.startswith("box ")
+    vertices_m = crate.mesh.vertices_m
+    assert shared(np.stack([vertices_m.min(axis=0), vertices_m.max(axis=0)])) > 0.6
+    assert vertices_m[:, 2].max() == pytest.approx(CRATE_M[1, 2], abs=0.02)  # its top mirrors
+    assert told.score(told.room) > told.score(told.found) + 0.005
+    stored = json.loads(json.dumps(told.as_json()))
+    assert Refinement.resumed(stored, dataset).as_json() == told.as_json()
+
+
+def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = refinement(empty_room)
+    told.done, told.boxes = len(told.steps) + 1, [BoxFrame.of(told.found).along(CRATE_M)]
+    told.boxes = [np.sort(box, axis=0) for box in told.boxes]
+    monkeypatch.setattr(refine, "WAYS_M", ({"top": (), "shown": (), "hidden": ()},) * 2)
+    while not told.is_over:
+        told.step()
+    assert told.room is told.found
+
+
+def test_a_box_hides_the_paths_that_run_through_it() -> None:
+    generator = np.random.default_rng(3)
+    corner = generator.uniform(0, 1, (20, 2, 3))
+    box = np.stack([corner.min(axis=1), corner.max(axis=1)], axis=1)
+    start, end = generator.uniform(-0.5, 1.5, (2, 90, 3))
+    end[:30, 2] = start[:30, 2]  # some are level
+    along = np.linspace(0, 1, 4001)[:, None, None]
+    points = start + along * (end - start)
+    inside = ((points > box[:, None, None, 0]) & (points < box[:, None, None, 1])).all(-1).any(1)  # (20, 90)
+    first = np.arange(0, 91, 3)
+    expected = inside.reshape(20, 30, 3).any(-1)
+    found = hidden_by(box, first, start, end - start)
+    assert (found >= expected).all()
+    assert np.count_nonzero(found != expected) < 5  # corners that are cut between two points
+
+
+def test_a_box_stands_along_the_walls() -> None:
+    turned = trimesh.transformations.rotation_matrix(0.4, [0, 0, 1])[:3, :3]
+    corners_m = np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.0, 2.5], [0.0, 0.0, 2.5]]) @ turned.T
+    wall = refine.RoomSurface(0, 0, 0, turned @ [-1.0, 0.0, 0.0], corners_m, METAL, 1.0, is_wall=True)
+    frame = BoxFrame.of([wall])
+    box = np.array([[-3.0, -2.0, 0.1], [-1.0, -1.0, 0.9]])
+    surface = frame.surface(box, 7, METAL)
+    np.testing.assert_allclose(frame.box_of(surface), box)
+    np.testing.assert_allclose(frame.axes @ frame.axes.T, np.eye(3), atol=1e-12)
+    shape = trimesh.Trimesh(surface.mesh.vertices_m, surface.mesh.triangles)
+    assert shape.is_watertight
+    assert shape.area == pytest.approx(2 * (2 * 1 + 2 * 0.8 + 1 * 0.8))
+    np.testing.assert_allclose(
+        np.sort(np.abs(shape.face_normals @ wall.normal)), [0] * 8 + [1] * 4, atol=1e-9
+    )
+
+
+def test_the_faces_that_the_array_sees_are_moved_in_finer_steps() -> None:
+    kinds = dict(boxes._faces(CRATE_M, ARRAY_M))
+    assert kinds[1, 2] == "top"
+    assert kinds[1, 0] == "shown"
+    assert kinds[0, 1] == "shown"
+    assert {kinds[face] for face in ((0, 0), (1, 1), (0, 2))} == {"hidden"}
+    ways_m = boxes.WAYS_M[0]
+    assert np.diff(ways_m["shown"]).min() < np.diff(np.sort(ways_m["hidden"])).min()

@@ -1,0 +1,138 @@
+"""Boxes in a learned room that stand along its walls: how they become surfaces, and what may be changed in one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.methods.virtual_source.materials import METAL_THICKNESS_M, NamedSlab
+from xfreqbench.methods.virtual_source.surfaces import NO_PLANE, RoomSurface
+from xfreqbench.types import FloatArray
+
+THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
+GAP_M = 0.02  # between a box and the walls, and whatever is known not to be in it
+_SHEET_M = 0.015  # thickness of the slabs of which boxes are made at first
+_BOARD_M = 0.03  # height of a table's top
+_THINNEST_M = 0.01
+
+Box = Float[FloatArray, "2 3"]  # lowest and highest corner, along axes of the room
+Change = Callable[[RoomSurface], Iterator[RoomSurface]]
+Kind = Literal["top", "shown", "hidden"]  # of a face of a box
+
+
+def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
+    """Steps up to `most_m` in either direction, none of them 0."""
+    number = round(most_m / apart_m)
+    return tuple(apart_m * step for step in range(-number, number + 1) if step)
+
+
+WAYS_M: tuple[Mapping[Kind, Sequence[float]], ...] = (  # by which faces are moved, first and then
+    {
+        "top": _within(0.25, 0.01),
+        "shown": _within(0.12, 0.01),
+        "hidden": (*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),
+    },
+    {"top": _within(0.03, 0.005), "shown": _within(0.03, 0.005), "hidden": _within(0.1, 0.05)},
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxFrame:
+    """The walls of a room, and unit vectors across the largest upright one, along it and upwards: axes of the world
+    where there is none."""
+
+    walls: Sequence[RoomSurface]
+    axes: Float[FloatArray, "3 3"]
+
+    @classmethod
+    def of(cls, room: Sequence[RoomSurface]) -> BoxFrame:
+        """The frame of a room."""
+        walls = [each for each in room if each.is_wall]
+        upright = [each for each in walls if abs(each.normal[2]) < 0.1]
+        if not upright:
+            return cls(walls, np.eye(3))
+        across = max(upright, key=lambda each: each.area_m2).normal * [1.0, 1.0, 0.0]
+        across = across / np.linalg.norm(across)
+        up = np.array([0.0, 0.0, 1.0])
+        return cls(walls, np.stack([across, np.cross(up, across), up]))
+
+    def along(self, point_m: Float[FloatArray, "*N 3"]) -> Float[FloatArray, "*N 3"]:
+        """Points along the axes."""
+        return point_m @ self.axes.T
+
+    def surface(self, box: Box, number: int, slab: NamedSlab) -> RoomSurface:
+        """A box of a slab as a surface: its top, and what is below."""
+        (west, south, bottom), (east, north, top) = box.tolist()
+        corners = [[west, south, top], [east, south, top], [east, north, top], [west, north, top]]
+        surface = RoomSurface(
+            number, NO_PLANE, 0, -self.axes[2], np.array(corners) @ self.axes, slab, seen=1.0, is_wall=False
+        )
+        return surface.with_depth(top - bottom, self.walls)
+
+    def box_of(self, surface: RoomSurface) -> Box:
+        """Inverse of `surface`."""
+        place_m = self.along(surface.mesh.vertices_m)
+        return np.stack([place_m.min(axis=0), place_m.max(axis=0)])
+
+    def changes(
+        self,
+        box: Box,
+        slabs: Sequence[NamedSlab],
+        array_m: Float[FloatArray, "3"],
+        ways_m: Mapping[Kind, Sequence[float]],
+    ) -> list[Change]:
+        """What may be changed one after another: slabs, each face by steps of `ways_m`, the height, and slabs again."""
+        faces = [partial(self._moved, face, ways_m[kind]) for face, kind in _faces(box, self.along(array_m))]
+        of_slabs = partial(_of_slabs, slabs)
+        return [of_slabs, *faces, self._as_board, of_slabs]
+
+    def _moved(
+        self, face: tuple[int, int], steps_m: Sequence[float], own: RoomSurface
+    ) -> Iterator[RoomSurface]:
+        """A box with one face moved: the lower or upper one along one of the axes."""
+        for step_m in steps_m:
+            box = self.box_of(own)
+            box[face] += step_m
+            if (box[1] - box[0] > _THINNEST_M).all():
+                yield self.surface(box, own.number, own.slab)
+
+    def _as_board(self, own: RoomSurface) -> Iterator[RoomSurface]:
+        """The top of a box alone, as of a table."""
+        box = self.box_of(own)
+        box[0, 2] = box[1, 2] - _BOARD_M
+        yield self.surface(box, own.number, own.slab)
+
+
+def holds_any(box: Box, point_m: Float[FloatArray, "N 3"]) -> bool:
+    """Whether a point, given along the same axes, is in a box or near it."""
+    low_m, high_m = box
+    return bool(((point_m > low_m - GAP_M) & (point_m < high_m + GAP_M)).all(axis=1).any())
+
+
+def box_slabs(materials: Sequence[str]) -> list[NamedSlab]:
+    """Slabs of these materials of which a box may be made, metal first."""
+    return [
+        NamedSlab(name, METAL_THICKNESS_M if name == "metal" else _SHEET_M, 0.0)
+        for name in sorted(materials, key="metal".__ne__)
+    ]
+
+
+def _of_slabs(slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
+    """A box of other slabs, and of other thickness."""
+    for slab in [*slabs, *map(own.slab.thinned, THICKNESSES)]:
+        yield replace(own, slab=slab)
+
+
+def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[tuple[int, int], Kind]]:
+    """The faces of a box, the top first, then others that the array sees, then those that it does not."""
+    kinds: dict[tuple[int, int], Kind] = {}
+    for is_upper, axis in product((0, 1), range(3)):
+        is_shown = array_m[axis] > box[1, axis] if is_upper else array_m[axis] < box[0, axis]
+        kinds[is_upper, axis] = "top" if is_upper and axis == 2 else "shown" if is_shown else "hidden"
+    return sorted(kinds.items(), key=lambda each: ("top", "shown", "hidden").index(each[1]))
