@@ -30,10 +30,8 @@ from xfreqbench.types import FloatArray, IntArray
 
 MOST_OBSTACLES = 8
 _NUM_TX = 670  # whose paths are left out
-_LEAST_DOUBT, _MOST_DOUBT = (
-    0.005,
-    1.0,
-)  # maps; of paths with less nothing is known, and no path counts for more
+_LEAST_DOUBT = 0.005  # maps; of paths with less nothing is known
+_MOST_DOUBT = 1.0  # maps; no path counts for more
 _A_PATH = 5e-4  # maps that a path counts for which a box hides without reason
 _LEAST_SHARE = 6e-4  # of all maps, by which they are nearer with a box
 _APART_M, _LEVELS_M = 0.4, (0.0, 0.5, 0.8, 1.4)  # between the places and heights at which boxes are begun
