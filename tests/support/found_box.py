@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
 from xfreqbench.scene.materials import ITU_MATERIALS
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.tracer import TraceSettings
@@ -25,7 +31,16 @@ SCENE = Scene(
         Surface("screen", "plasterboard", 0.02, (3.4, 0.0, 0.0), (3.4, 2.5, 2.6)),
     ),
 )
+CARRIERS_HZ = [2.4e9, 24.25e9, 60e9]
 WALLS = (("z", 0.0), ("z", 2.6), ("x", 0.0), ("x", 5.0), ("y", 0.0), ("y", 4.0), ("x", 3.4))
+
+
+def generated(
+    folder: Path, scene: Scene = SCENE, settings: TraceSettings = SETTINGS, **options: Any
+) -> PasDataset:
+    """A data set of the box, or of a scene like it, at three carriers."""
+    plan = plan_generation(scene, CARRIERS_HZ, settings, **options)
+    return open_dataset(generate_planned(plan, folder / "box.h5"))
 
 
 def plane(

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from found_box import ARRAY_M, SCENE, SETTINGS, found_room
+from found_box import ARRAY_M, SCENE, found_room, generated
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.methods.virtual_source import boxes, refine
 from xfreqbench.methods.virtual_source.boxes import BoxFrame, holds_any
@@ -23,28 +21,22 @@ from xfreqbench.methods.virtual_source.obstacles import obstacles
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import standing
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.scene.model import Scene, Surface
+from xfreqbench.scene.model import Surface
 
 CRATE_M = np.array([[0.7, 2.2, 0.02], [1.8, 3.1, 0.7]])
 CRATE = Surface("crate", "metal", 0.002, tuple(CRATE_M[0].tolist()), tuple(CRATE_M[1].tolist()))
 FURNISHED = replace(SCENE, surface=(*SCENE.surface, CRATE))
-CARRIERS_HZ = [2.4e9, 24.25e9, 60e9]
 METAL = NamedSlab("metal", 0.002, 0.0)
-
-
-def generated(scene: Scene, folder: Path, kind: PasKind = "power") -> PasDataset:
-    plan = plan_generation(scene, CARRIERS_HZ, SETTINGS, pas_kind=kind)
-    return open_dataset(generate_planned(plan, folder / "box.h5"))
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(FURNISHED, tmp_path_factory.mktemp("data"))
+    return generated(tmp_path_factory.mktemp("data"), FURNISHED)
 
 
 @pytest.fixture(scope="module")
 def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(SCENE, tmp_path_factory.mktemp("data"))
+    return generated(tmp_path_factory.mktemp("data"))
 
 
 def refinement(dataset: PasDataset) -> Refinement:
@@ -67,7 +59,7 @@ def shared(box_m: np.ndarray) -> float:
 
 @pytest.mark.parametrize("kind", ["power", "phase-only"])
 def test_a_crate_is_found_by_the_paths_that_it_hides(tmp_path: Path, kind: PasKind) -> None:
-    dataset = generated(FURNISHED, tmp_path, kind)
+    dataset = generated(tmp_path, FURNISHED, pas_kind=kind)
     room = refinement(dataset).found
     first, *_ = obstacles(room, dataset, standing_in(dataset))
     frame = BoxFrame.of(room)

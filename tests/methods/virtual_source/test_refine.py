@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room
+from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
 from xfreqbench.methods.virtual_source import refine, traced
 from xfreqbench.methods.virtual_source.materials import NamedSlab
@@ -29,8 +27,7 @@ AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], AS_DEEP, num_transmitters=8)
-    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
+    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, num_transmitters=8)
 
 
 def refinement(dataset: PasDataset, findings: dict[str, object]) -> Refinement:

@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, SCENE, SETTINGS, found_room
+from found_box import ALL_PLANES, SETTINGS, found_room, generated
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.render import CHOOSE_AT, FROM, RoomRender
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
-from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import Maps
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -25,20 +22,15 @@ STEPS = Budget(max_steps=100)
 AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
 
 
-def traced_with(settings: TraceSettings, folder: Path) -> PasDataset:
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9, 60e9], settings, num_transmitters=12)
-    return open_dataset(generate_planned(plan, folder / "box.h5"))
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return traced_with(AS_DEEP, tmp_path_factory.mktemp("data"))
+    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, num_transmitters=12)
 
 
 @pytest.fixture(scope="module")
 def diffracted(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     settings = replace(AS_DEEP, interactions=DIFFRACTING.interactions)
-    return traced_with(settings, tmp_path_factory.mktemp("diffracted"))
+    return generated(tmp_path_factory.mktemp("diffracted"), settings=settings, num_transmitters=12)
 
 
 @pytest.fixture

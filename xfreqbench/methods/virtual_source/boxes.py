@@ -44,8 +44,10 @@ WAYS_M: tuple[Mapping[Kind, Sequence[float]], ...] = (  # by which faces are mov
 
 @dataclass(frozen=True, eq=False)
 class BoxFrame:
-    """The walls of a room, and unit vectors across the largest upright one, along it and upwards: axes of the world
-    where there is none."""
+    """The walls of a room, and unit vectors across the largest upright one, along it, and upwards.
+
+    Without such a wall they are the axes of the world.
+    """
 
     walls: Sequence[RoomSurface]
     axes: Float[FloatArray, "3 3"]

@@ -99,7 +99,8 @@ class DoubtfulPaths:
             if is_over():
                 break
             rows = np.flatnonzero(train.tx_index == tx)
-            paths, position_m = tracer.paths(train.tx_position_m[rows[0]]), train.tx_position_m[rows[0]]
+            position_m = train.tx_position_m[rows[0]]
+            paths = tracer.paths(position_m)
             doubt = _doubts(paths, lags, train, rows).clip(-_MOST_DOUBT, _MOST_DOUBT)
             chosen = np.flatnonzero(np.abs(doubt) > _LEAST_DOUBT)
             met = (line[~np.isnan(line[:, 0])] for line in paths.vertices_m[chosen])
@@ -146,13 +147,13 @@ def _doubts(
 
 def _begun(bounds: Box) -> list[Box]:
     """Small boxes at all places between bounds, of several heights."""
-    low_m, high_m = bounds
+    (low_m, high_m), half_m = bounds, _APART_M / 2
     places = [
-        np.arange(low + _APART_M / 2, high, _APART_M) for low, high in zip(low_m[:2], high_m[:2], strict=True)
+        np.arange(low + half_m, high, _APART_M) for low, high in zip(low_m[:2], high_m[:2], strict=True)
     ]
     tops = (*_LEVELS_M[1:], high_m[2] - low_m[2])
     boxes = [
-        np.array([[x - 0.2, y - 0.2, low_m[2] + level], [x + 0.2, y + 0.2, low_m[2] + top]])
+        np.array([[x - half_m, y - half_m, low_m[2] + level], [x + half_m, y + half_m, low_m[2] + top]])
         for x in places[0]
         for y in places[1]
         for level, top in zip(_LEVELS_M, tops, strict=True)

@@ -20,7 +20,7 @@ from xfreqbench.methods.learning.mixing import Predict, mixed
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, RoomTracer
+from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, RoomTracer, evenly
 from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
@@ -170,7 +170,6 @@ def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:
     """Training rows with a path, without and of validation transmitters: every third one, but not more than needed."""
     tx = np.unique(train.tx_index[train.has_path])
     of_third = tx[_THIRD // 2 :: _THIRD]
-    number = np.unique(np.linspace(0, len(of_third) - 1, _NUM_TX).round().astype(int))
-    is_validating = np.isin(train.tx_index, of_third[number] if len(of_third) else of_third)
+    is_validating = np.isin(train.tx_index, evenly(of_third, _NUM_TX) if len(of_third) else of_third)
     left, validating = (train.has_path & each for each in (~is_validating, is_validating))
     return train.subset(np.flatnonzero(left)), train.subset(np.flatnonzero(validating))
