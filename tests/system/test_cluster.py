@@ -91,7 +91,7 @@ def started(folder: Path, num_workers: int) -> Iterator[Started]:
     with ExitStack() as stack:
         command = [*scheduler, "--scheduler-file", str(file)]
         process = stack.enter_context(_process(command, folder / "scheduler.log"))
-        _wait(file.exists)
+        _wait(lambda: _is_json(file))
         if num_workers:
             options = f"--nthreads 1 --nworkers {num_workers} --no-dashboard --scheduler-file {file}".split()
             stack.enter_context(_process(["worker", *options], folder / "worker.log"))
@@ -100,6 +100,14 @@ def started(folder: Path, num_workers: int) -> Iterator[Started]:
         running = Started(f"dask://{address}", process, client)
         running.wait_for(num_workers)
         yield running
+
+
+def _is_json(file: Path) -> bool:
+    """Whether a file is there and written whole."""
+    try:
+        return bool(json.loads(file.read_text(encoding="utf-8")))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return False
 
 
 @contextmanager
