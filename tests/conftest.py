@@ -12,13 +12,14 @@ from jaxtyping import install_import_hook
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
+    "xfreqbench.tracing.image.box_tree_kernels",
     "xfreqbench.tracing.image.bundle_kernels",
     "xfreqbench.tracing.image.diffraction_kernels",
     "xfreqbench.tracing.image.edge_field_kernels",
     "xfreqbench.tracing.image.edge_path_kernels",
     "xfreqbench.tracing.image.edge_side_kernels",
-    "xfreqbench.tracing.image.forest_kernels",
     "xfreqbench.tracing.image.furnished_kernels",
+    "xfreqbench.tracing.image.growing_kernels",
     "xfreqbench.tracing.image.kernels",
     "xfreqbench.tracing.image.trie_kernels",
     "xfreqbench.tracing.image.wedge_kernels",

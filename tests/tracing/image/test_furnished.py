@@ -74,6 +74,18 @@ def test_an_element_hears_what_a_receiver_in_its_place_hears(room: Scene, elemen
         assert abs(heard - own) < 1e-3 * strongest  # the field of the array is interpolated; measured 4e-4
 
 
+@pytest.mark.parametrize("element", [0, 4, 14])
+def test_an_array_of_odd_rows_and_columns_is_heard_at_each_of_its_elements(room: Scene, element: int) -> None:
+    carrier_hz, odd = CARRIERS_HZ[0], replace(RECEIVER, rows=3, cols=5)
+    array = FurnishedTracer(
+        replace(room, receiver=odd), [carrier_hz], SETTINGS, ImageSavings(field_nodes_per_axis=5)
+    ).channel(TX_M)
+    place_m = odd.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)[element]
+    alone = replace(room, receiver=replace(odd, rows=1, cols=1, position_m=tuple(place_m.tolist())))
+    own = FurnishedTracer(alone, [carrier_hz], SETTINGS).channel(TX_M).cfr[:, 0, 0]
+    np.testing.assert_allclose(array.cfr[:, 0, element], own, rtol=0, atol=1e-5 * np.abs(own).max())
+
+
 def test_channels_have_converged_in_the_number_of_rays(room: Scene) -> None:
     few, many = (
         FurnishedTracer(room, CARRIERS_HZ, replace(SETTINGS, rays=rays)).channel(TX_M).cfr

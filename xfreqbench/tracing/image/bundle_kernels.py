@@ -1,4 +1,4 @@
-"""Kernels that follow a bundle of paths among many facets: one path, or those to the four corners of the aperture.
+"""Kernels that follow a bundle of paths among many facets: one path, four, or those to the corners of the aperture.
 
 It is done in three steps: fold the paths, gather the facets that they may meet, and decide. What was gathered for the
 corners serves every element between them, at every carrier. Kernels here are compiled by who calls them.
@@ -12,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xfreqbench.tracing.image import kernels
-from xfreqbench.tracing.image.forest import Forest
-from xfreqbench.tracing.image.forest_kernels import (
+from xfreqbench.tracing.image.box_tree import BoxTree
+from xfreqbench.tracing.image.box_tree_kernels import (
     FAR,
     MOST_NEAR,
     Walk,
     beyond_edges,
-    inverse_of,
     next_leaf,
     part,
     side_of,
+    tube_about,
+    tube_along,
     whole,
 )
 from xfreqbench.tracing.image.kernels import (
@@ -39,26 +40,15 @@ from xfreqbench.tracing.image.kernels import (
 
 F64 = NDArray[np.float64]
 
+QUAD = (1, 1, 1, 1)  # a bundle of four paths with none between them, as there are between `CORNERS`
 COPLANAR_M = 1e-4  # as in `scene.facets`: facets of one plane that lie on each other count once
 
 
 @part
-def _middle(vertex: F64, v: int, bundle: Bundle) -> tuple[float, float, float, float]:
-    """The middle of vertex v of all paths of a bundle, and how far from there it may lie."""
-    x = y = z = widest = 0.0
-    for k in range(len(bundle)):
-        x, y, z = x + vertex[k, v, 0], y + vertex[k, v, 1], z + vertex[k, v, 2]
-    x, y, z = x / len(bundle), y / len(bundle), z / len(bundle)
-    for k in range(len(bundle)):
-        dx, dy, dz = vertex[k, v, 0] - x, vertex[k, v, 1] - y, vertex[k, v, 2] - z
-        widest = max(widest, math.sqrt(dx * dx + dy * dy + dz * dz))
-    return x, y, z, widest + 1e-9
-
-
-@part
-def _crosses(forest: Forest, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
-    """Whether all, none or some of the segments s of the paths cross facet q."""
-    face, beyond_all, num_inside, is_triangle = forest.face, 31, 0, forest.is_triangle[q]
+def _crosses(tree: BoxTree, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
+    """Whether all, none or some of the segments s of the paths cross facet q, those between `CORNERS` among them."""
+    has_between = len(bundle) > 1 and bundle[0] == 0
+    face, beyond_all, num_inside, is_triangle = tree.face, 31, 0, tree.is_triangle[q]
     lowest, highest = FAR, -FAR
     for k in range(len(bundle)):
         ax, ay, az = vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2]
@@ -72,13 +62,15 @@ def _crosses(forest: Forest, q: int, s: int, bundle: Bundle, vertex: F64) -> int
             )
             beyond_all &= beyond
             num_inside += beyond == 0
-        elif len(bundle) > 1:  # the side differs between the paths: both ends must lie beyond a common edge
+        elif has_between:  # the side differs between the paths: both ends must lie beyond a common edge
             beyond_all &= beyond_edges(face, q, ax, ay, az, is_triangle) & beyond_edges(
                 face, q, bx, by, bz, is_triangle
             )
     if num_inside == len(bundle):
         return EVERYWHERE
-    if lowest > 0.0 or highest < 0.0 or len(bundle) == 1:
+    if not has_between:
+        return NOWHERE if num_inside == 0 else MIXED
+    if lowest > 0.0 or highest < 0.0:
         return NOWHERE
     return NOWHERE if beyond_all != 0 else MIXED
 
@@ -102,25 +94,23 @@ def fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) 
 
 
 @whole
-def gather_mirrors(forest: Forest, path: Path, bundle: Bundle, walk: Walk) -> int:
+def gather_mirrors(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Look up the facets at which the folded paths may turn; NOWHERE where there are none, MIXED if too many."""
     vertex, n = walk.scratch.vertex, path.length
     for j in range(n):
         p, v, number = path.plane[n - 1 - j], j + 1, 0
-        x, y, z, margin = _middle(vertex, v, bundle)
-        ray, margin = (x, y, z, 1e12, 1e12, 1e12), margin + COPLANAR_M
-        top = -1
+        tube, top = tube_about(vertex, v, COPLANAR_M, bundle), -1
         while True:
-            top, leaf = next_leaf(forest, ray, (margin, margin), 0.0, walk, top)
+            top, leaf = next_leaf(tree, tube, 0.0, walk, top)
             if leaf < 0:
                 break
-            for q in range(forest.first[leaf], forest.last[leaf]):
-                if forest.plane[q] != p:
+            for q in range(tree.first[leaf], tree.last[leaf]):
+                if tree.plane[q] != p:
                     continue
                 beyond_all = 31
                 for k in range(len(bundle)):
                     x, y, z = vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2]
-                    beyond_all &= beyond_edges(forest.face, q, x, y, z, forest.is_triangle[q])
+                    beyond_all &= beyond_edges(tree.face, q, x, y, z, tree.is_triangle[q])
                 if beyond_all == 0:
                     if number == MOST_NEAR:
                         return MIXED
@@ -164,7 +154,7 @@ def _is_slab(facets: Facets, q: int, s: int, number: int, before: int, after: in
 
 
 @whole
-def gather_slabs(facets: Facets, forest: Forest, path: Path, bundle: Bundle, walk: Walk) -> int:
+def gather_slabs(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Look up the facets that the folded paths may cross.
 
     NOWHERE where all of them cross an opaque one, or more than they may at their depth; MIXED if too many are met.
@@ -174,24 +164,21 @@ def gather_slabs(facets: Facets, forest: Forest, path: Path, bundle: Bundle, wal
     num_left = path.plane.shape[0] - n
     for s in range(n + 1):
         before, after = path.plane[n - s] if s > 0 else -1, path.plane[n - 1 - s] if s < n else -1
-        ax, ay, az, start = _middle(vertex, s, bundle)
-        bx, by, bz, end = _middle(vertex, s + 1, bundle)
-        ray = (ax, ay, az, inverse_of(bx - ax), inverse_of(by - ay), inverse_of(bz - az))
-        number, top = 0, -1
+        tube, number, top = tube_along(vertex, s, bundle), 0, -1
         while True:
-            top, leaf = next_leaf(forest, ray, (start, end), 1.0, walk, top)
+            top, leaf = next_leaf(tree, tube, 1.0, walk, top)
             if leaf < 0:
                 break
-            for q in range(forest.first[leaf], forest.last[leaf]):
-                p = forest.plane[q]
+            for q in range(tree.first[leaf], tree.last[leaf]):
+                p = tree.plane[q]
                 if p in (before, after):
                     continue
-                crossed = _crosses(forest, q, s, bundle, vertex)
+                crossed = _crosses(tree, q, s, bundle, vertex)
                 if crossed == NOWHERE:
                     continue
                 if crossed == EVERYWHERE and _is_slab(facets, q, s, number, before, after, walk):
                     num_left -= 1
-                    if num_left < 0 or forest.is_opaque[q]:
+                    if num_left < 0 or tree.is_opaque[q]:
                         return NOWHERE
                 if number == MOST_NEAR:
                     return MIXED
@@ -202,19 +189,19 @@ def gather_slabs(facets: Facets, forest: Forest, path: Path, bundle: Bundle, wal
 
 
 @part
-def _hit(forest: Forest, j: int, bundle: Bundle, walk: Walk) -> int:
+def _hit(tree: BoxTree, j: int, bundle: Bundle, walk: Walk) -> int:
     """The facet at which all paths turn at their vertex j + 1, or else −1; −2 where only some of them turn at one."""
     vertex, found, is_mixed = walk.scratch.vertex, -1, False
     for i in range(walk.num_mirrors[j]):
         q, beyond_all, num_inside = walk.mirrors[j, i], 31, 0
         for k in range(len(bundle)):
             x, y, z = vertex[k, j + 1, 0], vertex[k, j + 1, 1], vertex[k, j + 1, 2]
-            beyond = beyond_edges(forest.face, q, x, y, z, forest.is_triangle[q])
+            beyond = beyond_edges(tree.face, q, x, y, z, tree.is_triangle[q])
             beyond_all &= beyond
             num_inside += beyond == 0
         if num_inside == len(bundle):
             found = q if found < 0 else min(found, q)
-        elif beyond_all == 0:
+        elif num_inside > 0 or (bundle[0] == 0 and beyond_all == 0):
             is_mixed = True
     return -2 if is_mixed else found
 
@@ -238,13 +225,13 @@ def _counts(facets: Facets, q: int, s: int, before: int, after: int, scratch: Sc
 
 
 @part
-def _cross(forest: Forest, q: int, s: int, t: float, scratch: Scratch) -> bool:
+def _cross(tree: BoxTree, q: int, s: int, t: float, scratch: Scratch) -> bool:
     """Let the paths cross facet q at share t of segment s; False where that ends them: opaque, or too deep.
 
     Crossings of a segment are kept in the order in which a wave from the transmitter meets them.
     """
     crossed, crossed_at, i = scratch.crossed, scratch.crossed_at, scratch.num_crossed[s]
-    if forest.is_opaque[q] or scratch.num_left[0] == 0 or i >= MAX_CROSSED:
+    if tree.is_opaque[q] or scratch.num_left[0] == 0 or i >= MAX_CROSSED:
         return False
     while i > 0 and crossed_at[s, i - 1] > t:
         crossed[s, i], crossed_at[s, i] = crossed[s, i - 1], crossed_at[s, i - 1]
@@ -256,12 +243,12 @@ def _cross(forest: Forest, q: int, s: int, t: float, scratch: Scratch) -> bool:
 
 
 @part
-def _shortest_stretch(forest: Forest, n: int, k: int, scratch: Scratch) -> float:
+def _shortest_stretch(tree: BoxTree, n: int, k: int, scratch: Scratch) -> float:
     """Shortest stretch in metres of path k between successive interactions, in the order of path 0.
 
     Negative where path k meets two slabs in the opposite order.
     """
-    shortest, vertex, face = FAR, scratch.vertex, forest.face
+    shortest, vertex, face = FAR, scratch.vertex, tree.face
     for s in range(n + 1):
         ax, ay, az = vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2]
         bx, by, bz = vertex[k, s + 1, 0], vertex[k, s + 1, 1], vertex[k, s + 1, 2]
@@ -278,26 +265,26 @@ def _shortest_stretch(forest: Forest, n: int, k: int, scratch: Scratch) -> float
 
 
 @part
-def _are_long(forest: Forest, n: int, bundle: Bundle, walk: Walk) -> int:
+def _are_long(tree: BoxTree, n: int, bundle: Bundle, walk: Walk) -> int:
     """Whether no stretch is too short; for a bundle, twice as long as it has to be, or else MIXED."""
     is_lone = len(bundle) == 1
     for k in range(len(bundle)):
-        stretch_m = _shortest_stretch(forest, n, k, walk.scratch)
+        stretch_m = _shortest_stretch(tree, n, k, walk.scratch)
         if stretch_m < (MIN_SEGMENT_M if is_lone else 2 * MIN_SEGMENT_M):
             return NOWHERE if is_lone else MIXED
     return EVERYWHERE
 
 
 @whole
-def decide(facets: Facets, forest: Forest, path: Path, bundle: Bundle, walk: Walk) -> int:
+def decide(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Whether folded paths reach EVERYWHERE, NOWHERE or, MIXED, only some of their ends: see `kernels.trace`.
 
     What they may meet was gathered: for them, or for a bundle that they lie in. Facets met are left in `scratch`.
     """
     n, scratch, verdict = path.length, walk.scratch, EVERYWHERE
-    vertex, face = scratch.vertex, forest.face
+    vertex, face = scratch.vertex, tree.face
     for j in range(n):
-        found = _hit(forest, j, bundle, walk)
+        found = _hit(tree, j, bundle, walk)
         if found == -1:
             return NOWHERE
         if found == -2:
@@ -310,38 +297,38 @@ def decide(facets: Facets, forest: Forest, path: Path, bundle: Bundle, walk: Wal
         scratch.num_crossed[s] = 0
         for i in range(walk.num_slabs[s]):
             q = walk.slabs[s, i]
-            crossed = _crosses(forest, q, s, bundle, vertex)
+            crossed = _crosses(tree, q, s, bundle, vertex)
             if crossed == MIXED:
                 verdict = MIXED
             elif crossed == EVERYWHERE:
                 here = side_of(face, q, vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2])
                 there = side_of(face, q, vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2])
                 t = here / (here - there)
-                if _counts(facets, q, s, before, after, scratch) and not _cross(forest, q, s, t, scratch):
+                if _counts(facets, q, s, before, after, scratch) and not _cross(tree, q, s, t, scratch):
                     return NOWHERE
-    return _are_long(forest, n, bundle, walk) if verdict == EVERYWHERE else verdict
+    return _are_long(tree, n, bundle, walk) if verdict == EVERYWHERE else verdict
 
 
 @whole
-def turns(forest: Forest, path: Path, bundle: Bundle, walk: Walk) -> bool:
+def turns(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> bool:
     """Whether each of the folded paths turns at some facet of every plane, of those that were gathered."""
     num_missed = 0
     for j in range(path.length):
-        num_missed += _hit(forest, j, bundle, walk) == -1
+        num_missed += _hit(tree, j, bundle, walk) == -1
     return num_missed == 0
 
 
 @whole
 def reaches(
-    facets: Facets, forest: Forest, path: Path, offset_m: F64, are_mirrors_gathered: bool, walk: Walk
+    facets: Facets, tree: BoxTree, path: Path, offset_m: F64, are_mirrors_gathered: bool, walk: Walk
 ) -> bool:
     """Whether a path reaches an element at `offset_m` (1, 3), for which no slabs were gathered, nor perhaps mirrors."""
     if fold(facets, path, offset_m, LONE, walk) != EVERYWHERE:
         return False
-    if not are_mirrors_gathered and gather_mirrors(forest, path, LONE, walk) != EVERYWHERE:
+    if not are_mirrors_gathered and gather_mirrors(tree, path, LONE, walk) != EVERYWHERE:
         return False
-    if not turns(forest, path, LONE, walk):
+    if not turns(tree, path, LONE, walk):
         return False
-    if gather_slabs(facets, forest, path, LONE, walk) != EVERYWHERE:
+    if gather_slabs(facets, tree, path, LONE, walk) != EVERYWHERE:
         return False
-    return decide(facets, forest, path, LONE, walk) == EVERYWHERE
+    return decide(facets, tree, path, LONE, walk) == EVERYWHERE

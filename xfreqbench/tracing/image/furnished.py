@@ -1,6 +1,6 @@
 """Solver `image` among many facets: furnished rooms as meshes, of whose triangles only large patches mirror.
 
-It is the method of `tracer` on other data structures: what segments meet is looked up in a forest of boxes, and
+It is the method of `tracer` on other data structures: what segments meet is looked up in a tree of boxes, and
 candidates are nodes of a trie (`trie_kernels`), for any number of planes.
 """
 
@@ -18,7 +18,7 @@ from xfreqbench.scene.meshes import surface_meshes, triangle_corners_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image import furnished_kernels
-from xfreqbench.tracing.image.forest import Forest, plant
+from xfreqbench.tracing.image.box_tree import BoxTree, grow
 from xfreqbench.tracing.image.kernels import Facets
 from xfreqbench.tracing.image.tracer import (
     ImageSavings,
@@ -74,8 +74,9 @@ class FurnishedTracer:
         self._media, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         is_opaque = are_opaque(self._media) | ("refraction" not in settings.interactions)
         mirrors = MirrorPlanes(geometry)
-        self._facets, self._forest, self._surface = planted(geometry, mirrors, kind, is_opaque)
+        self._facets, self._tree, self._surface = planted(geometry, mirrors, kind, is_opaque)
         self._aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
+        self._quads = _quads(scene.receiver.rows, scene.receiver.cols)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.unique(np.vstack([receiver_m, receiver_m + self._aperture.corner_m[0]]), axis=0)
         parent, plane = self._sequences(origins_m, len(mirrors.planes))
@@ -91,7 +92,7 @@ class FurnishedTracer:
             turn_rad = rng.uniform(0, 2 * np.pi, len(origins_m))
             num_rays = max(1, self.settings.rays // len(origins_m))
             shots = Shots(origins_m, turn_rad, num_rays, self.settings.max_depth, num_planes)
-            keys = furnished_kernels.launch(self._facets, self._forest, shots)
+            keys = furnished_kernels.launch(self._facets, self._tree, shots)
         parent, plane = np.divmod(keys, max(1, num_planes))
         parent[0] = plane[0] = -1
         return parent, plane
@@ -101,10 +102,11 @@ class FurnishedTracer:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
         real, imag, num_paths = furnished_kernels.channels(
             self._facets,
-            self._forest,
+            self._tree,
             self._media,
             self._trie,
             self._aperture,
+            self._quads,
             np.ascontiguousarray(tx_position_m, dtype=np.float64),
             self.settings.max_depth,
             self.savings.share_visibility,
@@ -118,7 +120,7 @@ class FurnishedTracer:
     def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
         tx, depth = np.asarray(tx_position_m, dtype=np.float64), self.settings.max_depth
-        reached = furnished_kernels.reaching(self._facets, self._forest, self._media, self._trie, tx, depth)
+        reached = furnished_kernels.reaching(self._facets, self._tree, self._media, self._trie, tx, depth)
         node = np.array([node for node, *_ in reached], dtype=np.int64)
         distance_m = np.linalg.norm(tx - self._trie.image_m[node], axis=1)
         earliest = np.argsort(distance_m, kind="stable")
@@ -139,6 +141,13 @@ class FurnishedTracer:
             surfaces=np.array([met for _, met, _ in along], np.int64).reshape(len(along), depth),
             vertices_m=np.array([points for *_, points in along]).reshape(len(along), depth, 3),
         )
+
+
+def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
+    """The elements of an array in squares of two by two; at the rim of an odd number they repeat, not in ascent."""
+    row = np.minimum(np.add.outer(np.arange(0, rows, 2), [0, 0, 1, 1]), rows - 1)
+    col = np.minimum(np.add.outer(np.arange(0, cols, 2), [0, 1, 0, 1]), cols - 1)
+    return (row[:, None] * cols + col[None]).reshape(-1, 4)
 
 
 class MirrorPlanes:
@@ -211,8 +220,8 @@ def planted(
     mirrors: MirrorPlanes,
     kind: Int[IntArray, "S"],
     is_opaque: Bool[NDArray[np.bool_], "K"],
-) -> tuple[Facets, Forest, Int[IntArray, "Q"]]:
-    """The facets of a scene in the order of a forest's leaves, the forest, and the mesh of each facet.
+) -> tuple[Facets, BoxTree, Int[IntArray, "Q"]]:
+    """The facets of a scene in the order of a tree's leaves, the tree, and the mesh of each facet.
 
     Planes of mirrors come first; each triangle that does not mirror has a plane of its own.
     """
@@ -235,7 +244,7 @@ def planted(
     surface = np.concatenate(
         [np.array([facet.surface for facet in mirrors.facets], np.int64), mesh[~geometry.mirrors]]
     )
-    order, boxes = plant(corners_m.min(axis=1), corners_m.max(axis=1))
+    order, boxes = grow(corners_m.min(axis=1), corners_m.max(axis=1))
     plane, slab = np.concatenate([mirrors.plane, own_plane])[order], kind[surface][order]
     corners_m, is_triangle = corners_m[order], is_triangle[order]
     face = np.hstack([normals[plane], offset_m[plane, None], *_duals(corners_m)])
@@ -252,8 +261,8 @@ def planted(
         slab=slab,
         is_opaque=is_opaque[slab],
     )
-    forest = Forest(np.ascontiguousarray(face), is_triangle, is_opaque[slab], plane, *boxes)
-    return facets, forest, surface[order]
+    tree = BoxTree(np.ascontiguousarray(face), is_triangle, is_opaque[slab], plane, *boxes)
+    return facets, tree, surface[order]
 
 
 def _duals(

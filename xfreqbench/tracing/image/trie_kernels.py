@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xfreqbench.tracing.image.forest import Forest
-from xfreqbench.tracing.image.forest_kernels import FAR, Walk, first_hit, new_walk, part, whole
+from xfreqbench.tracing.image.box_tree import BoxTree
+from xfreqbench.tracing.image.box_tree_kernels import FAR, Walk, first_hit, new_walk, part, whole
 from xfreqbench.tracing.image.kernels import NUM_CHUNKS, Facets, Path
 
 F64 = NDArray[np.float64]
@@ -49,9 +49,7 @@ class Trie(NamedTuple):
 
 
 @whole
-def _follow(
-    facets: Facets, forest: Forest, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any
-) -> None:
+def _follow(facets: Facets, tree: BoxTree, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any) -> None:
     """Follow the ray on the bottom of the stack, and all that branch off it, and put its sequences in `trie`.
 
     The stack holds origin and direction of each `ray` (S, 2, 3), and as its `state` (S, 2) a node of the trie and
@@ -61,11 +59,11 @@ def _follow(
     while num_rays > 0:
         top = num_rays - 1
         o, d = ray[top, 0], ray[top, 1]
-        q, t = first_hit(forest, o, d, walk)
+        q, t = first_hit(tree, o, d, walk)
         num_rays = top
         if q < 0:
             continue
-        p, state[top, 1] = forest.plane[q], state[top, 1] + 1
+        p, state[top, 1] = tree.plane[q], state[top, 1] + 1
         child = np.int64(0)
         if p < shots.num_planes:
             key = state[top, 0] * shots.num_planes + p
@@ -77,7 +75,7 @@ def _follow(
         for c in range(3):
             o[c] += t * d[c]
             speed += facets.normal[c, p] * d[c]
-        if not forest.is_opaque[q]:
+        if not tree.is_opaque[q]:
             num_rays += 1  # the transmitted ray stays where it is
         if p < shots.num_planes:
             for c in range(3):
@@ -97,7 +95,7 @@ def keys_of(trie: Any) -> I64:
 
 
 @whole
-def shot_by(facets: Facets, forest: Forest, shots: Shots, chunk: int) -> I64:
+def shot_by(facets: Facets, tree: BoxTree, shots: Shots, chunk: int) -> I64:
     """Keys of the nodes that one chunk of the rays finds."""
     origin, first = chunk // NUM_CHUNKS, chunk % NUM_CHUNKS
     ray, state = np.zeros((shots.max_depth + 2, 2, 3)), np.zeros((shots.max_depth + 2, 2), np.int64)
@@ -110,7 +108,7 @@ def shot_by(facets: Facets, forest: Forest, shots: Shots, chunk: int) -> I64:
         ray[0, 1, 0], ray[0, 1, 1] = horizontal * math.cos(azimuth), horizontal * math.sin(azimuth)
         ray[0, 1, 2] = z
         state[0] = 0
-        _follow(facets, forest, shots, ray, state, walk, trie)
+        _follow(facets, tree, shots, ray, state, walk, trie)
     return keys_of(trie)
 
 

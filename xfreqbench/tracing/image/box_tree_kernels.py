@@ -1,4 +1,4 @@
-"""Kernels that look up what a ray meets in a `Forest`; compiled by who calls them."""
+"""Kernels that look up what a ray meets in a `BoxTree`; compiled by who calls them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from xfreqbench.tracing.image.forest import Forest
-from xfreqbench.tracing.image.kernels import FAST, MAX_CROSSED, Scratch
+from xfreqbench.tracing.image.box_tree import BoxTree
+from xfreqbench.tracing.image.kernels import FAST, MAX_CROSSED, Bundle, Scratch
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-Ray = tuple[float, float, float, float, float, float]
+Span = tuple[float, float, float, float]
+Tube = tuple[Span, Span, Span]  # see `tube_along`
 
 FAR = 1e30  # where a ray meets nothing
+SLACK_M = 1e-9  # by which a tube is wider than its paths
 MOST_BOXES = 256  # on the stack of boxes still to look into
 MOST_NEAR = 32  # facets that a bundle may meet on one segment; of more, each path is followed by itself
 
@@ -28,7 +30,7 @@ class Walk(NamedTuple):
 
     scratch: Scratch
     box: I64  # boxes still to look into
-    box_at: F64  # where the ray enters them
+    box_at: F64  # where the tube enters them
     mirrors: I64  # (D, MOST_NEAR) facets of each plane where the paths turn
     num_mirrors: I64  # (D,)
     slabs: I64  # (D + 1, MOST_NEAR) facets that some path may cross, by segment
@@ -91,58 +93,87 @@ def inverse_of(d: float) -> float:
 
 
 @part
-def _stretch_in(box: F64, b: int, ray: Ray, margin: float, reach: float) -> tuple[float, float]:
-    """Where a ray enters and leaves a box that is widened by a margin; in reverse where it misses it up to `reach`."""
-    ox, oy, oz, ix, iy, iz = ray
-    low, high = (box[b, 0] - margin - ox) * ix, (box[b, 3] + margin - ox) * ix
-    enters, leaves = max(0.0, min(low, high)), min(reach, max(low, high))
-    low, high = (box[b, 1] - margin - oy) * iy, (box[b, 4] + margin - oy) * iy
-    enters, leaves = max(enters, min(low, high)), min(leaves, max(low, high))
-    low, high = (box[b, 2] - margin - oz) * iz, (box[b, 5] + margin - oz) * iz
-    return max(enters, min(low, high)), min(leaves, max(low, high))
+def _edges_along(vertex: F64, s: int, a: int, bundle: Bundle) -> Span:
+    low = high = vertex[0, s, a]
+    low_end = high_end = vertex[0, s + 1, a]
+    for k in range(1, len(bundle)):
+        low, high = min(low, vertex[k, s, a]), max(high, vertex[k, s, a])
+        low_end, high_end = min(low_end, vertex[k, s + 1, a]), max(high_end, vertex[k, s + 1, a])
+    return low - SLACK_M, inverse_of(low_end - low), high + SLACK_M, inverse_of(high_end - high)
 
 
 @part
-def _entry(box: F64, b: int, ray: Ray, margins: tuple[float, float], reach: float) -> float:
-    """Where a ray enters a box, or `FAR` where it does not up to `reach`.
+def tube_along(vertex: F64, s: int, bundle: Bundle) -> Tube:
+    """The tube about the segments s of all paths of a bundle.
 
-    The ray is the axis of a cone that is as wide as the `margins` at the ray's start and at 1.
+    For each axis it has the lowest and the highest coordinate at its start, each followed by the inverse of how much
+    that grows along the tube. So at the share t of its length it is a box, of which each face moves evenly with t.
     """
-    start, end = margins
-    enters, leaves = _stretch_in(box, b, ray, max(start, end), reach)
-    if enters <= leaves and start != end:
-        margin = max(start + enters * (end - start), start + leaves * (end - start))
-        enters, leaves = _stretch_in(box, b, ray, margin, reach)
+    x, y = _edges_along(vertex, s, 0, bundle), _edges_along(vertex, s, 1, bundle)
+    return x, y, _edges_along(vertex, s, 2, bundle)
+
+
+@part
+def tube_about(vertex: F64, v: int, margin: float, bundle: Bundle) -> Tube:
+    """The box about vertex v of all paths of a bundle, widened by a margin, as a tube without length."""
+    lx = hx = vertex[0, v, 0]
+    ly = hy = vertex[0, v, 1]
+    lz = hz = vertex[0, v, 2]
+    for k in range(1, len(bundle)):
+        lx, hx = min(lx, vertex[k, v, 0]), max(hx, vertex[k, v, 0])
+        ly, hy = min(ly, vertex[k, v, 1]), max(hy, vertex[k, v, 1])
+        lz, hz = min(lz, vertex[k, v, 2]), max(hz, vertex[k, v, 2])
+    m, i = margin, inverse_of(0.0)
+    return (lx - m, i, hx + m, i), (ly - m, i, hy + m, i), (lz - m, i, hz + m, i)
+
+
+@part
+def _shared(low: float, high: float, span: Span, enters: float, leaves: float) -> tuple[float, float]:
+    """The part of the stretch enters … leaves in which a tube's span meets that from low to high; reversed for none."""
+    until, since = (high - span[0]) * span[1], (low - span[2]) * span[3]
+    if span[1] > 0.0:
+        leaves = min(leaves, until)
+    else:
+        enters = max(enters, until)
+    if span[3] > 0.0:
+        enters = max(enters, since)
+    else:
+        leaves = min(leaves, since)
+    return enters, leaves
+
+
+@part
+def _entry(box: F64, b: int, tube: Tube, reach: float) -> float:
+    """Where a tube enters a box, or `FAR` where it does not up to `reach`."""
+    enters, leaves = _shared(box[b, 0], box[b, 3], tube[0], 0.0, reach)
+    enters, leaves = _shared(box[b, 1], box[b, 4], tube[1], enters, leaves)
+    enters, leaves = _shared(box[b, 2], box[b, 5], tube[2], enters, leaves)
     return enters if enters <= leaves else FAR
 
 
 @part
-def next_leaf(
-    forest: Forest, ray: Ray, margins: tuple[float, float], reach: float, walk: Walk, top: int
-) -> tuple[int, int]:
-    """The next leaf on a ray's way, or −1, and the number of boxes that are then still to be looked into.
+def next_leaf(tree: BoxTree, tube: Tube, reach: float, walk: Walk, top: int) -> tuple[int, int]:
+    """The next leaf on a tube's way, or −1, and the number of boxes that are then still to be looked into.
 
     With `top` −1 the search begins anew. Nearer boxes come first.
     """
     box, box_at = walk.box, walk.box_at
     if top < 0:
         top = 0
-        for r in range(len(forest.root)):
-            enters = _entry(forest.box, forest.root[r], ray, margins, reach)
-            if enters < FAR:
-                box[top], box_at[top] = forest.root[r], enters
-                top += 1
+        if len(tree.box):
+            box[0], box_at[0] = 0, _entry(tree.box, 0, tube, reach)
+            top = 1
     while top > 0:
         top -= 1
         b = box[top]
         if box_at[top] > reach:
             continue
-        near = forest.child[b]
+        near = tree.child[b]
         if near < 0:
             return top, b
         far = near + 1
-        near_at = _entry(forest.box, near, ray, margins, reach)
-        far_at = _entry(forest.box, far, ray, margins, reach)
+        near_at = _entry(tree.box, near, tube, reach)
+        far_at = _entry(tree.box, far, tube, reach)
         if far_at < near_at:
             near, far, near_at, far_at = far, near, far_at, near_at
         if far_at < FAR:
@@ -155,15 +186,17 @@ def next_leaf(
 
 
 @whole
-def first_hit(forest: Forest, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
+def first_hit(tree: BoxTree, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
     """Facet and distance of what a ray from o along d meets first; facet −1 where it meets nothing."""
-    hit, nearest, top, face = -1, FAR, -1, forest.face
-    ray = (o[0], o[1], o[2], inverse_of(d[0]), inverse_of(d[1]), inverse_of(d[2]))
+    hit, nearest, top, face = -1, FAR, -1, tree.face
+    ix, iy, iz, m = inverse_of(d[0]), inverse_of(d[1]), inverse_of(d[2]), SLACK_M
+    x, y, z = o[0], o[1], o[2]
+    tube = (x - m, ix, x + m, ix), (y - m, iy, y + m, iy), (z - m, iz, z + m, iz)
     while True:
-        top, leaf = next_leaf(forest, ray, (0.0, 0.0), nearest, walk, top)
+        top, leaf = next_leaf(tree, tube, nearest, walk, top)
         if leaf < 0:
             return hit, nearest
-        for q in range(forest.first[leaf], forest.last[leaf]):
+        for q in range(tree.first[leaf], tree.last[leaf]):
             speed = face[q, 0] * d[0] + face[q, 1] * d[1] + face[q, 2] * d[2]
             if speed == 0.0:
                 continue
@@ -171,5 +204,5 @@ def first_hit(forest: Forest, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
             if t < 1e-7 or t >= nearest:
                 continue
             x, y, z = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
-            if beyond_edges(face, q, x, y, z, forest.is_triangle[q]) == 0:
+            if beyond_edges(face, q, x, y, z, tree.is_triangle[q]) == 0:
                 hit, nearest = q, t
