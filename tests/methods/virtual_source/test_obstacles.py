@@ -99,7 +99,7 @@ def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pyt
     told = refinement(empty_room)
     told.done, told.boxes = len(told.steps) + 1, [BoxFrame.of(told.found).along(CRATE_M)]
     told.boxes = [np.sort(box, axis=0) for box in told.boxes]
-    monkeypatch.setattr(refine, "WAYS_M", ({"top": (), "shown": (), "hidden": ()},) * 2)
+    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
     while not told.is_over:
         told.step()
     assert told.room is told.found
@@ -144,5 +144,16 @@ def test_the_faces_that_the_array_sees_are_moved_in_finer_steps() -> None:
     assert kinds[1, 0] == "shown"
     assert kinds[0, 1] == "shown"
     assert {kinds[face] for face in ((0, 0), (1, 1), (0, 2))} == {"hidden"}
-    ways_m = boxes.WAYS_M[0]
-    assert np.diff(ways_m["shown"]).min() < np.diff(np.sort(ways_m["hidden"])).min()
+    shown, hidden = (np.abs(np.concatenate(boxes.WAYS_M[0][kind])).min() for kind in ("shown", "hidden"))
+    assert shown < hidden
+
+
+def test_a_box_is_moved_as_a_whole_too() -> None:
+    frame = BoxFrame([], np.eye(3))
+    own = frame.surface(CRATE_M, 7, METAL)
+    changes = frame.changes(CRATE_M, [METAL], ARRAY_M, boxes.WAYS_M[0])
+    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    shifts_m = [box[0] - CRATE_M[0] for box in moved if np.allclose(np.diff(box - CRATE_M, axis=0), 0)]
+    for axis in (0, 1):
+        along_m = sorted(float(shift[axis]) for shift in shifts_m if abs(shift[axis]) > 1e-9)
+        np.testing.assert_allclose(along_m, boxes.WAYS_M[0]["across"][0])

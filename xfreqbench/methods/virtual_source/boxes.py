@@ -23,7 +23,11 @@ _THINNEST_M = 0.01
 
 Box = Float[FloatArray, "2 3"]  # lowest and highest corner, along axes of the room
 Change = Callable[[RoomSurface], Iterator[RoomSurface]]
-Kind = Literal["top", "shown", "hidden"]  # of a face of a box
+Faces = tuple[int | tuple[int, int], int]  # of a box: the lower or upper one, or both, along which axis
+Kind = Literal[
+    "top", "shown", "hidden", "across"
+]  # the last: two opposite upright faces that are moved together
+_IN_TURN: tuple[Kind, ...] = ("top", "shown", "hidden", "across")
 
 
 def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
@@ -32,13 +36,20 @@ def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
     return tuple(apart_m * step for step in range(-number, number + 1) if step)
 
 
-WAYS_M: tuple[Mapping[Kind, Sequence[float]], ...] = (  # by which faces are moved, first and then
+Ways = Mapping[Kind, Sequence[Sequence[float]]]
+WAYS_M: tuple[Ways, ...] = (  # by which faces are moved, far and then nearer, at first and again
     {
-        "top": _within(0.25, 0.01),
-        "shown": _within(0.12, 0.01),
-        "hidden": (*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),
+        "top": (_within(0.25, 0.01),),
+        "shown": (_within(0.12, 0.04), _within(0.03, 0.01)),
+        "hidden": ((*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),),
+        "across": (_within(0.2, 0.05),),
     },
-    {"top": _within(0.03, 0.005), "shown": _within(0.03, 0.005), "hidden": _within(0.1, 0.05)},
+    {
+        "top": (_within(0.03, 0.005),),
+        "shown": (_within(0.03, 0.005),),
+        "hidden": (_within(0.1, 0.05),),
+        "across": (_within(0.03, 0.01),),
+    },
 )
 
 
@@ -87,20 +98,22 @@ class BoxFrame:
         box: Box,
         slabs: Sequence[NamedSlab],
         array_m: Float[FloatArray, "3"],
-        ways_m: Mapping[Kind, Sequence[float]],
+        ways_m: Ways,
     ) -> list[Change]:
-        """What may be changed one after another: slabs, each face by steps of `ways_m`, the height, and slabs again."""
-        faces = [partial(self._moved, face, ways_m[kind]) for face, kind in _faces(box, self.along(array_m))]
+        """What may be changed one after another: slabs, faces by steps of `ways_m`, the height, and slabs again."""
+        moves = [
+            partial(self._moved, faces, steps_m)
+            for faces, kind in _faces(box, self.along(array_m))
+            for steps_m in ways_m[kind]
+        ]
         of_slabs = partial(_of_slabs, slabs)
-        return [of_slabs, *faces, self._as_board, of_slabs]
+        return [of_slabs, *moves, self._as_board, of_slabs]
 
-    def _moved(
-        self, face: tuple[int, int], steps_m: Sequence[float], own: RoomSurface
-    ) -> Iterator[RoomSurface]:
-        """A box with one face moved: the lower or upper one along one of the axes."""
+    def _moved(self, faces: Faces, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
+        """A box with faces moved: the lower or upper one along one of the axes, or both."""
         for step_m in steps_m:
             box = self.box_of(own)
-            box[face] += step_m
+            box[faces] += step_m
             if (box[1] - box[0] > _THINNEST_M).all():
                 yield self.surface(box, own.number, own.slab)
 
@@ -126,15 +139,16 @@ def box_slabs(materials: Sequence[str]) -> list[NamedSlab]:
 
 
 def _of_slabs(slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
-    """A box of other slabs, and of other thickness."""
-    for slab in [*slabs, *map(own.slab.thinned, THICKNESSES)]:
+    """A box of other slabs, and of other thickness; the thickness of metal does not matter."""
+    thinner = () if own.slab.material == "metal" else map(own.slab.thinned, THICKNESSES)
+    for slab in [*slabs, *thinner]:
         yield replace(own, slab=slab)
 
 
-def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[tuple[int, int], Kind]]:
-    """The faces of a box, the top first, then others that the array sees, then those that it does not."""
-    kinds: dict[tuple[int, int], Kind] = {}
+def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[Faces, Kind]]:
+    """The faces of a box, the top first, then others that the array sees, then the rest, and pairs of upright ones."""
+    kinds: dict[Faces, Kind] = {((0, 1), axis): "across" for axis in (0, 1)}
     for is_upper, axis in product((0, 1), range(3)):
         is_shown = array_m[axis] > box[1, axis] if is_upper else array_m[axis] < box[0, axis]
         kinds[is_upper, axis] = "top" if is_upper and axis == 2 else "shown" if is_shown else "hidden"
-    return sorted(kinds.items(), key=lambda each: ("top", "shown", "hidden").index(each[1]))
+    return sorted(kinds.items(), key=lambda each: _IN_TURN.index(each[1]))
