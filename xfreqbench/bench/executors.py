@@ -20,7 +20,8 @@ from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import BATCH, Plan
 from xfreqbench.data.protocols import make_splits
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.methods.contract import TRIVIAL, Budget
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.on_workers import run_on
 from xfreqbench.runs.records import BenchFigure, BenchPoint, Job
@@ -78,7 +79,7 @@ def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
     plan, points, first = office_plan(num_tx, paper_hz()), [], dict[str, str]()
     note = (
         f"Generation: {num_tx} transmitters × {len(plan.header.carrier_hz)} carriers of {SCENE} at the defaults, "
-        f"batches of {BATCH}, every process shooting its own rays, maps stored. Runs: {', '.join(TRIVIAL)} on "
+        f"batches of {BATCH}, every process shooting its own rays, maps stored. Runs: {', '.join(NEEDED_TRIVIAL)} on "
         f"{NUM_SPLITS} lofo splits of those data, in new processes where they are of this machine. Serial tracing has "
         "a thread a core; processes and workers have one each. Start-up: until every place has answered one call, "
         f"that of the cluster included. An empty call returns a batch of zeros ({NUM_EMPTY_CALLS} of them, wall time "
@@ -151,7 +152,7 @@ class _Runs:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.amount = len(TRIVIAL) * NUM_SPLITS
+        self.amount = len(NEEDED_TRIVIAL) * NUM_SPLITS
 
     def do(self, workers: Workers, way: str) -> str:
         """Do the runs; return the sha256 of all prediction files with their names."""
@@ -159,7 +160,7 @@ class _Runs:
         splits = make_splits(open_dataset(data), "lofo", None)[:NUM_SPLITS]
         jobs = [
             Job(str(data), method, "lofo", split.name, budget=Budget())
-            for method in TRIVIAL
+            for method in NEEDED_TRIVIAL
             for split in splits
         ]
         outcome = run_on(workers, jobs, results, lambda done, total, job: None)

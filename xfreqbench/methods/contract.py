@@ -17,8 +17,6 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ArgumentError, MethodError
 from xfreqbench.types import FloatArray, Maps
 
-TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
-
 
 @dataclass(frozen=True)
 class Budget:

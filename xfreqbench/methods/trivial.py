@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from xfreqbench.methods.contract import TRIVIAL
-
-EVERY_TRIVIAL = (*TRIVIAL, "k-nearest", "mean-spectrum")  # records may be without the last two
+# without these nothing is ranked
+NEEDED_TRIVIAL = ("line-of-sight", "nearest", "mean-over-frequency", "log-frequency")
+EVERY_TRIVIAL = (*NEEDED_TRIVIAL, "k-nearest", "mean-spectrum")  # records may be without the last two

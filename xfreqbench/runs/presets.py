@@ -99,7 +99,7 @@ def _trivial(protocol: str, scene: str) -> Block:
     return Block(scene, protocol, TRIVIAL_SETTINGS, None, targets_ghz="all" if protocol == "lofo" else None)
 
 
-_TRIVIAL = tuple(_trivial(protocol, scene) for scene in _SCENES for protocol in _PROTOCOLS)
+_TRIVIAL_BLOCKS = tuple(_trivial(protocol, scene) for scene in _SCENES for protocol in _PROTOCOLS)
 
 QUICK = Preset(
     description="a look at everything on 240 office transmitters, one seed, 64,000 maps a fit",
@@ -123,7 +123,7 @@ STANDARD = Preset(
     "paper's three and our two on lofo in two_rooms, and xfreq-gs and our two on the other protocols and in the "
     "corridor; in the lane minutes xfreq-gs and virtual-source at 24.25 GHz in the office",
     blocks=(
-        *_TRIVIAL,
+        *_TRIVIAL_BLOCKS,
         Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
         _trivial("held-out-block", "office"),
         Block("office", "lofo", (*_OURS, *_REDUCED, *NAMED), "quick", SEEDS),
@@ -179,7 +179,7 @@ FULL = Preset(
     description="every method and the ablations of xfreq-gs and aperture-gs on most protocols and every carrier, three "
     "seeds, in the lane minutes",
     blocks=(
-        *_TRIVIAL,
+        *_TRIVIAL_BLOCKS,
         *(
             Block(
                 scene,

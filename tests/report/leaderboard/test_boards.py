@@ -5,7 +5,8 @@ import math
 import pytest
 from stored_records import SPLITS, external, make_record
 
-from xfreqbench.methods.contract import LANES, TRIVIAL, Budget
+from xfreqbench.methods.contract import LANES, Budget
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.report.leaderboard.rows import median_ssim
@@ -133,7 +134,7 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
     def fitted(name: str, budget: Budget, ssim: float) -> RunRecord:
         return make_record(name, ssim, SPLITS[0], job=Job("data.h5", name, "lofo", SPLITS[0], budget=budget))
 
-    trivial = [make_record(name, 0.8, SPLITS[0]) for name in TRIVIAL]
+    trivial = [make_record(name, 0.8, SPLITS[0]) for name in NEEDED_TRIVIAL]
     quick, minutes, own = LANES["quick"], LANES["minutes"], Budget(max_steps=9)
     records = [
         *trivial,
@@ -154,11 +155,11 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
     assert all(board.best_trivial(SPLITS[0]) == 0.8 for board in boards(records))
     assert len({board.slug for board in boards(records)}) == len(found)
     (together,) = boards(records, by_budget=False)
-    assert len(together.rows) == len(TRIVIAL) + 6
+    assert len(together.rows) == len(NEEDED_TRIVIAL) + 6
 
 
 def test_a_trivial_predictor_that_was_added_later_sets_skill_where_it_was_run() -> None:
-    trivial = [make_record(name, 0.8, split) for name in TRIVIAL for split in SPLITS[:2]]
+    trivial = [make_record(name, 0.8, split) for name in NEEDED_TRIVIAL for split in SPLITS[:2]]
     (board,) = boards([*trivial, make_record("k-nearest", 0.9, SPLITS[0])])
     assert [board.best_trivial(split) for split in SPLITS[:2]] == [0.9, 0.8]
     assert {row.family for row in board.rows} == {"trivial"}
@@ -175,11 +176,11 @@ def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> Non
 
 
 def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing() -> None:
-    trivial = [make_record(name, 0.8, SPLITS[0]) for name in TRIVIAL]
+    trivial = [make_record(name, 0.8, SPLITS[0]) for name in NEEDED_TRIVIAL]
     (board,) = boards([*trivial, external(method="nearest")])
     assert [(row.label, row.is_trivial, row.family) for row in board.rows] == [
         ("nearest (external)", False, "external"),
-        *((name, True, "trivial") for name in sorted(TRIVIAL)),
+        *((name, True, "trivial") for name in sorted(NEEDED_TRIVIAL)),
     ]
     assert board.best_trivial(SPLITS[0]) == 0.8
 

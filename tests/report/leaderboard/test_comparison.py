@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stored_records import make_record, make_summary
 
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.comparison import Comparison, Resampling, resampled_medians
 from xfreqbench.runs.records import Job, RunRecord
@@ -101,7 +101,7 @@ def test_records_without_samples_are_neither_ranked_nor_given_an_interval() -> N
 
 
 def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() -> None:
-    level = [scored(name, samples(0.0, seed)) for seed, name in enumerate(TRIVIAL, start=1)]
+    level = [scored(name, samples(0.0, seed)) for seed, name in enumerate(NEEDED_TRIVIAL, start=1)]
     comparison, row = compared(*level, *seeds_of("ours", 0.05, 10))
     low, high = comparison.skill_interval(comparison.rows[1])
     assert comparison.rows[1].is_trivial

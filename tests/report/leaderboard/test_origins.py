@@ -12,7 +12,7 @@ from stored_records import SPLITS, external, make_record
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.origins import data_identities
 from xfreqbench.report.leaderboard.results import read_results
@@ -61,8 +61,8 @@ def test_an_older_record_joins_the_recipe_that_another_record_names_for_its_byte
 
 
 def test_each_row_says_which_machine_and_code_made_it_where_there_are_several() -> None:
-    markdown = leaderboard_markdown([ours(), theirs("third"), *(ours(method) for method in TRIVIAL)])
-    assert {rows_of(markdown, name)[0]["origin"] for name in ("ours", *TRIVIAL)} == {"m1"}
+    markdown = leaderboard_markdown([ours(), theirs("third"), *(ours(method) for method in NEEDED_TRIVIAL)])
+    assert {rows_of(markdown, name)[0]["origin"] for name in ("ours", *NEEDED_TRIVIAL)} == {"m1"}
     assert rows_of(markdown, "third")[0]["origin"] == "m2"
     first, second = "AMD EPYC, 2 cores, data aaaaaaaa: m1", "Intel Xeon, 16 cores, data cccccccc: m2"
     told = f"Origins: {first} (commit ?); {second} (commit beefbee). Times compare on one machine alone."

@@ -27,6 +27,7 @@ from xfreqbench.types import FloatArray
 _MAX_DISCS = 5  # maps side by side
 DISPLAY_RANGE_DB = 30.0  # below the peak
 FIGURE_KINDS = ("png", "svg", "pdf")
+_VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _RINGS_DEG, _AZIMUTHS_DEG = (0, 30, 60), (0, 90, 180, 270)  # elevations, and azimuths, that a disc names
 _MAX_LETTERS = 80  # of a text in a figure
 _UNKNOWN_LETTERS = (
@@ -35,6 +36,22 @@ _UNKNOWN_LETTERS = (
 mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
 _MAX_PIXELS = 10**7  # of a picture that is read
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
+
+
+def plan_and_elevation(
+    low_m: Float[FloatArray, "3"], high_m: Float[FloatArray, "3"], width_in: float
+) -> tuple[Figure, list[tuple[Any, list[int]]]]:
+    """A figure with a plan above an elevation of a box in world axes, each with the two axes of the world it shows."""
+    spans = high_m - low_m
+    heights = [float(spans[up]) for _, up in _VIEWS.values()]
+    height_in = float(np.clip(0.8 * width_in * sum(heights) / spans[0] + 2, 5, 16))
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.subplots(len(_VIEWS), 1, height_ratios=heights)
+    for axis, (title, (right, up)) in zip(axes, _VIEWS.items(), strict=True):
+        axis.set(xlim=(low_m[right], high_m[right]), ylim=(low_m[up], high_m[up]), aspect="equal")
+        axis.set(xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
+        axis.set_title(title, fontsize="medium")
+    return figure, [(axis, list(shown)) for axis, shown in zip(axes, _VIEWS.values(), strict=True)]
 
 
 def plot_pas_maps(

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from xfreqbench.report.drawing.figures import save_figure, shown
+from xfreqbench.report.drawing.figures import plan_and_elevation, save_figure, shown
 from xfreqbench.report.findings.materials import ShownMaterial
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
@@ -24,7 +24,6 @@ _LEARNED, _TRUTH, _ABSENT = "#d55e00", "#0072b2", "#cc79a7"
 _MARGIN = 0.08  # around what is shown, relative to its size
 _LEAST_MM, _MOST_MM = 0.1, 50.0  # range of errors that the colours tell apart
 _SCALE = LogNorm(_LEAST_MM, _MOST_MM)
-_VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _WIDTH_IN = 8.5  # as wide as a page shows it without making it smaller
 _ANGLE_RAD = np.radians(np.linspace(0, 89, 90))
 _LINES = {"TE": "-", "TM": "--"}
@@ -58,16 +57,11 @@ class DrawnScene:
 
 def plot_scene(drawn: DrawnScene, path: Path) -> None:
     """Draw plan and elevation of a scene and of the planes that were found as PNG. Raises `StorageError`."""
-    low_m, high_m = drawn.bounds_m()
-    heights = [float((high_m - low_m)[up] / (high_m - low_m)[right]) for right, up in _VIEWS.values()]
-    figure = Figure(figsize=(_WIDTH_IN, 0.75 * _WIDTH_IN * sum(heights) + 1.5), layout="constrained")
-    axes = figure.subplots(2, 1, height_ratios=heights)
-    for axis, (view, (right, up)) in zip(axes, _VIEWS.items(), strict=True):
-        _draw_view(axis, drawn, (right, up))
-        axis.set_title(view)
-        axis.set(xlim=(low_m[right], high_m[right]), ylim=(low_m[up], high_m[up]))
-    _show_scale(figure, axes, drawn)
-    axes[0].legend(loc="best", fontsize="small")
+    figure, views = plan_and_elevation(*drawn.bounds_m(), _WIDTH_IN)
+    for axis, shown_axes in views:
+        _draw_view(axis, drawn, shown_axes)
+    _show_scale(figure, [axis for axis, _ in views], drawn)
+    views[0][0].legend(loc="best", fontsize="small")
     save_figure(figure, path, "png")
 
 
@@ -116,7 +110,7 @@ def _draw_reflection(axis: Any, material: ShownMaterial, carrier_hz: float) -> N
     axis.grid(alpha=0.3)
 
 
-def _draw_view(axis: Any, drawn: DrawnScene, shown: tuple[int, int]) -> None:
+def _draw_view(axis: Any, drawn: DrawnScene, shown: list[int]) -> None:
     outlines = [_closed(corners_m)[:, shown] for corners_m in drawn.facets_m]
     axis.add_collection(LineCollection(outlines, colors="0.75", linewidths=0.8))
     for number, plane in enumerate(drawn.planes, start=1):
@@ -124,14 +118,11 @@ def _draw_view(axis: Any, drawn: DrawnScene, shown: tuple[int, int]) -> None:
         line = "--" if plane.error_mm is None else "-"
         axis.plot(*outline.T, line, color=_colour(plane), linewidth=2.5)
         _label(axis, plane, shown, number / (len(drawn.planes) + 1))
-    axis.plot(*drawn.receiver_m[list(shown)], "k^", markersize=7, label="receiver")
-    axis.plot(*drawn.tx_m[list(shown)], "k*", markersize=8, label="transmitter")
-    names = [f"{'xyz'[index]} (m)" for index in shown]
-    axis.set(xlabel=names[0], ylabel=names[1])
-    axis.set_aspect("equal")
+    axis.plot(*drawn.receiver_m[shown], "k^", markersize=7, label="receiver")
+    axis.plot(*drawn.tx_m[shown], "k*", markersize=8, label="transmitter")
 
 
-def _label(axis: Any, plane: DrawnPlane, shown: tuple[int, int], share: float) -> None:
+def _label(axis: Any, plane: DrawnPlane, shown: list[int], share: float) -> None:
     """Write a plane's label on an edge, `share` of the way along it, so that labels of close planes stand apart."""
     start, end = plane.corners_m[:2, shown]
     place = start + share * (end - start)

@@ -16,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import PROTOCOLS, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
-from xfreqbench.methods.contract import TRIVIAL
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.origins import (
     Origin,
     RecordKey,
@@ -110,12 +110,12 @@ class Board:
         return max((row.value(split, median_ssim) for row in self.trivial_rows(split)), default=nan)
 
     def trivial_rows(self, split: str) -> list[BoardRow]:
-        """The rows of the trivial predictors on a split; none where one of `TRIVIAL` is missing: it might be the best.
+        """The rows of the trivial predictors on a split; none without one of `NEEDED_TRIVIAL`, which might be the best.
 
         Those that were added later count where they were run.
         """
         rows = [row for row in self.rows if row.is_trivial and split in row.by_split]
-        return rows if set(TRIVIAL) <= {row.job.method for row in rows} else []
+        return rows if set(NEEDED_TRIVIAL) <= {row.job.method for row in rows} else []
 
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""

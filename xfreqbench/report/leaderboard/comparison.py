@@ -113,7 +113,7 @@ class Comparison:
         return all(record.ssim_by_tx for split in self.splits for record in row.by_split.get(split, ()))
 
     def _trivial(self, split: str) -> list[BoardRow]:
-        """The trivial predictors of a split; empty where one lacks its samples, or one of `TRIVIAL` was not run."""
+        """The trivial predictors of a split; empty where one has no samples, or a needed one was not run."""
         rows = self.board.trivial_rows(split)
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
-from xfreqbench.methods.contract import TRIVIAL
-from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE
@@ -14,8 +13,8 @@ from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE
 _EXPLAINED_COSTS = ("seconds", "milliseconds", "memory", "parameters")
 _OF_ALL_TRIVIAL = f"1 − (1 − SSIM) / (1 − SSIM of the best of {', '.join(EVERY_TRIVIAL)} on the same split)"
 LEADERBOARD_TERMS = {
-    "skill": f"{_OF_ALL_TRIVIAL}; negative where a method is worse than that predictor, a dash unless the "
-    f"first {len(TRIVIAL)} of them were run; the others count where they were. Every resample finds the best anew",
+    "skill": f"{_OF_ALL_TRIVIAL}; negative where a method is worse than that predictor, a dash unless the first "
+    f"{len(NEEDED_TRIVIAL)} of them were run; the others count where they were. Every resample finds the best anew",
     "[low, high]": f"95 % percentile interval of {NUM_RESAMPLES:,} bootstrap resamples, which draw "
     "transmitters with all their samples, the same ones for every method (paired), and seeds, whose deviations "
     "are widened as Student's t asks for their number. Of a hundred pairs of equally good methods, five may "

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import draw_disc, label_decades, save_figure
+from xfreqbench.report.drawing.figures import draw_disc, label_decades, plan_and_elevation, save_figure
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
@@ -25,7 +25,6 @@ from xfreqbench.report.view.summary import CarrierSummary, Similarity
 from xfreqbench.scene.facets import planar_facets
 from xfreqbench.types import FloatArray
 
-_VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _MARGIN_M = 0.25
 _OVERVIEW_MAPS = 6
 _NUMBERED_RAYS = 9  # more numbers would cover each other
@@ -56,26 +55,14 @@ def group_colour(name: str) -> Rgba:
 
 def plot_room(room: ShownRoom, path: Path) -> None:
     """Draw plan and elevation of a scene as PNG, with the numbers of its strongest rays. Raises `StorageError`."""
-    low_m, high_m = bounds_m(room)
-    spans = high_m - low_m
-    heights = [spans[up] for _, up in _VIEWS.values()]
-    width_in = 9.0
-    height_in = float(np.clip(width_in * 0.85 * sum(heights) / spans[0] + 2.0, 5, 16))
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    axes = figure.subplots(len(_VIEWS), 1, height_ratios=heights)
-    for axis, (name, shown) in zip(axes, _VIEWS.items(), strict=True):
-        _draw_view(axis, room, list(shown))
-        axis.set(
-            xlim=(low_m[shown[0]], high_m[shown[0]]),
-            ylim=(low_m[shown[1]], high_m[shown[1]]),
-            xlabel=f"{'xyz'[shown[0]]} (m)",
-            ylabel=f"{'xyz'[shown[1]]} (m)",
-            aspect="equal",
-        )
-        axis.set_title(name, fontsize="medium")
+    figure, views = plan_and_elevation(*bounds_m(room), width_in=9.0)
+    for axis, shown in views:
+        _draw_view(axis, room, shown)
     if room.rays:
         scale = ScalarMappable(_ray_scale(), _RAY_COLOURS)
-        figure.colorbar(scale, ax=list(axes), label="power of a ray (dB below the strongest)", shrink=0.6)
+        figure.colorbar(
+            scale, ax=[axis for axis, _ in views], label="power of a ray (dB below the strongest)", shrink=0.6
+        )
     handles = [*_place_handles(room), *_material_handles(room)]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize="small")
     save_figure(figure, path, "png")
