@@ -100,9 +100,7 @@ def _dot(a: F64, b: F64) -> float:
 
 @njit(cache=True)
 def _coordinates(facets: Facets, q: int, x: float, y: float, z: float) -> tuple[float, float]:
-    dx = x - facets.origin[q, 0]
-    dy = y - facets.origin[q, 1]
-    dz = z - facets.origin[q, 2]
+    dx, dy, dz = x - facets.origin[q, 0], y - facets.origin[q, 1], z - facets.origin[q, 2]
     u = dx * facets.along_u[q, 0] + dy * facets.along_u[q, 1] + dz * facets.along_u[q, 2]
     v = dx * facets.along_v[q, 0] + dy * facets.along_v[q, 1] + dz * facets.along_v[q, 2]
     return u, v
@@ -138,8 +136,7 @@ def _first_hit(facets: Facets, o: F64, d: F64) -> tuple[int, int, float]:
         speed = normal[0, p] * d[0] + normal[1, p] * d[1] + normal[2, p] * d[2]
         if speed == 0.0:
             continue
-        gap = facets.offset[p] - (normal[0, p] * o[0] + normal[1, p] * o[1] + normal[2, p] * o[2])
-        t = gap / speed
+        t = (facets.offset[p] - (normal[0, p] * o[0] + normal[1, p] * o[1] + normal[2, p] * o[2])) / speed
         if t < 1e-9 or t >= nearest:
             continue
         for q in range(facets.first[p], facets.first[p + 1]):
@@ -165,10 +162,9 @@ def _follow(facets: Facets, shot: Launch, top: int, ray: F64, state: U64, found:
     state[top, 2] += np.uint64(1)
     if state[top, 2] >= np.uint64(shot.max_depth):
         return top
-    speed = 0.0
+    speed = facets.normal[0, p] * d[0] + facets.normal[1, p] * d[1] + facets.normal[2, p] * d[2]
     for c in range(3):
         o[c] += t * d[c]
-        speed += facets.normal[c, p] * d[c]
     reflected = top if facets.is_opaque[q] else top + 1  # else the transmitted ray stays at `top`
     for c in range(3):
         ray[reflected, 0, c] = o[c]
@@ -369,20 +365,24 @@ def _fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, scratch: Sc
 @_part
 def _crosses(facets: Facets, q: int, s: int, bundle: Bundle, vertex: F64, side: F64) -> int:
     """Whether all, none or some of the segments s of the paths cross facet q."""
-    p, beyond_all, num_inside = facets.plane[q], 31, 0
+    p, beyond_all, num_inside, num_crossing = facets.plane[q], 31, 0, 0
     for k in range(len(bundle)):
         here, there = side[k, s, p], side[k, s + 1, p]
-        ax, ay, az = vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2]
-        bx, by, bz = vertex[k, s + 1, 0], vertex[k, s + 1, 1], vertex[k, s + 1, 2]
         if here * there < 0.0:
             t = here / (here - there)
+            ax, ay, az = vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2]
+            bx, by, bz = vertex[k, s + 1, 0], vertex[k, s + 1, 1], vertex[k, s + 1, 2]
             beyond = _beyond(facets, q, ax + t * (bx - ax), ay + t * (by - ay), az + t * (bz - az))
             beyond_all &= beyond
             num_inside += beyond == 0
-        elif len(bundle) > 1:  # the side differs between the paths: both ends must lie beyond a common edge
-            beyond_all &= _beyond(facets, q, ax, ay, az) & _beyond(facets, q, bx, by, bz)
+            num_crossing += 1
     if num_inside == len(bundle):
         return EVERYWHERE
+    if num_crossing < len(bundle) > 1:  # others may end on it: all ends must lie beyond a common edge
+        beyond_all = 31
+        for k in range(len(bundle)):
+            for v in range(s, s + 2):
+                beyond_all &= _beyond(facets, q, vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2])
     return NOWHERE if beyond_all != 0 else MIXED
 
 
