@@ -62,6 +62,23 @@ def test_what_elements_share_is_what_each_finds_alone(room: Scene) -> None:
         np.testing.assert_array_equal(shared.num_paths, alone.num_paths)
 
 
+@pytest.mark.parametrize("receiver_m", [(1.9, 1.4, 2.3), (0.28, 0.9, 2.3), (3.05, 1.9, 1.2)])
+def test_the_rough_test_loses_no_path_where_planes_cut_the_array_or_meet(
+    room: Scene, receiver_m: tuple[float, float, float]
+) -> None:
+    """An array of half a metre under the ceiling, over the table's edge, by a wall, and by the screen."""
+    scene = replace(room, receiver=replace(RECEIVER, position_m=receiver_m))
+    near_corners_m = np.array([[0.03, 0.05, 2.46], [3.96, 0.6, 0.04], [2.97, 1.17, 0.82], [1.92, 1.22, 0.75]])
+    tx = np.vstack([TX_M, near_corners_m])
+    settings = replace(SETTINGS, rays=20_000)
+    pruned, every = (
+        FurnishedTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx)
+        for prune in (True, False)
+    )
+    np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
+    np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+
+
 @pytest.mark.parametrize("element", [0, 6, 15])
 def test_an_element_hears_what_a_receiver_in_its_place_hears(room: Scene, element: int) -> None:
     carrier_hz = CARRIERS_HZ[0]

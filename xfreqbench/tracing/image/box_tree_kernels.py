@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -21,7 +22,13 @@ SLACK_M = 1e-9  # by which a tube is wider than its paths
 MOST_BOXES = 256  # on the stack of boxes still to look into
 MOST_NEAR = 32  # facets that a bundle may meet on one segment; of more, each path is followed by itself
 
-part = njit(fastmath=FAST, error_model="numpy", forceinline=True)
+if TYPE_CHECKING:  # Numba's types lack the option `_nrt`
+    uncounted = njit
+else:  # for kernels that neither make nor return an array: they do not count references to those they are given
+    uncounted = partial(njit, _nrt=False)
+
+part = uncounted(fastmath=FAST, error_model="numpy", forceinline=True)
+bare = uncounted(fastmath=FAST, error_model="numpy")
 whole = njit(fastmath=FAST, error_model="numpy")
 
 
@@ -185,7 +192,7 @@ def next_leaf(tree: BoxTree, tube: Tube, reach: float, walk: Walk, top: int) -> 
     return 0, -1
 
 
-@whole
+@bare
 def first_hit(tree: BoxTree, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
     """Facet and distance of what a ray from o along d meets first; facet −1 where it meets nothing."""
     hit, nearest, top, face = -1, FAR, -1, tree.face

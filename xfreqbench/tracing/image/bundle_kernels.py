@@ -17,13 +17,13 @@ from xfreqbench.tracing.image.box_tree_kernels import (
     FAR,
     MOST_NEAR,
     Walk,
+    bare,
     beyond_edges,
     next_leaf,
     part,
     side_of,
     tube_about,
     tube_along,
-    whole,
 )
 from xfreqbench.tracing.image.kernels import (
     EVERYWHERE,
@@ -75,7 +75,7 @@ def _crosses(tree: BoxTree, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
     return NOWHERE if beyond_all != 0 else MIXED
 
 
-@whole
+@bare
 def fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) -> int:
     """Fold the lines from the transmitter to the images of the elements at `offset_m` (K, 3) into the room.
 
@@ -93,7 +93,7 @@ def fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) 
     return EVERYWHERE
 
 
-@whole
+@bare
 def gather_mirrors(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Look up the facets at which the folded paths may turn; NOWHERE where there are none, MIXED if too many."""
     vertex, n = walk.scratch.vertex, path.length
@@ -153,7 +153,7 @@ def _is_slab(facets: Facets, q: int, s: int, number: int, before: int, after: in
     return num_under == 0
 
 
-@whole
+@bare
 def gather_slabs(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Look up the facets that the folded paths may cross.
 
@@ -275,7 +275,7 @@ def _are_long(tree: BoxTree, n: int, bundle: Bundle, walk: Walk) -> int:
     return EVERYWHERE
 
 
-@whole
+@bare
 def decide(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Whether folded paths reach EVERYWHERE, NOWHERE or, MIXED, only some of their ends: see `kernels.trace`.
 
@@ -309,7 +309,7 @@ def decide(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk: Walk
     return _are_long(tree, n, bundle, walk) if verdict == EVERYWHERE else verdict
 
 
-@whole
+@bare
 def turns(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> bool:
     """Whether each of the folded paths turns at some facet of every plane, of those that were gathered."""
     num_missed = 0
@@ -318,7 +318,7 @@ def turns(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> bool:
     return num_missed == 0
 
 
-@whole
+@bare
 def reaches(
     facets: Facets, tree: BoxTree, path: Path, offset_m: F64, are_mirrors_gathered: bool, walk: Walk
 ) -> bool:

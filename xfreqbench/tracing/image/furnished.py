@@ -19,8 +19,9 @@ from xfreqbench.scene.model import Scene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image import furnished_kernels
 from xfreqbench.tracing.image.box_tree import BoxTree, grow
-from xfreqbench.tracing.image.kernels import Facets
+from xfreqbench.tracing.image.kernels import Aperture, Facets
 from xfreqbench.tracing.image.tracer import (
+    UNPRUNED_M,
     ImageSavings,
     ImageTracer,
     aperture_of,
@@ -80,7 +81,7 @@ class FurnishedTracer:
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.unique(np.vstack([receiver_m, receiver_m + self._aperture.corner_m[0]]), axis=0)
         parent, plane = self._sequences(origins_m, len(mirrors.planes))
-        self._trie = trie_of(parent, plane, mirrors, receiver_m, self._aperture.radius_m)
+        self._trie = trie_of(parent, plane, mirrors, receiver_m, self._aperture)
 
     def _sequences(
         self, origins_m: Float[FloatArray, "O 3"], num_planes: int
@@ -283,12 +284,13 @@ def trie_of(
     plane: Int[IntArray, "N"],
     mirrors: MirrorPlanes,
     receiver_m: Float[FloatArray, "3"],
-    radius_m: float,
+    aperture: Aperture,
 ) -> Trie:
     """The trie of sequences of mirrors that are given by parent and last plane, parents first."""
-    num_planes = len(mirrors.planes)
+    num_planes, radius_m = len(mirrors.planes), aperture.radius_m
     length, image_m = np.zeros(len(parent), np.int64), np.tile(receiver_m, (len(parent), 1))
-    place_m = np.zeros((len(parent), 7))
+    corner_m = np.tile(aperture.corner_m[0], (len(parent), 1, 1))  # of the widest aperture, from the image
+    place_m = np.zeros((len(parent), 8))
     rows = np.flatnonzero(parent == 0)
     while len(rows):
         length[rows] = length[parent[rows]] + 1
@@ -298,7 +300,10 @@ def trie_of(
         image_m[rows] = apex_m - 2 * height_m[:, None] * normal
         place_m[rows, :3] = np.einsum("nac,nc->na", mirrors.axis[plane[rows]], image_m[rows])
         place_m[rows, 2] -= offset_m
-        place_m[rows, 3:] = _shone_on(
+        along_normal = np.einsum("nkc,nc->nk", corner_m[parent[rows]], normal)
+        corner_m[rows] = corner_m[parent[rows]] - 2 * along_normal[:, :, None] * normal[:, None]
+        place_m[rows, 7] = np.abs(along_normal).max(axis=1) + 1e-9 if radius_m < UNPRUNED_M else UNPRUNED_M
+        place_m[rows, 3:7] = _shone_on(
             place_m, parent[rows], plane[parent[rows]], plane[rows], apex_m, mirrors, radius_m
         )
         is_parent = np.zeros(len(parent), dtype=bool)
@@ -320,7 +325,7 @@ def trie_of(
 
 
 def _shone_on(
-    place_m: Float[FloatArray, "N 7"],
+    place_m: Float[FloatArray, "N 8"],
     parent: Int[IntArray, "n"],
     parent_plane: Int[IntArray, "n"],
     plane: Int[IntArray, "n"],

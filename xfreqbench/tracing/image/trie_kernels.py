@@ -38,7 +38,8 @@ class Trie(NamedTuple):
     plane: I64  # (N,): the last plane, or −1
     length: I64  # (N,)
     image_m: F64  # (N, 3) of the array centre
-    place_m: F64  # (N, 7): image along its plane's axes u, v, n; lowest and highest u and v that it shines on
+    place_m: F64  # (N, 8): image along its plane's axes u, v, n; lowest and highest u and v that it shines on; how far
+    # images of elements are from that of the array centre along n
     first: I64  # (P + 1,): nodes that end at plane p are first[p]:first[p + 1]
     axis: F64  # (P, 3, 3): u, v and n of each plane
     offset_m: F64  # (P,)
@@ -137,10 +138,10 @@ def _passes(
 
     The margin is how far the path to an element within `radius_m` of the array centre may be from there, with a
     fifth to spare; it is −1 where no such path meets the part of the plane that the image shines on, and `FAR`
-    where only an exact test can tell.
+    where some elements' paths may begin, or end, on the other side of the plane than others'.
     """
     there = place[node, 2]
-    if abs(there) <= radius_m or abs(here) <= margin:
+    if abs(there) <= min(radius_m, 6.0 * place[node, 7]) or abs(here) <= margin:
         return u, v, FAR
     if here * there >= 0.0:
         return u, v, -1.0
@@ -160,9 +161,40 @@ def _passes(
 
 
 @part
+def _passes_roughly(
+    place: F64, node: int, u: float, v: float, here: float, radius_m: float, margin: float
+) -> tuple[float, float, float]:
+    """As `_passes`, for lines from within a margin of the point, whichever side of the node's plane they begin on.
+
+    The share t = a / (a + b) of a line before the plane lies between the two that its distances a and b from its
+    start and its end allow. At the share t all lines are within the margin, or the radius, of the one at hand.
+    """
+    there, extent, low, high = place[node, 2], place[node, 7], 1.0, 0.0
+    for side in (1.0, -1.0):
+        most_here, most_there = margin + side * here, extent - side * there
+        if most_here > 0.0 and most_there > 0.0:
+            least_here, least_there = max(0.0, side * here - margin), max(0.0, -side * there - extent)
+            low = min(low, least_here / (least_here + most_there))
+            high = max(high, most_here / (most_here + least_there))
+    if low > high:
+        return u, v, -1.0
+    du, dv, margin = place[node, 0] - u, place[node, 1] - v, max(margin, radius_m) + 1e-6
+    if (
+        u + max(low * du, high * du) < place[node, 3] - margin
+        or u + min(low * du, high * du) > place[node, 4] + margin
+        or v + max(low * dv, high * dv) < place[node, 5] - margin
+        or v + min(low * dv, high * dv) > place[node, 6] + margin
+    ):
+        return u, v, -1.0
+    middle = 0.5 * (low + high)
+    margin += 0.5 * (high - low) * math.sqrt(du * du + dv * dv)
+    return u + middle * du, v + middle * dv, margin
+
+
+@part
 def _may_reach(trie: Trie, node: int, tx: F64) -> bool:
     """Whether any element could see the path of a node, walls on the way aside; never wrongly no."""
-    x, y, z, margin = tx[0], tx[1], tx[2], 0.0
+    x, y, z, margin, is_rough = tx[0], tx[1], tx[2], 0.0, False
     image = trie.image_m[node]
     total = math.sqrt((image[0] - x) ** 2 + (image[1] - y) ** 2 + (image[2] - z) ** 2)
     while node > 0:
@@ -170,12 +202,14 @@ def _may_reach(trie: Trie, node: int, tx: F64) -> bool:
         u = axis[0, 0] * x + axis[0, 1] * y + axis[0, 2] * z
         v = axis[1, 0] * x + axis[1, 1] * y + axis[1, 2] * z
         w = axis[2, 0] * x + axis[2, 1] * y + axis[2, 2] * z
-        offset = trie.offset_m[trie.plane[node]]
-        u, v, margin = _passes(trie.place_m, node, u, v, w - offset, trie.radius_m, total, margin)
+        offset, before = trie.offset_m[trie.plane[node]], margin
+        if not is_rough:
+            u, v, margin = _passes(trie.place_m, node, u, v, w - offset, trie.radius_m, total, before)
+            is_rough = margin == FAR
+        if is_rough:
+            u, v, margin = _passes_roughly(trie.place_m, node, u, v, w - offset, trie.radius_m, before)
         if margin < 0.0:
             return False
-        if margin == FAR:
-            return True
         x = axis[0, 0] * u + axis[1, 0] * v + axis[2, 0] * offset
         y = axis[0, 1] * u + axis[1, 1] * v + axis[2, 1] * offset
         z = axis[0, 2] * u + axis[1, 2] * v + axis[2, 2] * offset
