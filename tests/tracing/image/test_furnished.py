@@ -13,8 +13,10 @@ from furnished_room import GRID, RECEIVER, TX_M, furnished_room, write_meshes
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.model import Scene, Surface, load_scene
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.box_tree import grow
+from xfreqbench.tracing.image.box_tree_kernels import MOST_BOXES
 from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.solvers import resolve_solver
@@ -24,6 +26,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 CARRIERS_HZ = [2.4e9, 24.25e9]
 SETTINGS = TraceSettings("image", max_depth=4, rays=60_000)
 EXACT = ImageSavings(field_nodes_per_axis=4)
+ALONE = ReceiverArray(position_m=(0.1, -0.1, 1.9), rows=1, cols=1)
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +80,81 @@ def test_the_rough_test_loses_no_path_where_planes_cut_the_array_or_meet(
     )
     np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
     np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+
+
+def both(tx: np.ndarray, *surfaces: Surface, receiver: ReceiverArray = ALONE) -> list[np.ndarray]:
+    """Channels among few facets by this tracer and by that which loops over planes."""
+    scene = Scene(name="test", receiver=receiver, transmitters=GRID, surface=surfaces)
+    settings = TraceSettings("image", max_depth=2, rays=2000)
+    return [
+        tracer(scene, [1e9, 5e9], settings, EXACT).channel(tx).cfr
+        for tracer in (FurnishedTracer, ImageTracer)
+    ]
+
+
+def test_what_meets_a_facet_in_the_plane_that_it_shares_is_found_in_its_box() -> None:
+    sheets = [
+        Surface("one", "metal", 0.002, (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),
+        Surface("other", "metal", 0.002, (1.0, 0.0, 1.00009), (1.9, 1.0, 1.00009)),
+    ]
+    beyond = replace(
+        ALONE, position_m=(5.0, 0.5, 0.96004)
+    )  # the line meets the second only in the plane of the first
+    ours, theirs = both(np.array([[-4.0, 0.5, 1.05004]]), *sheets, receiver=beyond)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
+
+
+def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone() -> None:
+    sheet = Surface("sheet", "glass", 0.005, (0.0, 0.0, 0.0), (1.0, 0.0, 3.0))
+    wide = ReceiverArray(position_m=(0.245, -0.275, 1.5), rows=2, cols=12, boresight=(1.45, 0.51, 0.0))
+    ours, theirs = both(np.array([[-1.0, 1.0, 1.5], [-0.8, 1.2, 1.4]]), sheet, receiver=wide)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_any_number_of_facets_on_each_other_are_one() -> None:
+    tx = np.array([[0.3, 0.2, 0.4], [1.4, -0.3, 0.2], [0.2, 0.1, 2.3]])
+    sheet = Surface("sheet", "glass", 0.005, (-2.0, -2.0, 0.9), (2.0, 2.0, 0.9))
+    many = (replace(sheet, name=f"sheet {number}") for number in range(40))
+    (one, _), (ours, theirs) = both(tx, sheet), both(tx, *many)
+    np.testing.assert_allclose(ours, one, rtol=0, atol=1e-12 * np.abs(one).max())
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * np.abs(one).max())
+
+
+def test_metal_blocks_on_whichever_side_of_wood_it_lies() -> None:
+    wood = Surface("wood", "wood", 0.02, (-2.0, -2.0, 0.9), (2.0, 2.0, 0.9))
+    metal = Surface("metal", "metal", 0.002, (-1.0, -1.5, 0.9), (1.5, 1.0, 0.9))
+    for sheets in ((wood, metal), (metal, wood)):
+        scene = Scene(name="test", receiver=ALONE, transmitters=GRID, surface=sheets)
+        channel = FurnishedTracer(scene, [1e9], TraceSettings("image", max_depth=2), EXACT).channel(
+            np.array([[0.1, 0.2, 0.3], [-0.3, -0.2, 0.5]])
+        )
+        assert not channel.num_paths.any()
+
+
+@pytest.mark.parametrize("num_facets", [1, 2, 700])
+def test_the_boxes_of_a_tree_hold_each_facet_once(num_facets: int) -> None:
+    generator = np.random.default_rng(5)
+    low_m = generator.uniform(0, 4, (num_facets, 3))
+    high_m = low_m + generator.exponential(0.1, (num_facets, 3)) * generator.integers(0, 2, (num_facets, 3))
+    low_m[: num_facets // 3] = low_m[0]  # many in the same place
+    high_m[: num_facets // 3] = high_m[0]
+    order, (box, child, first, last) = grow(low_m, high_m)
+    np.testing.assert_array_equal(np.sort(order), np.arange(num_facets))
+    held, waiting = [], [(0, 0)]
+    while waiting:
+        index, depth = waiting.pop()
+        assert depth < MOST_BOXES
+        if child[index] < 0:
+            inside = order[first[index] : last[index]]
+            held += inside.tolist()
+            assert (low_m[inside] >= box[index, :3]).all()
+            assert (high_m[inside] <= box[index, 3:]).all()
+            continue
+        for part in (child[index], child[index] + 1):
+            assert (box[part, :3] >= box[index, :3]).all()
+            assert (box[part, 3:] <= box[index, 3:]).all()
+            waiting.append((int(part), depth + 1))
+    assert sorted(held) == list(range(num_facets))
 
 
 @pytest.mark.parametrize("element", [0, 6, 15])

@@ -49,7 +49,7 @@ def _crosses(tree: BoxTree, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
     """Whether all, none or some of the segments s of the paths cross facet q, those between `CORNERS` among them."""
     has_between = len(bundle) > 1 and bundle[0] == 0
     face, beyond_all, num_inside, is_triangle = tree.face, 31, 0, tree.is_triangle[q]
-    lowest, highest = FAR, -FAR
+    lowest, highest, num_crossing = FAR, -FAR, 0
     for k in range(len(bundle)):
         ax, ay, az = vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2]
         bx, by, bz = vertex[k, s + 1, 0], vertex[k, s + 1, 1], vertex[k, s + 1, 2]
@@ -62,16 +62,19 @@ def _crosses(tree: BoxTree, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
             )
             beyond_all &= beyond
             num_inside += beyond == 0
-        elif has_between:  # the side differs between the paths: both ends must lie beyond a common edge
-            beyond_all &= beyond_edges(face, q, ax, ay, az, is_triangle) & beyond_edges(
-                face, q, bx, by, bz, is_triangle
-            )
+            num_crossing += 1
     if num_inside == len(bundle):
         return EVERYWHERE
     if not has_between:
         return NOWHERE if num_inside == 0 else MIXED
     if lowest > 0.0 or highest < 0.0:
         return NOWHERE
+    if num_crossing < len(bundle):  # others may end on it: all ends must lie beyond a common edge
+        beyond_all = 31
+        for k in range(len(bundle)):
+            for v in range(s, s + 2):
+                x, y, z = vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2]
+                beyond_all &= beyond_edges(face, q, x, y, z, is_triangle)
     return NOWHERE if beyond_all != 0 else MIXED
 
 
@@ -111,11 +114,15 @@ def gather_mirrors(tree: BoxTree, path: Path, bundle: Bundle, walk: Walk) -> int
                 for k in range(len(bundle)):
                     x, y, z = vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2]
                     beyond_all &= beyond_edges(tree.face, q, x, y, z, tree.is_triangle[q])
-                if beyond_all == 0:
-                    if number == MOST_NEAR:
-                        return MIXED
-                    walk.mirrors[j, number] = q
-                    number += 1
+                if beyond_all != 0:
+                    continue
+                if len(bundle) == 1 and number == 1:  # of those that lie on each other the first mirrors
+                    walk.mirrors[j, 0] = min(walk.mirrors[j, 0], q)
+                    continue
+                if number == MOST_NEAR:
+                    return MIXED
+                walk.mirrors[j, number] = q
+                number += 1
         if number == 0:
             return NOWHERE
         walk.num_mirrors[j] = number
@@ -134,7 +141,7 @@ def _lies_on(facets: Facets, q: int, p: int, x: float, y: float, z: float) -> bo
 
 @part
 def _is_slab(facets: Facets, q: int, s: int, number: int, before: int, after: int, walk: Walk) -> bool:
-    """Whether facet q lies on none of those gathered for segment s, nor on a mirror at its ends."""
+    """Whether facet q lies on none of the first so many gathered for segment s, nor on a mirror at its ends."""
     vertex, r = walk.scratch.vertex, facets.plane[q]
     ax, ay, az = vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2]
     bx, by, bz = vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2]
@@ -176,10 +183,14 @@ def gather_slabs(facets: Facets, tree: BoxTree, path: Path, bundle: Bundle, walk
                 crossed = _crosses(tree, q, s, bundle, vertex)
                 if crossed == NOWHERE:
                     continue
-                if crossed == EVERYWHERE and _is_slab(facets, q, s, number, before, after, walk):
-                    num_left -= 1
-                    if num_left < 0 or tree.is_opaque[q]:
-                        return NOWHERE
+                if crossed == EVERYWHERE:
+                    num_under = 0 if tree.is_opaque[q] else number  # metal blocks on whatever it lies
+                    if _is_slab(facets, q, s, num_under, before, after, walk):
+                        num_left -= 1
+                        if num_left < 0 or tree.is_opaque[q]:
+                            return NOWHERE
+                    elif len(bundle) == 1:
+                        continue
                 if number == MOST_NEAR:
                     return MIXED
                 walk.slabs[s, number] = q
@@ -208,7 +219,7 @@ def _hit(tree: BoxTree, j: int, bundle: Bundle, walk: Walk) -> int:
 
 @part
 def _counts(facets: Facets, q: int, s: int, before: int, after: int, scratch: Scratch) -> bool:
-    """Whether facet q lies on no other that segment s crosses, nor on a mirror at its ends."""
+    """Whether facet q, unless it is opaque, lies on no other that segment s crosses, nor on a mirror at its ends."""
     vertex = scratch.vertex
     ax, ay, az = vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2]
     bx, by, bz = vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2]
@@ -216,7 +227,7 @@ def _counts(facets: Facets, q: int, s: int, before: int, after: int, scratch: Sc
         return False
     if after >= 0 and _lies_on(facets, q, after, bx, by, bz):
         return False
-    for i in range(scratch.num_crossed[s]):
+    for i in range(0 if facets.is_opaque[q] else scratch.num_crossed[s]):
         t = scratch.crossed_at[s, i]
         x, y, z = ax + t * (bx - ax), ay + t * (by - ay), az + t * (bz - az)
         if _lies_on(facets, q, facets.plane[scratch.crossed[s, i]], x, y, z):

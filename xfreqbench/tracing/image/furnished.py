@@ -107,7 +107,7 @@ class FurnishedTracer:
             self._media,
             self._trie,
             self._aperture,
-            self._quads,
+            self._quads if self.savings.share_visibility else _each_alone(self._quads),
             np.ascontiguousarray(tx_position_m, dtype=np.float64),
             self.settings.max_depth,
             self.savings.share_visibility,
@@ -151,6 +151,11 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
     return (row[:, None] * cols + col[None]).reshape(-1, 4)
 
 
+def _each_alone(quads: Int[IntArray, "B 4"]) -> Int[IntArray, "M 4"]:
+    """Each element as a square of its own."""
+    return np.repeat(np.unique(quads)[:, None], 4, axis=1)
+
+
 class MirrorPlanes:
     """The facets of a scene that mirror, their P planes, and the rectangle in each plane that holds its facets."""
 
@@ -165,6 +170,11 @@ class MirrorPlanes:
         self.planes, plane = group_by_plane(wholes)
         self.plane = plane[whole]
         normal = self.planes[:, :3]
+        corners_m = np.array([facet.corners_m[[0, 1, -1, 2]] for facet in self.facets]).reshape(-1, 4, 3)
+        off_m = np.einsum("qkc,qc->qk", corners_m, normal[self.plane]) - self.planes[self.plane, 3, None]
+        self.corners_m = (
+            corners_m - off_m[:, :, None] * normal[self.plane, None]
+        )  # in their planes, not near them
         along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         self.axis = np.stack([along, np.cross(normal, along), normal], axis=1)
@@ -233,12 +243,7 @@ def planted(
     normals = np.concatenate([mirrors.planes[:, :3], normal])
     offset_m = np.concatenate([mirrors.planes[:, 3], np.einsum("kc,kc->k", normal, blocks[:, 0])])
     own_plane = len(mirrors.planes) + np.arange(len(blocks))
-    corners_m = np.concatenate(
-        [
-            np.array([facet.corners_m[[0, 1, -1, 2]] for facet in mirrors.facets]).reshape(-1, 4, 3),
-            blocks[:, [0, 1, 2, 2]],
-        ]
-    )
+    corners_m = np.concatenate([mirrors.corners_m, blocks[:, [0, 1, 2, 2]]])
     is_triangle = np.array(
         [len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool
     )

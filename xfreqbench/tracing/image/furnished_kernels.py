@@ -15,7 +15,7 @@ import numpy as np
 from numba import get_num_threads, njit
 from numpy.typing import NDArray
 
-from xfreqbench.tracing.image import box_tree_kernels, bundle_kernels, kernels, trie_kernels
+from xfreqbench.tracing.image import box_tree, box_tree_kernels, bundle_kernels, kernels, trie_kernels
 from xfreqbench.tracing.image.box_tree import BoxTree
 from xfreqbench.tracing.image.box_tree_kernels import Walk, new_walk, whole
 from xfreqbench.tracing.image.bundle_kernels import QUAD, decide, fold, gather_mirrors, gather_slabs, reaches
@@ -62,7 +62,9 @@ def _add_to_some(
     for quad in quads:
         for k in range(4):
             four[k] = element_m[quad[k]]
-        reach, is_gathered = fold(facets, path, four, QUAD, walk), has_slabs
+        reach, is_gathered = MIXED, has_slabs
+        if quad[0] < quad[3]:  # else it is a single element
+            reach = fold(facets, path, four, QUAD, walk)
         if reach == EVERYWHERE and not has_mirrors:
             reach = gather_mirrors(tree, path, QUAD, walk)
         if reach == EVERYWHERE and not has_slabs:
@@ -199,7 +201,8 @@ def _compiled(version: int) -> tuple[Any, ...]:
     return shot, joined, add_channel, reaching
 
 
-_FILES = (str(module.__file__) for module in (kernels, box_tree_kernels, bundle_kernels, trie_kernels))
+_MODULES = (kernels, box_tree, box_tree_kernels, bundle_kernels, trie_kernels)
+_FILES = (str(module.__file__) for module in _MODULES)
 _SHA256 = hashlib.sha256(b"".join(pathlib.Path(file).read_bytes() for file in _FILES))
 shot, joined, add_channel, reaching = _compiled(int.from_bytes(_SHA256.digest()[:7], "big"))
 
