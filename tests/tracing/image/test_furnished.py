@@ -157,6 +157,30 @@ def test_the_boxes_of_a_tree_hold_each_facet_once(num_facets: int) -> None:
     assert sorted(held) == list(range(num_facets))
 
 
+@pytest.mark.parametrize(
+    ("receiver_m", "boresight", "tx_m"),
+    [
+        ((3.486, 2.334, 1.108), (0.494, 0.523, -0.141), (3.9347, 1.1288, 0.7608)),
+        ((1.116, 2.051, 0.326), (-0.856, -0.219, -0.333), (3.2369, 2.166, 0.5206)),
+    ],
+)
+def test_the_rough_test_bounds_where_elements_near_a_plane_see_it(
+    room: Scene,
+    receiver_m: tuple[float, float, float],
+    boresight: tuple[float, float, float],
+    tx_m: tuple[float, float, float],
+) -> None:
+    """Places at which a bound to first order in the elements' offset loses a path."""
+    scene = replace(room, receiver=replace(RECEIVER, position_m=receiver_m, boresight=boresight))
+    settings = replace(SETTINGS, rays=20_000)
+    pruned, every = (
+        FurnishedTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(np.array([tx_m]))
+        for prune in (True, False)
+    )
+    np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
+    np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+
+
 @pytest.mark.parametrize("element", [0, 6, 15])
 def test_an_element_hears_what_a_receiver_in_its_place_hears(room: Scene, element: int) -> None:
     carrier_hz = CARRIERS_HZ[0]

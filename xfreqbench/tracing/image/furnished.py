@@ -354,12 +354,17 @@ def _shone_on(
     here = np.einsum("nc,nc->n", apex_m, normal) - offset_m
     there = np.einsum("nkc,nc->nk", corner_m, normal) - offset_m[:, None]
     is_between = (here[:, None] * there > 0) & (np.abs(there) < np.abs(here)[:, None])
-    is_between &= np.abs(here - radius_m)[:, None] > 2 * radius_m
+    apart_m, below_m = np.abs(here)[:, None] - np.abs(there), np.abs(there)
+    is_between &= apart_m > 2 * radius_m
     with np.errstate(divide="ignore", invalid="ignore"):
         stretch = here[:, None] / (here[:, None] - there)
         point_m = apex_m[:, None] + stretch[:, :, None] * (corner_m - apex_m[:, None])
-        cosine = np.abs(here)[:, None] / np.linalg.norm(point_m - apex_m[:, None], axis=2)
-        margin_m = (1.2 * radius_m * (stretch - 1) / cosine).max(axis=1) + 1e-6
+        way_m = np.linalg.norm(corner_m - apex_m[:, None], axis=2)
+        along_m = np.sqrt(np.clip(way_m**2 - apart_m**2, 0, None))
+        most = below_m / (
+            apart_m - radius_m
+        )  # of stretch − 1, for an element whose image is lower by the radius
+        margin_m = ((most - below_m / apart_m) * along_m + most * radius_m).max(axis=1) + 1e-6
         spot_m = np.einsum("nkc,nac->nka", point_m, mirrors.axis[plane][:, :2])
         low_m = np.maximum(whole[:, [0, 2]], spot_m.min(axis=1) - margin_m[:, None])
         high_m = np.minimum(whole[:, [1, 3]], spot_m.max(axis=1) + margin_m[:, None])

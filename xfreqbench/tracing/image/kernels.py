@@ -231,13 +231,13 @@ def _is_near_a_facet(facets: Facets, p: int, x: float, y: float, z: float, margi
 def _plausible(facets: Facets, path: Path, tx: F64, radius_m: float) -> bool:
     """Whether any element within `radius_m` of the array centre could see the path; never wrongly no.
 
-    The path to the centre is tested against facets widened by what an element's offset can move the
-    point of reflection: (s/L)·radius/cos θ at distance s of L, to first order, with a fifth to spare.
+    The path to the centre is tested against facets widened by what an element's offset can move the reflection at
+    a share f of its length L: a plane at D from the image is at f·D / (D − (1 − f)·radius) at most for an element.
     """
     px, py, pz = tx[0], tx[1], tx[2]
     ix, iy, iz = path.image[0], path.image[1], path.image[2]
     total = math.sqrt((ix - px) ** 2 + (iy - py) ** 2 + (iz - pz) ** 2)
-    margin = 0.0
+    passed, margin = 0.0, 0.0
     for step in range(path.length - 1, -1, -1):
         p = path.plane[step]
         nx, ny, nz = facets.normal[0, p], facets.normal[1, p], facets.normal[2, p]
@@ -248,13 +248,13 @@ def _plausible(facets: Facets, path: Path, tx: F64, radius_m: float) -> bool:
         if here * there >= 0.0:
             return False
         t = here / (here - there)
-        remaining = math.sqrt((ix - px) ** 2 + (iy - py) ** 2 + (iz - pz) ** 2)
         px += t * (ix - px)
         py += t * (iy - py)
         pz += t * (iz - pz)
-        cosine = abs(here - there) / remaining
-        share = 1.0 - (1.0 - t) * remaining / total
-        margin = 1.2 * radius_m * share / cosine + 1e-9
+        away, passed = abs(there), passed + t * (1.0 - passed)
+        along = math.sqrt(max(0.0, total * total - (away / (1.0 - passed)) ** 2))  # L in the plane
+        most = passed * away / (away - (1.0 - passed) * radius_m)
+        margin = (most - passed) * along + most * radius_m + 1e-9
         if not _is_near_a_facet(facets, p, px, py, pz, margin):
             return False
         ix -= 2.0 * there * nx

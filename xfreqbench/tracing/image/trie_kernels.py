@@ -136,20 +136,24 @@ def _passes(
 ) -> tuple[float, float, float]:
     """Where the line from a point (u, v, here) to a node's image meets the node's plane; its margin, or −1.
 
-    The margin is how far the path to an element within `radius_m` of the array centre may be from there, with a
-    fifth to spare; it is −1 where no such path meets the part of the plane that the image shines on, and `FAR`
-    where some elements' paths may begin, or end, on the other side of the plane than others'.
+    The margin is how far the path to an element within `radius_m` of the array centre may be from there; it is −1
+    where no such path meets the part of the plane that the image shines on, and `FAR` where some elements' paths may
+    begin, or end, on the other side of the plane than others'. `total` is the length of the path to the centre, 0
+    where it begins at the point; see `kernels._plausible`.
     """
-    there = place[node, 2]
-    if abs(there) <= min(radius_m, 6.0 * place[node, 7]) or abs(here) <= margin:
+    there, extent, away = place[node, 2], place[node, 7], abs(place[node, 2])
+    if away <= 2.0 * extent or abs(here) <= margin:
         return u, v, FAR
     if here * there >= 0.0:
         return u, v, -1.0
     du, dv, t = place[node, 0] - u, place[node, 1] - v, here / (here - there)
     left = math.sqrt(du * du + dv * dv + (here - there) ** 2)
     u, v = u + t * du, v + t * dv
-    share = 1.0 - (1.0 - t) * left / total if total > 0.0 else t
-    margin = 1.2 * radius_m * share * left / abs(here - there) + 1e-6
+    whole = total if total > 0.0 else left
+    rest = (1.0 - t) * left / whole
+    most = (1.0 - rest) * away / (away - rest * extent)
+    along = math.sqrt(max(0.0, whole * whole - (away / rest) ** 2))
+    margin = (most - 1.0 + rest) * along + most * radius_m + 1e-6
     if (
         u < place[node, 3] - margin
         or u > place[node, 4] + margin
