@@ -100,13 +100,24 @@ def inverse_of(d: float) -> float:
 
 
 @part
-def _edges_along(vertex: F64, s: int, a: int, bundle: Bundle) -> Span:
-    low = high = vertex[0, s, a]
-    low_end = high_end = vertex[0, s + 1, a]
+def _extent(vertex: F64, v: int, a: int, bundle: Bundle) -> tuple[float, float]:
+    """Lowest and highest coordinate a of vertex v of the paths of a bundle."""
+    low = high = vertex[0, v, a]
     for k in range(1, len(bundle)):
-        low, high = min(low, vertex[k, s, a]), max(high, vertex[k, s, a])
-        low_end, high_end = min(low_end, vertex[k, s + 1, a]), max(high_end, vertex[k, s + 1, a])
+        low, high = min(low, vertex[k, v, a]), max(high, vertex[k, v, a])
+    return low, high
+
+
+@part
+def _span_along(vertex: F64, s: int, a: int, bundle: Bundle) -> Span:
+    (low, high), (low_end, high_end) = _extent(vertex, s, a, bundle), _extent(vertex, s + 1, a, bundle)
     return low - SLACK_M, inverse_of(low_end - low), high + SLACK_M, inverse_of(high_end - high)
+
+
+@part
+def _span_about(vertex: F64, v: int, a: int, margin: float, bundle: Bundle) -> Span:
+    low, high = _extent(vertex, v, a, bundle)
+    return low - margin, inverse_of(0.0), high + margin, inverse_of(0.0)
 
 
 @part
@@ -116,22 +127,15 @@ def tube_along(vertex: F64, s: int, bundle: Bundle) -> Tube:
     For each axis it has the lowest and the highest coordinate at its start, each followed by the inverse of how much
     that grows along the tube. So at the share t of its length it is a box, of which each face moves evenly with t.
     """
-    x, y = _edges_along(vertex, s, 0, bundle), _edges_along(vertex, s, 1, bundle)
-    return x, y, _edges_along(vertex, s, 2, bundle)
+    x, y = _span_along(vertex, s, 0, bundle), _span_along(vertex, s, 1, bundle)
+    return x, y, _span_along(vertex, s, 2, bundle)
 
 
 @part
 def tube_about(vertex: F64, v: int, margin: float, bundle: Bundle) -> Tube:
     """The box about vertex v of all paths of a bundle, widened by a margin, as a tube without length."""
-    lx = hx = vertex[0, v, 0]
-    ly = hy = vertex[0, v, 1]
-    lz = hz = vertex[0, v, 2]
-    for k in range(1, len(bundle)):
-        lx, hx = min(lx, vertex[k, v, 0]), max(hx, vertex[k, v, 0])
-        ly, hy = min(ly, vertex[k, v, 1]), max(hy, vertex[k, v, 1])
-        lz, hz = min(lz, vertex[k, v, 2]), max(hz, vertex[k, v, 2])
-    m, i = margin, inverse_of(0.0)
-    return (lx - m, i, hx + m, i), (ly - m, i, hy + m, i), (lz - m, i, hz + m, i)
+    x, y = _span_about(vertex, v, 0, margin, bundle), _span_about(vertex, v, 1, margin, bundle)
+    return x, y, _span_about(vertex, v, 2, margin, bundle)
 
 
 @part

@@ -11,9 +11,8 @@ I64 = NDArray[np.int64]
 
 NUM_BINS = 16  # between which a box may be divided along an axis
 FACETS_IN_A_LEAF = 4  # at most, where dividing does not pay
-MOST_DIVIDED = (
-    64  # levels below which boxes are halved by number, so that no chain of facets makes a deep tree
-)
+MAX_SAH_LEVELS = 64  # below them boxes are halved by number, so that no chain of facets makes a deep tree
+WORTH_DIVIDING = 0.7  # at most so much of what looking at all facets of a small leaf costs
 
 
 @njit(cache=True)
@@ -86,10 +85,10 @@ def divide(facet: F64) -> tuple[I64, F64, I64, I64, I64]:
         if number == 1:
             continue
         axis, after, cost = _cheapest(facet, order[first[b] : last[b]], least, most)
-        if number <= FACETS_IN_A_LEAF and cost >= 0.7 * number * _half_area(box[b]):
+        if number <= FACETS_IN_A_LEAF and cost >= WORTH_DIVIDING * number * _half_area(box[b]):
             continue
         middle = (first[b] + last[b]) // 2
-        if axis >= 0 and level[b] < MOST_DIVIDED:
+        if axis >= 0 and level[b] < MAX_SAH_LEVELS:
             scale, num_behind, middle = NUM_BINS / (most[axis] - least[axis]), 0, first[b]
             for i in range(first[b], last[b]):
                 q = order[i]
