@@ -24,9 +24,7 @@ _THINNEST_M = 0.01
 Box = Float[FloatArray, "2 3"]  # lowest and highest corner, along axes of the room
 Change = Callable[[RoomSurface], Iterator[RoomSurface]]
 Faces = tuple[int | tuple[int, int], int]  # of a box: the lower or upper one, or both, along which axis
-Kind = Literal[
-    "top", "shown", "hidden", "across"
-]  # the last: two opposite upright faces that are moved together
+Kind = Literal["top", "shown", "hidden", "across"]  # across: two opposite upright faces, moved together
 _IN_TURN: tuple[Kind, ...] = ("top", "shown", "hidden", "across")
 
 

@@ -172,9 +172,7 @@ class MirrorPlanes:
         normal = self.planes[:, :3]
         corners_m = np.array([facet.corners_m[[0, 1, -1, 2]] for facet in self.facets]).reshape(-1, 4, 3)
         off_m = np.einsum("qkc,qc->qk", corners_m, normal[self.plane]) - self.planes[self.plane, 3, None]
-        self.corners_m = (
-            corners_m - off_m[:, :, None] * normal[self.plane, None]
-        )  # in their planes, not near them
+        self.corners_m = corners_m - off_m[:, :, None] * normal[self.plane, None]  # in the planes themselves
         along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         self.axis = np.stack([along, np.cross(normal, along), normal], axis=1)
