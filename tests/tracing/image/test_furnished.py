@@ -65,6 +65,16 @@ def test_what_elements_share_is_what_each_finds_alone(room: Scene) -> None:
         np.testing.assert_array_equal(shared.num_paths, alone.num_paths)
 
 
+def check_that_pruning_loses_nothing(scene: Scene, tx: np.ndarray) -> None:
+    settings = replace(SETTINGS, rays=20_000)
+    pruned, every = (
+        FurnishedTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx)
+        for prune in (True, False)
+    )
+    np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
+    np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+
+
 @pytest.mark.parametrize("receiver_m", [(1.9, 1.4, 2.3), (0.28, 0.9, 2.3), (3.05, 1.9, 1.2)])
 def test_the_rough_test_loses_no_path_where_planes_cut_the_array_or_meet(
     room: Scene, receiver_m: tuple[float, float, float]
@@ -73,13 +83,7 @@ def test_the_rough_test_loses_no_path_where_planes_cut_the_array_or_meet(
     scene = replace(room, receiver=replace(RECEIVER, position_m=receiver_m))
     near_corners_m = np.array([[0.03, 0.05, 2.46], [3.96, 0.6, 0.04], [2.97, 1.17, 0.82], [1.92, 1.22, 0.75]])
     tx = np.vstack([TX_M, near_corners_m])
-    settings = replace(SETTINGS, rays=20_000)
-    pruned, every = (
-        FurnishedTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx)
-        for prune in (True, False)
-    )
-    np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
-    np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+    check_that_pruning_loses_nothing(scene, tx)
 
 
 def both(tx: np.ndarray, *surfaces: Surface, receiver: ReceiverArray = ALONE) -> list[np.ndarray]:
@@ -99,7 +103,7 @@ def test_what_meets_a_facet_in_the_plane_that_it_shares_is_found_in_its_box() ->
     ]
     beyond = replace(
         ALONE, position_m=(5.0, 0.5, 0.96004)
-    )  # the line meets the second only in the plane of the first
+    )  # the second is met in the first one's plane alone
     ours, theirs = both(np.array([[-4.0, 0.5, 1.05004]]), *sheets, receiver=beyond)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
 
@@ -172,13 +176,7 @@ def test_the_rough_test_bounds_where_elements_near_a_plane_see_it(
 ) -> None:
     """Places at which a bound to first order in the elements' offset loses a path."""
     scene = replace(room, receiver=replace(RECEIVER, position_m=receiver_m, boresight=boresight))
-    settings = replace(SETTINGS, rays=20_000)
-    pruned, every = (
-        FurnishedTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(np.array([tx_m]))
-        for prune in (True, False)
-    )
-    np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
-    np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
+    check_that_pruning_loses_nothing(scene, np.array([tx_m]))
 
 
 @pytest.mark.parametrize("element", [0, 6, 15])

@@ -147,9 +147,7 @@ def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone
     receiver = ReceiverArray(position_m=(0.245, -0.275, 1.5), rows=2, cols=12, boresight=(1.45, 0.51, 0.0))
     sheet = Surface("sheet", "glass", 0.005, (0.0, 0.0, 0.0), (1.0, 0.0, 3.0))
     tx = np.array([(-1.0, 1.0, 1.5), (-0.8, 1.2, 1.4), (-1.3, 0.9, 1.6)])
-    scene = scene_of(
-        sheet, receiver=receiver
-    )  # no corner of the array sees the sheet in its way, but elements do
+    scene = scene_of(sheet, receiver=receiver)  # in the way of some elements, but of no corner
     assert visibility_apart(scene, tx, max_depth=1) < 1e-12
 
 

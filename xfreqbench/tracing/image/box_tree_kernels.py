@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from xfreqbench.tracing.image.box_tree import BoxTree
-from xfreqbench.tracing.image.kernels import FAST, MAX_CROSSED, Bundle, Scratch
+from xfreqbench.tracing.image.kernels import FAST, Bundle, Scratch, new_scratch
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -50,21 +50,8 @@ class Walk(NamedTuple):
 @whole
 def new_walk(max_depth: int, num_nodes: int, tx: F64) -> Walk:
     """Work space for paths of the transmitter at `tx` (3,)."""
-    scratch = Scratch(
-        tx,
-        np.zeros((4, max_depth + 2, 3)),
-        np.zeros((0, 0, 0)),
-        np.zeros(max_depth + 1, np.int64),
-        np.zeros((max_depth + 1, MAX_CROSSED), np.int64),
-        np.zeros((max_depth + 1, MAX_CROSSED)),
-        np.zeros(max_depth + 1, np.int64),
-        np.zeros(1, np.int64),
-        np.zeros(3),
-        np.zeros(3, np.complex128),
-        np.zeros(num_nodes, np.complex128),
-    )
     return Walk(
-        scratch,
+        new_scratch(0, max_depth, num_nodes, tx),
         np.zeros(MOST_BOXES, np.int64),
         np.zeros(MOST_BOXES),
         np.zeros((max_depth, MOST_NEAR), np.int64),

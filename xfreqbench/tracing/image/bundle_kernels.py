@@ -140,14 +140,21 @@ def _lies_on(facets: Facets, q: int, p: int, x: float, y: float, z: float) -> bo
 
 
 @part
+def _lies_at_an_end(facets: Facets, q: int, s: int, before: int, after: int, vertex: F64) -> bool:
+    """Whether facet q lies on a mirror at which segment s begins, of plane `before`, or ends, of plane `after`."""
+    if before >= 0 and _lies_on(facets, q, before, vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2]):
+        return True
+    x, y, z = vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2]
+    return after >= 0 and _lies_on(facets, q, after, x, y, z)
+
+
+@part
 def _is_slab(facets: Facets, q: int, s: int, number: int, before: int, after: int, walk: Walk) -> bool:
     """Whether facet q lies on none of the first so many gathered for segment s, nor on a mirror at its ends."""
     vertex, r = walk.scratch.vertex, facets.plane[q]
     ax, ay, az = vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2]
     bx, by, bz = vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2]
-    if before >= 0 and _lies_on(facets, q, before, ax, ay, az):
-        return False
-    if after >= 0 and _lies_on(facets, q, after, bx, by, bz):
+    if _lies_at_an_end(facets, q, s, before, after, vertex):
         return False
     nx, ny, nz = facets.normal[0, r], facets.normal[1, r], facets.normal[2, r]
     here = nx * ax + ny * ay + nz * az - facets.offset[r]
@@ -223,9 +230,7 @@ def _counts(facets: Facets, q: int, s: int, before: int, after: int, scratch: Sc
     vertex = scratch.vertex
     ax, ay, az = vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2]
     bx, by, bz = vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2]
-    if before >= 0 and _lies_on(facets, q, before, ax, ay, az):
-        return False
-    if after >= 0 and _lies_on(facets, q, after, bx, by, bz):
+    if _lies_at_an_end(facets, q, s, before, after, vertex):
         return False
     for i in range(0 if facets.is_opaque[q] else scratch.num_crossed[s]):
         t = scratch.crossed_at[s, i]

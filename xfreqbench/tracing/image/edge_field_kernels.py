@@ -61,7 +61,7 @@ class Work(NamedTuple):
 def new_work(facets: Facets, num_elements: int) -> Work:
     """Work space for paths to an array."""
     return Work(
-        new_scratch(facets, 1, 1, np.zeros(3)),
+        new_scratch(facets.offset.shape[0], 1, 1, np.zeros(3)),
         new_leg(),
         new_leg(),
         np.zeros((9, 3)),

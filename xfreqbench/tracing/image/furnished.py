@@ -77,7 +77,9 @@ class FurnishedTracer:
         mirrors = MirrorPlanes(geometry)
         self._facets, self._tree, self._surface = planted(geometry, mirrors, kind, is_opaque)
         self._aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
-        self._quads = _quads(scene.receiver.rows, scene.receiver.cols)
+        quads = _quads(scene.receiver.rows, scene.receiver.cols)
+        alone = np.repeat(np.unique(quads)[:, None], 4, axis=1)
+        self._quads = quads if savings.share_visibility else alone
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.unique(np.vstack([receiver_m, receiver_m + self._aperture.corner_m[0]]), axis=0)
         parent, plane = self._sequences(origins_m, len(mirrors.planes))
@@ -107,7 +109,7 @@ class FurnishedTracer:
             self._media,
             self._trie,
             self._aperture,
-            self._quads if self.savings.share_visibility else _each_alone(self._quads),
+            self._quads,
             np.ascontiguousarray(tx_position_m, dtype=np.float64),
             self.settings.max_depth,
             self.savings.share_visibility,
@@ -149,11 +151,6 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
     row = np.minimum(np.add.outer(np.arange(0, rows, 2), [0, 0, 1, 1]), rows - 1)
     col = np.minimum(np.add.outer(np.arange(0, cols, 2), [0, 1, 0, 1]), cols - 1)
     return (row[:, None] * cols + col[None]).reshape(-1, 4)
-
-
-def _each_alone(quads: Int[IntArray, "B 4"]) -> Int[IntArray, "M 4"]:
-    """Each element as a square of its own."""
-    return np.repeat(np.unique(quads)[:, None], 4, axis=1)
 
 
 class MirrorPlanes:

@@ -284,12 +284,12 @@ class Scratch(NamedTuple):
 
 
 @njit(cache=True)
-def new_scratch(facets: Facets, max_depth: int, num_nodes: int, tx: F64) -> Scratch:
+def new_scratch(num_planes: int, max_depth: int, num_nodes: int, tx: F64) -> Scratch:
     """Work space for paths of the transmitter at `tx` (3,) with at most `max_depth` interactions."""
     return Scratch(
         tx,
         np.zeros((4, max_depth + 2, 3)),
-        np.zeros((4, max_depth + 2, facets.offset.shape[0])),
+        np.zeros((4, max_depth + 2, num_planes)),
         np.zeros(max_depth + 1, np.int64),
         np.zeros((max_depth + 1, MAX_CROSSED), np.int64),
         np.zeros((max_depth + 1, MAX_CROSSED)),
@@ -679,7 +679,7 @@ def channels(
     shape = len(tx_position_m), aperture.element_m.shape[0], aperture.element_m.shape[1]
     real, imag, num_paths = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int32)
     for i in prange(len(tx_position_m)):
-        scratch = new_scratch(facets, max_depth, num_nodes, tx_position_m[i])
+        scratch = new_scratch(facets.offset.shape[0], max_depth, num_nodes, tx_position_m[i])
         for c in range(candidates.length.shape[0]):
             path = Path(candidates.length[c], candidates.plane[c], candidates.image[c], candidates.mirror[c])
             if _plausible(facets, path, scratch.tx, aperture.radius_m):
@@ -690,7 +690,7 @@ def channels(
 @njit(cache=True)
 def reaching(facets: Facets, candidates: Candidates, tx: F64) -> I64:
     """Candidates whose path reaches the array centre from the transmitter at `tx` (3,)."""
-    scratch = new_scratch(facets, candidates.plane.shape[1], 1, tx)
+    scratch = new_scratch(facets.offset.shape[0], candidates.plane.shape[1], 1, tx)
     found = np.zeros(candidates.length.shape[0], np.bool_)
     for c in range(found.shape[0]):
         path = Path(candidates.length[c], candidates.plane[c], candidates.image[c], candidates.mirror[c])

@@ -172,7 +172,7 @@ class ImageTracer:
         found = kernels.reaching(facets, candidates, tx)
         distance_m = np.linalg.norm(tx - candidates.image[found], axis=1)
         found, distance_m = (values[np.argsort(distance_m, kind="stable")] for values in (found, distance_m))
-        scratch = kernels.new_scratch(facets, depth, 1, tx)
+        scratch = kernels.new_scratch(len(facets.offset), depth, 1, tx)
         details = [self._path(int(c), scratch) for c in found]
         paths = PathsToCentre(
             gain=np.array([gain for gain, *_ in details], np.complex128).reshape(-1, len(self.carrier_hz)),
