@@ -75,12 +75,16 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench peers": {"output": ("records",)},
     "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
     "bench patches": {"scene": SCENE, "output": ("records",)},
+    "bench planes": {"output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
     *(
         (f"bench {name}", "records")
-        for name in ("generate", "render", "savings", "scale-out", "load", "peers", "ceiling", "patches")
+        for name in (
+            *("generate", "render", "savings", "scale-out", "load", "peers", "ceiling", "patches"),
+            "planes",
+        )
     ),
     ("stress", "records"),
 }

@@ -170,25 +170,27 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
             lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
         )
-    yield edges_that_cannot_matter(work.few(2, 3))
+    yield from edge_savings(work.few(2, 3))
     yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
     yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
 
 
-def edges_that_cannot_matter(work: Workload) -> Saving:
-    """Diffracted paths that a bound shows to be weak left out, against all of them traced."""
+def edge_savings(work: Workload) -> Iterator[Saving]:
+    """Diffracted paths that are left out, against all of them traced: weak ones, and those of many reflections."""
     settings = replace(work.settings, interactions=("specular", "refraction", "diffraction"))
-    off, on = (
-        ImageTracer(work.scene, work.carrier_hz, settings, replace(ImageSavings(), diffraction_floor=floor))
-        for floor in (0.0, ImageSavings().diffraction_floor)
-    )
-    return work.saving(
-        "image: paths over edges that a bound shows to be weak",
-        "channels with diffraction, rays shot beforehand",
-        lambda: off.channel(work.tx_position_m).cfr,
-        lambda: on.channel(work.tx_position_m).cfr,
-    )
+    on = ImageTracer(work.scene, work.carrier_hz, settings)
+    for name, without in (
+        ("paths over edges that a bound shows to be weak", ImageSavings(diffraction_floor=0.0)),
+        ("one reflection on each side of an edge, not three", ImageSavings(diffraction_planes=3)),
+    ):
+        off = ImageTracer(work.scene, work.carrier_hz, settings, without)
+        yield work.saving(
+            f"image: {name}",
+            "channels with diffraction, rays shot beforehand",
+            lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
+            lambda: on.channel(work.tx_position_m).cfr,
+        )
 
 
 def sionna_savings(work: Workload) -> Iterator[Saving]:

@@ -157,3 +157,71 @@ def test_a_box_is_moved_as_a_whole_too() -> None:
     for axis in (0, 1):
         along_m = sorted(float(shift[axis]) for shift in shifts_m if abs(shift[axis]) > 1e-9)
         np.testing.assert_allclose(along_m, boxes.WAYS_M[0]["across"][0])
+
+
+def found_after(own_box: boxes.Box, **ways_m: tuple[tuple[float, ...], ...]) -> list[boxes.Box]:
+    """The boxes that a box may become, with only these ways to move its faces; it stands beside a wall."""
+    corners_m = np.array([[0.0, 0.0, 0.1], [0.0, 4.0, 0.1], [0.0, 4.0, 2.5], [0.0, 0.0, 2.5]])
+    wall = refine.RoomSurface(0, 0, 0, np.array([-1.0, 0.0, 0.0]), corners_m, METAL, 1.0, is_wall=True)
+    frame = BoxFrame([wall], np.eye(3))
+    allowed = dict.fromkeys(boxes.WAYS_M[0], ()) | ways_m
+    changes = frame.changes(own_box, [METAL], ARRAY_M, allowed)  # type: ignore[arg-type]
+    own = frame.surface(own_box, 7, METAL)
+    return [frame.box_of(each) for change in changes for each in change(own)]
+
+
+def test_a_box_may_be_the_table_below_or_above_its_top() -> None:
+    heights_m = [-0.3, 0.0, 0.3]
+    tables = [box for box in found_after(CRATE_M, board=(tuple(heights_m),)) if np.ptp(box[:, 2]) < 0.05]
+    np.testing.assert_allclose([box[1, 2] - CRATE_M[1, 2] for box in tables], heights_m, atol=1e-9)
+    for box in tables:
+        np.testing.assert_allclose(box[:, :2], CRATE_M[:, :2], atol=1e-9)
+
+
+def test_the_top_of_a_table_moves_with_all_of_it() -> None:
+    table = CRATE_M.copy()
+    table[0, 2] = table[1, 2] - 0.03
+    raised = [box for box in found_after(table, top=((0.1,),)) if box[1, 2] > table[1, 2] + 0.05]
+    assert len(raised) == 1
+    np.testing.assert_allclose(raised[0] - table, [[0, 0, 0.1]] * 2, atol=1e-9)
+
+
+def test_what_was_found_above_the_floor_may_stand_on_it() -> None:
+    high = CRATE_M + np.array([0.0, 0.0, 1.0])
+    standing = [box for box in found_after(high) if box[0, 2] < high[0, 2] - 0.5]
+    assert len(standing) == 1
+    np.testing.assert_allclose(standing[0][0, 2], 0.1 + boxes.GAP_M)
+    np.testing.assert_allclose(standing[0][1], high[1])
+
+
+def test_the_face_of_a_box_that_is_held_is_not_moved() -> None:
+    frame = BoxFrame([], np.eye(3))
+    own = frame.surface(CRATE_M, 7, METAL)
+    held = (1, 0)
+    changes = frame.changes(CRATE_M, [METAL], ARRAY_M, boxes.WAYS_M[0], held)
+    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    np.testing.assert_allclose([box[held] for box in moved], CRATE_M[held], atol=1e-9)
+    assert any(abs(box[0, 0] - CRATE_M[0, 0]) > 0.1 for box in moved)
+
+
+@pytest.mark.parametrize(
+    ("normal", "face"),
+    [
+        ((1, 0, 0), (0, 0)),
+        ((-1, 0, 0), (1, 0)),
+        ((0, -1, 0), (1, 1)),
+        ((0, 0, -1), None),
+        ((0.6, 0.8, 0), None),
+    ],
+)
+def test_an_upright_polygon_along_the_walls_is_a_face_of_the_box_behind_it(
+    normal: tuple[float, ...], face: tuple[int, int] | None
+) -> None:
+    frame = BoxFrame([], np.eye(3))
+    away, up = np.array(normal, float), np.array([0.0, 0.0, 1.0])
+    along = np.cross(up, away) if face else np.array([1.0, 0.0, 0.0])
+    corners_m = np.array([0 * up, along, along + up, up])
+    polygon = refine.RoomSurface(0, 0, 0, away, corners_m, METAL, 1.0, is_wall=False)
+    assert frame.face_of(polygon) == face
+    if face:
+        assert frame.box_of(polygon.with_depth(0.3, []))[face] == pytest.approx(0.0)

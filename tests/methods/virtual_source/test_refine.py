@@ -126,6 +126,19 @@ def test_what_training_rows_contradict_is_changed(
     assert [each.slab.material for each in told.room] == [surface.material for surface in SCENE.surface]
 
 
+def test_faces_are_changed_again_once_boxes_are_in_their_places(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refine, "_DEPTHS_M", ())
+    told = refinement(dataset, wrong_room())
+    told.done, told.boxes = len(told.steps) + 1, []
+    while not told.is_over:
+        told.step()
+    ends_m = [each.corners_m[:, 1].max() for each in told.room if not each.is_wall]
+    assert ends_m[0] == pytest.approx(2.5, abs=0.1)
+    assert len(ends_m) == 2  # none is taken away any more
+
+
 def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:
     told = refinement(dataset, wrong_room())
     told.step()

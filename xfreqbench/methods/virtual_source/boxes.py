@@ -19,12 +19,17 @@ THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
 GAP_M = 0.02  # between a box and the walls, and whatever is known not to be in it
 _SHEET_M = 0.015  # thickness of the slabs of which boxes are made at first
 _BOARD_M = 0.03  # height of a table's top
+_MOST_BOARD_M = 0.05
+_ALONG = 1 - 1e-5  # cosine of what stands along an axis
 _THINNEST_M = 0.01
 
 Box = Float[FloatArray, "2 3"]  # lowest and highest corner, along axes of the room
 Change = Callable[[RoomSurface], Iterator[RoomSurface]]
 Faces = tuple[int | tuple[int, int], int]  # of a box: the lower or upper one, or both, along which axis
-Kind = Literal["top", "shown", "hidden", "across"]  # across: two opposite upright faces, moved together
+Kind = Literal[
+    "board", "top", "shown", "hidden", "across"
+]  # across: two opposite upright faces, moved together
+_TOP, _WHOLE = (1, 2), ((0, 1), 2)  # the latter: a board as a whole, upwards
 _IN_TURN: tuple[Kind, ...] = ("top", "shown", "hidden", "across")
 
 
@@ -37,12 +42,14 @@ def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
 Ways = Mapping[Kind, Sequence[Sequence[float]]]
 WAYS_M: tuple[Ways, ...] = (  # by which faces are moved, far and then nearer, at first and again
     {
+        "board": ((0.0, *_within(0.35, 0.01)),),
         "top": (_within(0.25, 0.01),),
         "shown": (_within(0.12, 0.04), _within(0.03, 0.01)),
         "hidden": ((*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),),
         "across": (_within(0.2, 0.05),),
     },
     {
+        "board": ((0.0,),),
         "top": (_within(0.03, 0.005),),
         "shown": (_within(0.03, 0.005),),
         "hidden": (_within(0.1, 0.05),),
@@ -91,35 +98,62 @@ class BoxFrame:
         place_m = self.along(surface.mesh.vertices_m)
         return np.stack([place_m.min(axis=0), place_m.max(axis=0)])
 
+    def face_of(self, surface: RoomSurface) -> Faces | None:
+        """Which face of a box behind it an upright polygon along the axes is; None for any other polygon."""
+        outward = self.along(surface.normal)
+        axis = int(np.abs(outward).argmax())
+        if axis == len(self.axes) - 1 or abs(outward[axis]) < _ALONG:
+            return None
+        return int(outward[axis] < 0), axis
+
     def changes(
         self,
         box: Box,
         slabs: Sequence[NamedSlab],
         array_m: Float[FloatArray, "3"],
         ways_m: Ways,
+        held: Faces | None = None,
     ) -> list[Change]:
-        """What may be changed one after another: slabs, faces by steps of `ways_m`, the height, and slabs again."""
+        """What may be changed one after another: slabs, faces by steps of `ways_m`, the height, and slabs again.
+
+        The face that is held stays where it is, so a box is not moved as a whole along its normal.
+        """
+        fixed = (held, ((0, 1), held[1])) if held else ()
         moves = [
             partial(self._moved, faces, steps_m)
             for faces, kind in _faces(box, self.along(array_m))
             for steps_m in ways_m[kind]
+            if faces not in fixed
         ]
         of_slabs = partial(_of_slabs, slabs)
-        return [of_slabs, *moves, self._as_board, of_slabs]
+        boards = [partial(self._as_board, steps_m) for steps_m in ways_m["board"]]
+        return [of_slabs, *moves, *boards, self._to_floor, of_slabs]
 
     def _moved(self, faces: Faces, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
         """A box with faces moved: the lower or upper one along one of the axes, or both."""
         for step_m in steps_m:
             box = self.box_of(own)
-            box[faces] += step_m
+            is_board = box[1, 2] - box[0, 2] < _MOST_BOARD_M
+            box[_WHOLE if is_board and faces == _TOP else faces] += step_m
             if (box[1] - box[0] > _THINNEST_M).all():
                 yield self.surface(box, own.number, own.slab)
 
-    def _as_board(self, own: RoomSurface) -> Iterator[RoomSurface]:
-        """The top of a box alone, as of a table."""
+    def _as_board(self, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
+        """The top of a box alone, as of a table, as high or at other heights."""
+        top_m = float(self.box_of(own)[1, 2])
+        for step_m in steps_m:
+            box = self.box_of(own)
+            box[:, 2] = top_m + step_m - _BOARD_M, top_m + step_m
+            yield self.surface(box, own.number, own.slab)
+
+    def _to_floor(self, own: RoomSurface) -> Iterator[RoomSurface]:
+        """A box that stands on the floor, as a cabinet does, whatever has been found of it."""
         box = self.box_of(own)
-        box[0, 2] = box[1, 2] - _BOARD_M
-        yield self.surface(box, own.number, own.slab)
+        box[0, 2] = (
+            min(((each.corners_m @ self.axes[2]).min() for each in self.walls), default=box[0, 2]) + GAP_M
+        )
+        if box[1, 2] - box[0, 2] > _MOST_BOARD_M:
+            yield self.surface(box, own.number, own.slab)
 
 
 def holds_any(box: Box, point_m: Float[FloatArray, "N 3"]) -> bool:

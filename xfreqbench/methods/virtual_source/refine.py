@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +22,8 @@ from xfreqbench.methods.virtual_source.boxes import (
     WAYS_M,
     Box,
     BoxFrame,
+    Faces,
+    Ways,
     box_slabs,
     holds_any,
 )
@@ -42,7 +44,7 @@ from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
 _MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
-_LISTED = 3  # changes that are compared on all rows, of those that are best on a few
+_LISTED = 6  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
 _MIN_WIDTH_M = 0.1
@@ -50,6 +52,7 @@ _TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 _FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
+_BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 24  # those that a box matters to most
 _NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
 _THICK_M = 0.05  # with more, all carriers tell of the front alone
@@ -57,6 +60,13 @@ _BACK_M = 0.15  # a plane that is found so little behind a face may be what is s
 _WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
 
 Room = list[RoomSurface]
+
+
+class Trial(NamedTuple):
+    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little."""
+
+    changes: Callable[[Room], Iterator[Room]]
+    at_lowest: bool = False
 
 
 @dataclass(eq=False)
@@ -98,30 +108,54 @@ class Refinement:
     def _at_lowest(self) -> RoomScore:
         return RoomScore.of(self.train, at_lowest=True)
 
+    def _at_all(self, room: Room) -> float:
+        """Mean score at the lowest carriers and at others: the lowest tell places, the others materials too."""
+        return (self._at_lowest(room) + self.score(room)) / 2
+
     @cached_property
     def _standing_m(self) -> Float[FloatArray, "N 3"]:
         return _standing(self.train)
 
     @cached_property
-    def steps(self) -> list[Callable[[Room], Iterator[Room]]]:
-        """What each step tries, given the room before it, until boxes are sought."""
-        fronts = sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
-        steps: list[Callable[[Room], Iterator[Room]]] = []
-        again: list[Callable[[Room], Iterator[Room]]] = []  # where the others are by then
-        for own in fronts:
-            slabs = self.known[own.plane, own.found_slab]
-            edges, finer = (partial(_with_edges, own.number, steps_m) for steps_m in (_EDGES_M, _FINER_M))
-            boxes, depths = partial(_with_depths, own.number, slabs), partial(_deeper, own.number)
-            steps += [edges, boxes, depths, edges, finer, partial(_without, own.number)]
-            again += [boxes, depths]
-        steps += again
-        return steps + [partial(_other_slabs, key, slabs) for key, slabs in self.known.items()]
+    def steps(self) -> list[Callable[[IsOver], None]]:
+        """What is done until boxes are sought: faces in turn, again where the others are, walls, and faces as boxes."""
+        of_faces = [self._trials_of(own) for own in self._fronts]
+        first = [trial for own in of_faces for trial in own]
+        again = [trial for own in of_faces for trial in own[1:3]]
+        of_walls = [Trial(partial(_other_slabs, key, slabs)) for key, slabs in self.known.items()]
+        as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
+        return [*(partial(self._change, trial) for trial in [*first, *again, *of_walls]), *as_boxes]
+
+    @cached_property
+    def last_steps(self) -> list[Callable[[IsOver], None]]:
+        """What is done once boxes are in their places: faces again, but none is taken away."""
+        trials = [trial for own in self._fronts for trial in self._trials_of(own)[:-1]]
+        return [partial(self._change, trial) for trial in trials]
+
+    @property
+    def _fronts(self) -> list[RoomSurface]:
+        return sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
+
+    def _trials_of(self, own: RoomSurface) -> list[Trial]:
+        known = self.known[own.plane, own.found_slab]
+        others = [each for each in self._slabs if each.material not in {one.material for one in known}]
+        if known[0].material == "metal":  # which nothing else is taken for
+            others = []
+        edges, finer = (partial(_with_edges, own.number, steps_m) for steps_m in (_EDGES_M, _FINER_M))
+        return [
+            Trial(edges, at_lowest=True),
+            Trial(partial(_with_depths, own.number, [*known, *others]), at_lowest=True),
+            Trial(partial(_deeper, own.number)),
+            Trial(edges),
+            Trial(finer),
+            Trial(partial(_without, own.number)),
+        ]
 
     @property
     def num_steps(self) -> int:
         """Number of all steps; until boxes are sought as many of them are expected as there may be."""
         num_boxes = MOST_OBSTACLES if self.boxes is None else len(self.boxes)
-        return len(self.steps) + 1 + len(WAYS_M) * num_boxes
+        return len(self.steps) + 1 + len(WAYS_M) * num_boxes + len(self.last_steps)
 
     @property
     def is_over(self) -> bool:
@@ -131,46 +165,67 @@ class Refinement:
     def step(self, is_over: IsOver = never) -> None:
         """Do one step more, or what of it can be done before a time is over."""
         later = self.done - len(self.steps)
+        left = self.num_steps - self.done
         if later < 0:
-            self._change(self.steps[self.done], is_over)
+            self.steps[self.done](is_over)
         elif self.boxes is None:
             self.boxes = obstacles(self.room, self.train, self._standing_m, is_over)
+        elif left <= len(self.last_steps):
+            self.last_steps[-left](is_over)
         else:
             turn, nth = divmod(later - 1, len(self.boxes))
-            self._fit(nth, self.boxes[nth], turn, is_over)
+            self._fit_obstacle(nth, self.boxes[nth], turn, is_over)
         self.done += 1
 
-    def _change(self, changes: Callable[[Room], Iterator[Room]], is_over: IsOver) -> None:
+    def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
-        best = self.score(self.room)
+        roughly = self._at_lowest if trial.at_lowest else self.score
+        exactly = self._at_all if trial.at_lowest else self.score
+        best = exactly(self.room)
         for _ in range(_REPEATS):
-            candidates = [each for each in changes(self.room) if self._stands(each)]
+            candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
-                roughly = self.score.roughly(self.room, candidates[0])
-                scores = _scores(roughly, candidates, is_over)
+                scores = _scores(roughly.roughly(self.room, candidates[0]), candidates, is_over)
                 candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
-            scores = _scores(self.score, candidates, is_over)
+            scores = _scores(exactly, candidates, is_over)
             if not len(scores) or scores.max() < best + _MIN_CHANGE:
                 break
             best = float(scores.max())
             self.room = candidates[int(scores.argmax())]
 
-    def _fit(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
-        """Put a box into the room, or change that which is there: its slab and its faces, one after another.
+    def _fit_behind(self, number: int, is_over: IsOver) -> None:
+        """Put a box behind a face, if it has none yet and stands along the walls, and change all but that face."""
+        own = next((each for each in self.room if each.number == number), None)
+        frame = BoxFrame.of(self.found)
+        if own is not None and not own.depth_m and (held := frame.face_of(own)):
+            box = frame.box_of(own.with_depth(_BEHIND_M, frame.walls))
+            self._fit(frame.surface(box, number, own.slab), [WAYS_M[0]], is_over, held)
 
-        They are compared at the lowest carriers, for the transmitters that it matters most to.
+    def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
+        """Put a box into the room, or change that which is there."""
+        number = 1 + nth + max(each.number for each in self.found)
+        own = next((each for each in self.room if each.number == number), None)
+        if own is not None:
+            self._fit(own, WAYS_M[turn:], is_over)
+        elif not turn:  # else it was tried in vain
+            again = {**WAYS_M[0], "board": WAYS_M[1]["board"]}
+            new = BoxFrame.of(self.found).surface(box, number, self._slabs[0])
+            self._fit(new, [WAYS_M[0], again], is_over)
+
+    def _fit(
+        self, own: RoomSurface, ways_m: Sequence[Ways], is_over: IsOver, held: Faces | None = None
+    ) -> None:
+        """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it.
+
+        Rooms are compared at the lowest carriers, for the transmitters that the box matters most to.
         """
-        frame, number = BoxFrame.of(self.found), 1 + nth + max(each.number for each in self.found)
+        frame = BoxFrame.of(self.found)
         array_m, standing_m = np.array(self.train.header.receiver.position_m), frame.along(self._standing_m)
-        others = [each for each in self.room if each.number != number]
-        is_new = len(others) == len(self.room)
-        if is_new and turn:  # it was tried in vain
-            return
-        new = frame.surface(box, number, self._slabs[0])
-        own = next((each for each in self.room if each.number == number), new)
+        others = [each for each in self.room if each.number != own.number]
+        is_new = not any(each is own for each in self.room)
         near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
-        for _ in range(1 + is_new):
-            for change in frame.changes(box, self._slabs, array_m, WAYS_M[turn]):
+        for ways in ways_m:
+            for change in frame.changes(frame.box_of(own), self._slabs, array_m, ways, held):
                 free = (each for each in change(own) if not holds_any(frame.box_of(each), standing_m))
                 candidates = [own, *(each for each in free if is_clear(each, self._standing_m))]
                 scores = _scores(near, [[*others, each] for each in candidates], is_over)
@@ -218,7 +273,7 @@ def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
 
 
-def _scores(score: RoomScore, rooms: Sequence[Room], is_over: IsOver) -> Float[FloatArray, "n"]:
+def _scores(score: Callable[[Room], float], rooms: Sequence[Room], is_over: IsOver) -> Float[FloatArray, "n"]:
     """The score of each room; −∞ of those for which there is no time."""
     return np.array([-np.inf if is_over() else score(each) for each in rooms])
 
