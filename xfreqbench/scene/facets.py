@@ -5,7 +5,6 @@ The image method reflects at facets and mirrors in planes.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
@@ -22,7 +21,6 @@ from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.types import FloatArray, IntArray
 
 PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
-PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
 MAX_CHECKED_TRIANGLES = 2000  # comparing the facets of more in pairs would take longer than the tracing
 
@@ -87,49 +85,8 @@ class Geometry:
 def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
     """Facets of all meshes, in their order: two triangles that form a parallelogram are one facet."""
     return [
-        PlanarFacet(corners, surface)
-        for surface, mesh in enumerate(meshes)
-        for corners in _merged(mesh.vertices_m, mesh.triangles)
+        PlanarFacet(corners, surface) for surface, mesh in enumerate(meshes) for corners in mesh.outlines_m
     ]
-
-
-def _merged(vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]) -> list[FloatArray]:
-    """Corners of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
-    by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for index, triangle in enumerate(triangles):
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
-    merged: list[FloatArray] = []
-    used: set[int] = set()
-    for edge, pair in by_edge.items():
-        if len(pair) == 2 and not used & set(pair):
-            corners = _parallelogram(vertices_m, edge, triangles[pair[0]], triangles[pair[1]])
-            if corners is not None:
-                merged.append(corners)
-                used |= set(pair)
-    return merged + [
-        vertices_m[t] for i, t in enumerate(triangles) if i not in used and _area_m2(vertices_m[t]) > 0
-    ]
-
-
-def _area_m2(corners_m: Float[FloatArray, "3 3"]) -> float:
-    a, b, c = corners_m
-    return float(np.linalg.norm(np.cross(b - a, c - a)) / 2)
-
-
-def _parallelogram(
-    vertices_m: Float[FloatArray, "V 3"],
-    diagonal: tuple[int, ...],
-    first: Int[IntArray, "3"],
-    second: Int[IntArray, "3"],
-) -> FloatArray | None:
-    """Corners (4, 3) in turn, where two triangles about a diagonal make a parallelogram, else None."""
-    (apex,) = set(first.tolist()) - set(diagonal) or {diagonal[0]}
-    (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
-    a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
-    size = np.linalg.norm(c - a)
-    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
-    return np.stack([a, b, c, d]) if is_parallelogram and _area_m2(np.stack([a, b, c])) > 0 else None
 
 
 def group_by_plane(

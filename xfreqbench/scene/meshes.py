@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import xml.etree.ElementTree as ElementTree
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from xfreqbench.scene.model import FAR_M, PatchSize, Scene, Surface
 from xfreqbench.types import FloatArray, IntArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
+PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 SLIVER = (
     1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 )
@@ -48,10 +51,54 @@ class SurfaceMesh:
         """The three corners of every triangle."""
         return self.vertices_m[self.triangles]
 
+    @cached_property
+    def outlines_m(self) -> list[FloatArray]:
+        """Corners (3 or 4, 3) of its facets in turn: two triangles that form a parallelogram are one."""
+        return _merged(self.vertices_m, self.triangles)
+
     @property
     def slab(self) -> Slab:
         """What every face is made of."""
         return Slab(self.material, self.thickness_m, self.scattering)
+
+
+def _merged(vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]) -> list[FloatArray]:
+    """Corners of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
+    by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for index, triangle in enumerate(triangles):
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
+    merged: list[FloatArray] = []
+    used: set[int] = set()
+    for edge, pair in by_edge.items():
+        if len(pair) == 2 and not used & set(pair):
+            corners = _parallelogram(vertices_m, edge, triangles[pair[0]], triangles[pair[1]])
+            if corners is not None:
+                merged.append(corners)
+                used |= set(pair)
+    return merged + [
+        vertices_m[t] for i, t in enumerate(triangles) if i not in used and _area_m2(vertices_m[t]) > 0
+    ]
+
+
+def _area_m2(corners_m: Float[FloatArray, "3 3"]) -> float:
+    a, b, c = corners_m
+    return float(np.linalg.norm(np.cross(b - a, c - a)) / 2)
+
+
+def _parallelogram(
+    vertices_m: Float[FloatArray, "V 3"],
+    diagonal: tuple[int, ...],
+    first: Int[IntArray, "3"],
+    second: Int[IntArray, "3"],
+) -> FloatArray | None:
+    """Corners (4, 3) in turn, where two triangles about a diagonal make a parallelogram, else None."""
+    (apex,) = set(first.tolist()) - set(diagonal) or {diagonal[0]}
+    (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
+    a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
+    size = np.linalg.norm(c - a)
+    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
+    return np.stack([a, b, c, d]) if is_parallelogram and _area_m2(np.stack([a, b, c])) > 0 else None
 
 
 def slabs_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:

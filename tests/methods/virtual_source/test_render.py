@@ -13,7 +13,13 @@ from found_box import ALL_PLANES, SETTINGS, found_room, generated
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement
-from xfreqbench.methods.virtual_source.render import CHOOSE_AT, FROM, RoomRender
+from xfreqbench.methods.virtual_source.render import (
+    CHOOSE_AT,
+    CHOOSE_AT_OF_SECONDS,
+    FROM,
+    FROM_OF_SECONDS,
+    RoomRender,
+)
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
 from xfreqbench.types import Maps
 
@@ -197,6 +203,20 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
         rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert len(rooms[0]) == 3
+
+
+def test_learning_goes_on_where_a_refinement_is_over_before_its_seconds_are(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Refinement, "num_steps", 2)
+    monkeypatch.setattr(Refinement, "step", lambda self, is_over: setattr(self, "done", self.done + 1))
+    render, budget = RoomRender("traced"), Budget(max_seconds=100.0)
+    shares = np.linspace(FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS, 5).tolist()
+    is_weighed = []
+    for share in shares:
+        render.advance(dataset, budget, share, found_room, Known(dataset))
+        is_weighed.append(render.tracer is not None)
+    assert is_weighed == [False] * 4 + [True]
 
 
 @pytest.mark.usefixtures("unrefined")

@@ -52,8 +52,9 @@ _TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 _FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
+_FIRST_WAYS_M = (WAYS_M[0], {**WAYS_M[1], "top": WAYS_M[0]["top"]})  # of a box that is new
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
-_NUM_NEAR_TX = 24  # those that a box matters to most
+_NUM_NEAR_TX = 16  # those that a box matters to most
 _NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
 _THICK_M = 0.05  # with more, all carriers tell of the front alone
 _BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
@@ -128,9 +129,9 @@ class Refinement:
 
     @cached_property
     def last_steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done once boxes are in their places: faces again, but none is taken away."""
-        trials = [trial for own in self._fronts for trial in self._trials_of(own)[:-1]]
-        return [partial(self._change, trial) for trial in trials]
+        """What is done once boxes are in their places: edges, depths and thicknesses of faces again."""
+        trials = [self._trials_of(own) for own in self._fronts]
+        return [partial(self._change, trial) for edges, _, *rest, _ in trials for trial in (edges, *rest)]
 
     @property
     def _fronts(self) -> list[RoomSurface]:
@@ -199,21 +200,25 @@ class Refinement:
         frame = BoxFrame.of(self.found)
         if own is not None and not own.depth_m and (held := frame.face_of(own)):
             box = frame.box_of(own.with_depth(_BEHIND_M, frame.walls))
-            self._fit(frame.surface(box, number, own.slab), [WAYS_M[0]], is_over, held)
+            self._fit(frame.surface(box, number, own.slab), _FIRST_WAYS_M, is_over, [own.slab], held)
 
     def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
         """Put a box into the room, or change that which is there."""
         number = 1 + nth + max(each.number for each in self.found)
         own = next((each for each in self.room if each.number == number), None)
         if own is not None:
-            self._fit(own, WAYS_M[turn:], is_over)
+            self._fit(own, WAYS_M[turn:], is_over, self._slabs)
         elif not turn:  # else it was tried in vain
-            again = {**WAYS_M[0], "board": WAYS_M[1]["board"]}
             new = BoxFrame.of(self.found).surface(box, number, self._slabs[0])
-            self._fit(new, [WAYS_M[0], again], is_over)
+            self._fit(new, _FIRST_WAYS_M, is_over, self._slabs)
 
     def _fit(
-        self, own: RoomSurface, ways_m: Sequence[Ways], is_over: IsOver, held: Faces | None = None
+        self,
+        own: RoomSurface,
+        ways_m: Sequence[Ways],
+        is_over: IsOver,
+        slabs: Sequence[NamedSlab],
+        held: Faces | None = None,
     ) -> None:
         """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it.
 
@@ -225,7 +230,7 @@ class Refinement:
         is_new = not any(each is own for each in self.room)
         near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
         for ways in ways_m:
-            for change in frame.changes(frame.box_of(own), self._slabs, array_m, ways, held):
+            for change in frame.changes(frame.box_of(own), slabs, array_m, ways, held):
                 free = (each for each in change(own) if not holds_any(frame.box_of(each), standing_m))
                 candidates = [own, *(each for each in free if is_clear(each, self._standing_m))]
                 scores = _scores(near, [[*others, each] for each in candidates], is_over)

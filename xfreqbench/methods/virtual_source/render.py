@@ -26,9 +26,9 @@ from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
 
 # Shares of a budget after which a room is reconstructed, and weights are chosen: what is learned is best at the end,
-# but of a budget in seconds the refinement takes its part.
+# but of a budget in seconds the refinement takes its part, after which learning goes on.
 FROM, CHOOSE_AT = 0.95, 0.99
-FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.8, 0.96
+FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.5, 0.96
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
@@ -80,14 +80,14 @@ class RoomRender:
                 self._stored = {}
             if self.refinement is not None:
                 self._refine(self.refinement, budget, share)
-                if share >= ends or self.refinement.is_over:
+                if share >= ends or (seconds is None and self.refinement.is_over):
                     self._weigh(self.refinement, train, learned)
         except SceneError:  # of a room that cannot be traced
             self.refinement = None
 
     def _refine(self, refinement: Refinement, budget: Budget, share: float) -> None:
         if budget.max_seconds is not None:
-            if share < CHOOSE_AT_OF_SECONDS:
+            if share < CHOOSE_AT_OF_SECONDS and not refinement.is_over:
                 refinement.step(budget.timer(CHOOSE_AT_OF_SECONDS - share))
             return
         due = (share - FROM) / (CHOOSE_AT - FROM)
