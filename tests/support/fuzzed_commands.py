@@ -82,7 +82,14 @@ MEASURING = {  # which take long, and read the records that they add to by the s
     *(
         (f"bench {name}", "records")
         for name in (
-            *("generate", "render", "savings", "scale-out", "load", "peers", "ceiling", "patches"),
+            "generate",
+            "render",
+            "savings",
+            "scale-out",
+            "load",
+            "peers",
+            "ceiling",
+            "patches",
             "planes",
         )
     ),

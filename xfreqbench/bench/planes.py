@@ -80,10 +80,10 @@ def bench_planes(bench: Bench, num_rooms: int, num_tx: int, progress: ProgressCa
 
 def _cells(walls: Sequence[FoundWall]) -> tuple[str, ...]:
     found = [wall for wall in walls if wall.plane is not None]
-    error_mm = np.abs([wall.error_m for wall in found]) * 1e3
-    tilt_mrad = np.array([wall.tilt_rad for wall in found]) * 1e3
     if not found:
         return (str(len(walls)), "0", *["—"] * 4)
+    error_mm = np.abs([wall.error_m for wall in found]) * 1e3
+    tilt_mrad = np.array([wall.tilt_rad for wall in found]) * 1e3
     return (
         str(len(walls)),
         str(len(found)),

@@ -62,7 +62,7 @@ class RandomRoom:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         first_m = np.array([each[0] for each in outlines_m])
         distance_m = ((first_m - receiver.position_m) * normal).sum(axis=1)
-        outward = np.where(distance_m < 0, -1.0, 1.0)
+        outward = np.sign(distance_m)
         normal, distance_m = normal * outward[:, None], distance_m * outward
         return cls(receiver, walls, normal, distance_m, _places(generator, corners_m, num_tx))
 

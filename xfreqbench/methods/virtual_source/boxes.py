@@ -102,7 +102,7 @@ class BoxFrame:
         """Which face of a box behind it an upright polygon along the axes is; None for any other polygon."""
         outward = self.along(surface.normal)
         axis = int(np.abs(outward).argmax())
-        if axis == len(self.axes) - 1 or abs(outward[axis]) < _ALONG:
+        if axis == 2 or abs(outward[axis]) < _ALONG:
             return None
         return int(outward[axis] < 0), axis
 

@@ -75,8 +75,9 @@ class Refinement:
     """A room that is changed in steps, until what is traced in it is nearest to some training rows.
 
     Faces are changed in turn, the largest first, and then the slabs of walls. A step tries changes of one kind of one
-    face, and keeps the best of them, again and again, while they raise the mean SSIM. One step more looks for boxes
-    that hide paths, and each of these is fitted twice. `room` is the room after the first `done` steps.
+    face, and keeps the best of them, again and again, while they raise the mean SSIM. Then boxes are put behind faces
+    that have none. One step more looks for boxes that hide paths; each of these is fitted twice, and faces are changed
+    again. `room` is the room after the first `done` steps.
     """
 
     found: Sequence[RoomSurface]
@@ -140,12 +141,13 @@ class Refinement:
     def _trials_of(self, own: RoomSurface) -> list[Trial]:
         known = self.known[own.plane, own.found_slab]
         others = [each for each in self._slabs if each.material not in {one.material for one in known}]
-        if known[0].material == "metal":  # which nothing else is taken for
-            others = []
+        slabs = (
+            known if known[0].material == "metal" else [*known, *others]
+        )  # nothing else is taken for metal
         edges, finer = (partial(_with_edges, own.number, steps_m) for steps_m in (_EDGES_M, _FINER_M))
         return [
             Trial(edges, at_lowest=True),
-            Trial(partial(_with_depths, own.number, [*known, *others]), at_lowest=True),
+            Trial(partial(_with_depths, own.number, slabs), at_lowest=True),
             Trial(partial(_deeper, own.number)),
             Trial(edges),
             Trial(finer),
@@ -180,13 +182,13 @@ class Refinement:
 
     def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
-        roughly = self._at_lowest if trial.at_lowest else self.score
+        roughly = (self._at_lowest if trial.at_lowest else self.score).roughly
         exactly = self._at_all if trial.at_lowest else self.score
         best = exactly(self.room)
         for _ in range(_REPEATS):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
-                scores = _scores(roughly.roughly(self.room, candidates[0]), candidates, is_over)
+                scores = _scores(roughly(self.room, candidates[0]), candidates, is_over)
                 candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
             scores = _scores(exactly, candidates, is_over)
             if not len(scores) or scores.max() < best + _MIN_CHANGE:
