@@ -99,8 +99,8 @@ def group_by_plane(
     """
     if not facets:
         return np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
-    planes = np.array([_plane(facet.corners_m) for facet in facets])
     corners_m = np.array([facet.corners_m[[0, 1, 2, -1]] for facet in facets])  # a triangle's last twice
+    planes = _planes(corners_m)
     diagonal_m = np.linalg.norm(np.ptp(corners_m, axis=1), axis=1)
     plane = np.full(len(facets), -1)
     claimants: list[int] = []
@@ -114,13 +114,13 @@ def group_by_plane(
     return distinct[order], np.argsort(order)[plane].astype(np.int64)
 
 
-def _plane(corners_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "4"]:
-    """Unit normal, its first component beyond ±0.1 positive, and offset of a facet's plane."""
-    normal = np.cross(corners_m[1] - corners_m[0], corners_m[-1] - corners_m[0])
-    normal = normal / np.linalg.norm(normal)
-    leading = normal[np.flatnonzero(np.abs(normal) > 0.1)[0]]
-    normal = normal * np.sign(leading)
-    return np.append(normal, normal @ corners_m[0])
+def _planes(corners_m: Float[FloatArray, "Q 4 3"]) -> Float[FloatArray, "Q 4"]:
+    """Unit normal, its first component beyond ±0.1 positive, and offset of each facet's plane."""
+    normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, -1] - corners_m[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    leading = (np.abs(normal) > 0.1).argmax(axis=1)
+    normal *= np.sign(np.take_along_axis(normal, leading[:, None], axis=1))
+    return np.hstack([normal, np.einsum("qc,qc->q", normal, corners_m[:, 0])[:, None]])
 
 
 def _in_plane(
@@ -128,7 +128,7 @@ def _in_plane(
 ) -> Bool[NDArray[np.bool_], "Q"]:
     """Whether each facet is parallel to a plane, whichever side its normal points to, and lies in it."""
     normal, offset_m = plane[:3], plane[3]
-    tilt_rad = np.linalg.norm(np.cross(normals, normal), axis=1)
+    tilt_rad = np.minimum(*(np.linalg.norm(normals + side, axis=1) for side in (normal, -normal)))
     distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
     return np.asarray((tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE))
 

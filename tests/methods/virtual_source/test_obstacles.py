@@ -100,7 +100,6 @@ def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pyt
     told.done, told.boxes = len(told.steps) + 1, [BoxFrame.of(told.found).along(CRATE_M)]
     told.boxes = [np.sort(box, axis=0) for box in told.boxes]
     monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
-    monkeypatch.setattr(refine, "_FIRST_WAYS_M", refine.WAYS_M[:1])
     while not told.is_over:
         told.step()
     assert told.room is told.found

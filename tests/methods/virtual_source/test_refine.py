@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,15 @@ from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
-from xfreqbench.methods.virtual_source import refine, traced
+from xfreqbench.methods.virtual_source import changes, traced
+from xfreqbench.methods.virtual_source.boxes import BoxFrame
 from xfreqbench.methods.virtual_source.materials import NamedSlab
+from xfreqbench.methods.virtual_source.parts import RoomPart, moved
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING
+from xfreqbench.scene.model import Surface
 
 SPLIT = "lofo-24.25GHz"
 AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
@@ -99,6 +103,29 @@ def test_a_room_that_was_just_traced_is_not_traced_again(
     assert seen == [len(each) for each in (whole, one, other, whole)]
 
 
+def test_rooms_are_compared_roughly_from_one_of_them_on(dataset: PasDataset) -> None:
+    score = (told := refinement(dataset, found_room())).score
+    near = score.near(told.room)
+    assert near(told.room) == pytest.approx(score(told.room), abs=1e-6)  # what is left out here is held
+    other = told.room[:-1]
+    assert near(other) - near(told.room) == pytest.approx(score(other) - score(told.room), abs=0.03)
+    few = score.roughly(other, told.room, num_tx=2)
+    assert len(np.unique(few.samples.tx_index)) == 2
+    assert few(told.room) > few(other)
+
+
+def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> None:
+    table = Surface("table", "wood", 0.015, (0.6, 0.7, 0.70), (1.9, 2.4, 0.73))
+    scene = replace(SCENE, surface=(*SCENE.surface, table))
+    told = refinement(generated(tmp_path, scene, AS_DEEP, num_transmitters=60), found_room())
+    frame = BoxFrame.of(told.found)
+    places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
+    right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
+    wrong = moved([right], RoomPart("board", 99), 0.06)[0]  # as far down
+    there = told._at_its_height(wrong, told.room)
+    assert frame.box_of(there)[1, 2] == pytest.approx(0.73, abs=3e-3)
+
+
 def wrong_room() -> dict[str, object]:
     """Findings of a box whose screen ends too early, and which has a second one that is not there."""
     findings = found_room()
@@ -114,8 +141,8 @@ def wrong_room() -> dict[str, object]:
 def test_what_training_rows_contradict_is_changed(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refine, "_DEPTHS_M", (0.3,))
-    monkeypatch.setattr(refine, "_THINNER", (1.0,))
+    monkeypatch.setattr(changes, "_DEPTHS_M", (0.3,))
+    monkeypatch.setattr(changes, "_THINNER", (1.0,))
     told = refinement(dataset, wrong_room())
     while not told.is_over:
         told.step()
@@ -129,7 +156,7 @@ def test_what_training_rows_contradict_is_changed(
 def test_faces_are_changed_again_once_boxes_are_in_their_places(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refine, "_DEPTHS_M", ())
+    monkeypatch.setattr(changes, "_DEPTHS_M", ())
     told = refinement(dataset, wrong_room())
     told.done, told.boxes = len(told.steps) + 1, []
     while not told.is_over:
@@ -159,14 +186,14 @@ def test_a_step_without_time_changes_nothing(dataset: PasDataset) -> None:
 def test_an_edge_goes_no_further_than_the_wall(dataset: PasDataset) -> None:
     surfaces = refinement(dataset, found_room()).found
     screen = surfaces[-1]
-    for changed in refine._edged(screen, surfaces[:-1]):
+    for changed in changes._edged(screen, surfaces[:-1], changes.EDGES_M):
         assert (changed.corners_m > -1e-9).all()
         assert (changed.corners_m < SIZE_M + 1e-9).all()
 
 
 def test_a_face_just_behind_another_may_be_its_back(dataset: PasDataset) -> None:
     behind = front(number=1, corners_m=front().corners_m - [0.0, 0.0, 0.1])
-    assert refine._is_back(behind, front())
-    assert not refine._is_back(front(), behind)
-    (room, *_) = list(refine._with_depths(0, [front().slab], [front(), behind]))
+    assert changes._is_back(behind, front())
+    assert not changes._is_back(front(), behind)
+    (room, *_) = list(changes.with_depths(0, [front().slab], [front(), behind]))
     assert [each.number for each in room] == [0]

@@ -117,6 +117,24 @@ def test_every_saving_leaves_the_answer_as_it_is() -> None:
         assert np.sqrt((error**2).mean(axis=(1, 2))).max() < 10 ** (-70 / 20)  # 70 dB; measured 79 dB or more
 
 
+@pytest.mark.parametrize(("most", "rays"), [(0, 50_000), (1, 50_000), (2, 50_000), (2, 600)])
+def test_paths_of_more_reflections_are_left_out_and_no_others(most: int, rays: int) -> None:
+    scene = load_scene("office")
+    settings = TraceSettings(max_depth=4, rays=50_000)
+    tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 3, seed=1)
+    tracer = ImageTracer(scene, CARRIERS_HZ, settings)
+    few = ImageTracer(scene, CARRIERS_HZ, replace(settings, rays=rays), ImageSavings(max_reflections=most))
+    for position_m in tx:
+        everything, some = tracer.paths(position_m), few.paths(position_m)
+        kept = (everything.interactions == SPECULAR).sum(axis=1) <= most
+        assert 0 < kept.sum() < len(kept)
+        if rays == settings.rays:
+            np.testing.assert_allclose(some.delay_s, everything.delay_s[kept], rtol=1e-12)
+            np.testing.assert_allclose(some.gain, everything.gain[:, kept], rtol=1e-9)
+        else:  # more sequences of planes than rays, so that rays find them
+            assert ((some.interactions == SPECULAR).sum(axis=1) <= most).all()
+
+
 def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
     """Largest difference of channels decided by corners from those of every element, relative to each sample's norm."""
     settings = TraceSettings(max_depth=max_depth, rays=2000)

@@ -42,8 +42,8 @@ def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
 Ways = Mapping[Kind, Sequence[Sequence[float]]]
 WAYS_M: tuple[Ways, ...] = (  # by which faces are moved, far and then nearer, at first and again
     {
-        "board": ((0.0, *_within(0.35, 0.01)),),
-        "top": (_within(0.25, 0.01),),
+        "board": ((0.0, *_within(0.2, 0.05)),),
+        "top": (_within(0.25, 0.05), _within(0.04, 0.01)),
         "shown": (_within(0.12, 0.04), _within(0.03, 0.01)),
         "hidden": ((*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),),
         "across": (_within(0.2, 0.05),),

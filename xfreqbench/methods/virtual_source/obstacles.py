@@ -29,7 +29,7 @@ from xfreqbench.tracing.paths import Paths
 from xfreqbench.types import FloatArray, IntArray
 
 MOST_OBSTACLES = 8
-_NUM_TX = 670  # whose paths are left out
+_NUM_TX = 450  # whose paths are left out
 _LEAST_DOUBT = 0.005  # maps; of paths with less nothing is known
 _MOST_DOUBT = 1.0  # maps; no path counts for more
 _A_PATH = 5e-4  # maps that a path counts for which a box hides without reason

@@ -2,14 +2,14 @@
 
 Learning knows planes to parts of a millimetre, but edges to a cell, and of furniture only the sides that mirror. So
 faces are tried without, of other materials, with other edges, and as the fronts of boxes of some depth. Then boxes are
-put where something hides paths, and their faces moved. What raises the mean SSIM of some training rows is kept. No
-tested row is looked at.
+put where something hides paths, and their faces moved. What raises the mean SSIM of some training rows is kept. Last,
+all parts are moved to where the lengths of paths agree. No tested row is looked at.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -18,7 +18,6 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.boxes import (
-    THICKNESSES,
     WAYS_M,
     Box,
     BoxFrame,
@@ -27,9 +26,21 @@ from xfreqbench.methods.virtual_source.boxes import (
     box_slabs,
     holds_any,
 )
+from xfreqbench.methods.virtual_source.changes import (
+    EDGES_M,
+    FINER_M,
+    Room,
+    deeper,
+    other_slabs,
+    with_depths,
+    with_edges,
+    without,
+)
+from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
 from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
-from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, never
+from xfreqbench.methods.virtual_source.parts import RoomPart, moved
+from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import (
     RoomSurface,
     is_clear,
@@ -39,28 +50,18 @@ from xfreqbench.methods.virtual_source.surfaces import (
     surface_json,
 )
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import RoomScore
+from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, RoomScore
 from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
 _MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
-_LISTED = 6  # changes that are compared on all rows, of those that are best on a few
+_LISTED = 10  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
-_EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
-_MIN_WIDTH_M = 0.1
-_TO_WALL_M = 1.0  # an edge that is so near may reach the wall
-_DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
-_FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
-_THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
-_FIRST_WAYS_M = (WAYS_M[0], {**WAYS_M[1], "top": WAYS_M[0]["top"]})  # of a box that is new
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
-_NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
-_THICK_M = 0.05  # with more, all carriers tell of the front alone
-_BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
 _WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
-
-Room = list[RoomSurface]
+_HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
+_MIN_NEARER = 0.05  # maps, for which it is moved
 
 
 class Trial(NamedTuple):
@@ -76,8 +77,8 @@ class Refinement:
 
     Faces are changed in turn, the largest first, and then the slabs of walls. A step tries changes of one kind of one
     face, and keeps the best of them, again and again, while they raise the mean SSIM. Then boxes are put behind faces
-    that have none. One step more looks for boxes that hide paths; each of these is fitted twice, and faces are changed
-    again. `room` is the room after the first `done` steps.
+    that have none. One step more looks for boxes that hide paths; each of these is fitted twice, faces are changed
+    again, and all parts are settled. `room` is the room after the first `done` steps.
     """
 
     found: Sequence[RoomSurface]
@@ -110,13 +111,18 @@ class Refinement:
     def _at_lowest(self) -> RoomScore:
         return RoomScore.of(self.train, at_lowest=True)
 
-    def _at_all(self, room: Room) -> float:
-        """Mean score at the lowest carriers and at others: the lowest tell places, the others materials too."""
-        return (self._at_lowest(room) + self.score(room)) / 2
-
     @cached_property
     def _standing_m(self) -> Float[FloatArray, "N 3"]:
         return _standing(self.train)
+
+    @cached_property
+    def _frame(self) -> BoxFrame:
+        return BoxFrame.of(self.found)
+
+    @cached_property
+    def _free_m(self) -> Float[FloatArray, "N 3"]:
+        """Along the axes of the room, the places where nothing stands."""
+        return self._frame.along(self._standing_m)
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
@@ -124,7 +130,7 @@ class Refinement:
         of_faces = [self._trials_of(own) for own in self._fronts]
         first = [trial for own in of_faces for trial in own]
         again = [trial for own in of_faces for trial in own[1:3]]
-        of_walls = [Trial(partial(_other_slabs, key, slabs)) for key, slabs in self.known.items()]
+        of_walls = [Trial(partial(other_slabs, key, slabs)) for key, slabs in self.known.items()]
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
         return [*(partial(self._change, trial) for trial in [*first, *again, *of_walls]), *as_boxes]
 
@@ -144,21 +150,21 @@ class Refinement:
         slabs = (
             known if known[0].material == "metal" else [*known, *others]
         )  # nothing else is taken for metal
-        edges, finer = (partial(_with_edges, own.number, steps_m) for steps_m in (_EDGES_M, _FINER_M))
+        edges, finer = (partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M))
         return [
             Trial(edges, at_lowest=True),
-            Trial(partial(_with_depths, own.number, slabs), at_lowest=True),
-            Trial(partial(_deeper, own.number)),
+            Trial(partial(with_depths, own.number, slabs), at_lowest=True),
+            Trial(partial(deeper, own.number)),
             Trial(edges),
             Trial(finer),
-            Trial(partial(_without, own.number)),
+            Trial(partial(without, own.number)),
         ]
 
     @property
     def num_steps(self) -> int:
         """Number of all steps; until boxes are sought as many of them are expected as there may be."""
         num_boxes = MOST_OBSTACLES if self.boxes is None else len(self.boxes)
-        return len(self.steps) + 1 + len(WAYS_M) * num_boxes + len(self.last_steps)
+        return len(self.steps) + 1 + len(WAYS_M) * num_boxes + len(self.last_steps) + 1
 
     @property
     def is_over(self) -> bool:
@@ -173,36 +179,47 @@ class Refinement:
             self.steps[self.done](is_over)
         elif self.boxes is None:
             self.boxes = obstacles(self.room, self.train, self._standing_m, is_over)
-        elif left <= len(self.last_steps):
-            self.last_steps[-left](is_over)
+        elif left == 1:
+            self.settle(is_over)
+            return
+        elif left <= len(self.last_steps) + 1:
+            self.last_steps[1 - left](is_over)
         else:
             turn, nth = divmod(later - 1, len(self.boxes))
             self._fit_obstacle(nth, self.boxes[nth], turn, is_over)
         self.done += 1
 
+    def settle(self, is_over: IsOver = never) -> None:
+        """Leave out the steps that are left but the last one: move all parts to where the lengths of paths agree."""
+        room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
+        before, after = _scores([self._at_lowest, self.score], [self.room, room])
+        if after > before:
+            self.room = room
+        self.done = self.num_steps
+
     def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
-        roughly = (self._at_lowest if trial.at_lowest else self.score).roughly
-        exactly = self._at_all if trial.at_lowest else self.score
-        best = exactly(self.room)
+        judges = [self._at_lowest, self.score] if trial.at_lowest else [self.score]
         for _ in range(_REPEATS):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
-                scores = _scores(roughly(self.room, candidates[0]), candidates, is_over)
+                scores = _scores([judges[0].roughly(candidates[0], self.room)], candidates, is_over)
                 candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
-            scores = _scores(exactly, candidates, is_over)
-            if not len(scores) or scores.max() < best + _MIN_CHANGE:
+            scores = _scores([judge.near(self.room) for judge in judges], candidates, is_over)
+            if not len(scores) or is_over():
                 break
-            best = float(scores.max())
+            before, after = _scores(judges, [self.room, candidates[int(scores.argmax())]])
+            if after < before + _MIN_CHANGE:
+                break
             self.room = candidates[int(scores.argmax())]
 
     def _fit_behind(self, number: int, is_over: IsOver) -> None:
         """Put a box behind a face, if it has none yet and stands along the walls, and change all but that face."""
         own = next((each for each in self.room if each.number == number), None)
-        frame = BoxFrame.of(self.found)
+        frame = self._frame
         if own is not None and not own.depth_m and (held := frame.face_of(own)):
             box = frame.box_of(own.with_depth(_BEHIND_M, frame.walls))
-            self._fit(frame.surface(box, number, own.slab), _FIRST_WAYS_M, is_over, [own.slab], held)
+            self._fit(frame.surface(box, number, own.slab), WAYS_M, is_over, [own.slab], held)
 
     def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
         """Put a box into the room, or change that which is there."""
@@ -211,8 +228,8 @@ class Refinement:
         if own is not None:
             self._fit(own, WAYS_M[turn:], is_over, self._slabs)
         elif not turn:  # else it was tried in vain
-            new = BoxFrame.of(self.found).surface(box, number, self._slabs[0])
-            self._fit(new, _FIRST_WAYS_M, is_over, self._slabs)
+            new = self._frame.surface(box, number, self._slabs[0])
+            self._fit(new, WAYS_M, is_over, self._slabs)
 
     def _fit(
         self,
@@ -226,23 +243,44 @@ class Refinement:
 
         Rooms are compared at the lowest carriers, for the transmitters that the box matters most to.
         """
-        frame = BoxFrame.of(self.found)
-        array_m, standing_m = np.array(self.train.header.receiver.position_m), frame.along(self._standing_m)
+        array_m = np.array(self.train.header.receiver.position_m)
         others = [each for each in self.room if each.number != own.number]
         is_new = not any(each is own for each in self.room)
-        near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
-        for ways in ways_m:
-            for change in frame.changes(frame.box_of(own), slabs, array_m, ways, held):
-                free = (each for each in change(own) if not holds_any(frame.box_of(each), standing_m))
-                candidates = [own, *(each for each in free if is_clear(each, self._standing_m))]
-                scores = _scores(near, [[*others, each] for each in candidates], is_over)
+        own = self._at_its_height(own, others)
+        for nth, ways in enumerate(ways_m):
+            near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
+            changes = self._frame.changes(self._frame.box_of(own), slabs, array_m, ways, held)
+            for change in changes[1:] if nth else changes:  # slabs were changed last
+                candidates = [own, *(each for each in change(own) if self._fits(each))]
+                scores = _scores([near], [[*others, each] for each in candidates], is_over)
                 if scores.max() > best:
                     own, best = candidates[int(scores.argmax())], float(scores.max())
-            if is_new and best < near(others) + _MIN_GAIN:
+            if is_over() or (is_new and self._at_lowest([*others, own]) < self._at_lowest(others)):
                 return
         room, least = [*others, own], self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
-        if not is_over() and self._at_lowest(room) > least:
+        if self._at_lowest(room) > least:
             self.room = room
+
+    def _fits(self, box: RoomSurface) -> bool:
+        """Whether a box stands where nothing else does."""
+        return not holds_any(self._frame.box_of(box), self._free_m) and is_clear(box, self._standing_m)
+
+    def _at_its_height(self, own: RoomSurface, others: Room) -> RoomSurface:
+        """A box with its top, or all of it if it is thin, where the lengths of the paths that it reflects agree."""
+        carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
+        paths = ReflectedPaths.of([*others, own], self.train, self._lags, carriers)
+        for part in (RoomPart("board", own.number), RoomPart("front", own.number)):
+            if part in paths.reflected:
+                likeness = paths.likeness(part, _HEIGHTS_M, np.arange(len(carriers)))
+                for best in np.argsort(-likeness)[: np.count_nonzero(likeness > likeness[0] + _MIN_NEARER)]:
+                    box = moved([own], part, float(_HEIGHTS_M[best]))[0]
+                    if box.depth_m > 0 and self._fits(box):
+                        return box
+        return own
+
+    @cached_property
+    def _lags(self) -> LagAverages:
+        return LagAverages(self.train, never)
 
     @cached_property
     def _slabs(self) -> list[NamedSlab]:
@@ -280,9 +318,11 @@ def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
 
 
-def _scores(score: Callable[[Room], float], rooms: Sequence[Room], is_over: IsOver) -> Float[FloatArray, "n"]:
-    """The score of each room; −∞ of those for which there is no time."""
-    return np.array([-np.inf if is_over() else score(each) for each in rooms])
+def _scores(
+    judges: Sequence[RoomScore], rooms: Sequence[Room], is_over: IsOver = never
+) -> Float[FloatArray, "n"]:
+    """The mean score of each room; −∞ of those for which there is no time."""
+    return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])
 
 
 def _slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
@@ -290,99 +330,3 @@ def _slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
     return [
         each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"
     ]
-
-
-def _other_slabs(key: tuple[int, int], slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
-    """The room with another slab, or another thickness, in all parts of a plane that were found to be of one slab."""
-    own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
-    if own is None:
-        return
-    for slab in [*slabs, *(own.thinned(factor) for factor in _NEARLY)]:
-        yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
-
-
-def _without(number: int, room: Room) -> Iterator[Room]:
-    """The room without a face."""
-    if any(each.number == number for each in room):
-        yield [each for each in room if each.number != number]
-
-
-def _with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Room]:
-    """The room with one edge of a face moved."""
-    walls = [each for each in room if each.is_wall]
-    for own in room:
-        if own.number == number:
-            for changed in _edged(own, walls, steps_m):
-                yield [changed if each is own else each for each in room]
-
-
-def _with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
-    """The room with a face as the front of a box, in place of what was found just behind it.
-
-    Two thin sheets that were learned as one are thinner than that.
-    """
-    walls = [each for each in room if each.is_wall]
-    for own in room:
-        if own.number == number and not own.depth_m:
-            others = [each for each in room if not _is_back(each, own)]
-            for slab in slabs:
-                is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
-                for factor in _THINNER if is_thin else (1.0,):
-                    sheet = replace(own, slab=slab.thinned(factor))
-                    for depth_m in _DEPTHS_M:
-                        box = sheet.with_depth(depth_m, walls)
-                        yield [box if each is own else each for each in others]
-
-
-def _deeper(number: int, room: Room) -> Iterator[Room]:
-    """The room with a box of another depth, or of another thickness."""
-    walls = [each for each in room if each.is_wall]
-    for own in room:
-        if own.number == number and own.depth_m:
-            changed = [
-                own.with_depth(own.depth_m + by_m, walls) for by_m in _FINER_M if own.depth_m + by_m > 0
-            ]
-            changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
-            for box in changed:
-                yield [box if each is own else each for each in room]
-
-
-def _is_back(other: RoomSurface, front: RoomSurface) -> bool:
-    """Whether a face is parallel to another one, and little behind it."""
-    behind_m = float((other.corners_m[0] - front.corners_m[0]) @ front.normal)
-    return not other.is_wall and 0 < behind_m < _BACK_M and float(other.normal @ front.normal) > 0.999
-
-
-def _edged(
-    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float] = _EDGES_M
-) -> Iterator[RoomSurface]:
-    """The surface with one edge moved within its plane, up to a wall at most."""
-    number = len(own.corners_m)
-    for edge in range(number):
-        ends = [edge, (edge + 1) % number]
-        along = own.corners_m[ends[1]] - own.corners_m[ends[0]]
-        outward = np.cross(along, own.normal)
-        outward = outward / np.linalg.norm(outward)
-        if outward @ (own.corners_m[edge] - own.corners_m.mean(0)) < 0:
-            outward = -outward
-        room_m = _way_to_wall(own.corners_m[ends], outward, walls)
-        size_m = np.ptp(own.corners_m @ outward)
-        steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}
-        if room_m < _TO_WALL_M:
-            steps_m.add(room_m)
-        for step_m in sorted(steps_m - {0.0}):
-            corners_m = own.corners_m.copy()
-            corners_m[ends] += step_m * outward
-            yield replace(own, corners_m=corners_m).with_depth(own.depth_m, walls)
-
-
-def _way_to_wall(
-    points_m: Float[FloatArray, "2 3"], outward: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
-) -> float:
-    """How far points can go before one of them meets the plane of a wall; infinite without a wall there."""
-    ways_m = [np.inf]
-    for wall in walls:
-        slope = float(wall.normal @ outward)
-        if slope > 1e-3:
-            ways_m += (((wall.corners_m[0] - points_m) @ wall.normal) / slope).clip(0).tolist()
-    return min(ways_m)

@@ -70,6 +70,13 @@ class RoomSurface:
         """Area of the polygon."""
         return polygon_area_m2(self.corners_m)
 
+    def outward(self, side: int) -> Float[FloatArray, "3"]:
+        """Unit vector within the polygon's plane, at a right angle to one of its sides, that points out of it."""
+        start, end = self.corners_m[[side, (side + 1) % len(self.corners_m)]]
+        across = np.cross(end - start, self.normal)
+        across = across / np.linalg.norm(across)
+        return across if across @ (start - self.corners_m.mean(0)) > 0 else -across
+
     @property
     def slab_name(self) -> str:
         """Material and thickness in words, as in `glass 7.90 mm`."""

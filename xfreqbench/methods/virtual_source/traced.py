@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Complex, Float, Shaped
+from jaxtyping import Complex, Float, Int, Shaped
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
@@ -20,16 +20,19 @@ from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
-from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, Maps
+from xfreqbench.types import FloatArray, IntArray, Maps
 
 NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
 DIFFRACTING = replace(COMPARING, interactions=("specular", "refraction", "diffraction"))
-ROUGHLY = replace(COMPARING, rays=5_000, max_depth=3)
+ROUGHLY, FEW = (
+    replace(COMPARING, rays=5_000),
+    ImageSavings(max_reflections=2),
+)  # for what changes between rooms
 UNHIDDEN = replace(COMPARING, max_depth=3)  # paths that something may hide
 _MOST_KNOWN = 8  # rooms whose maps are remembered
 _STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, and of the SSIM
@@ -40,21 +43,25 @@ def tracer_in(
     receiver: ReceiverArray,
     carrier_hz: Sequence[float],
     settings: TraceSettings = COMPARING,
+    savings: ImageSavings = ImageSavings(),
 ) -> ImageTracer | FurnishedTracer:
     """A tracer of a room, for an array and carriers."""
     at = receiver.position_m
     scene = Scene("learned", receiver, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
     geometry = Geometry([surface.mesh for surface in room])
-    return image_tracer(scene, carrier_hz, settings, geometry=geometry)
+    return image_tracer(scene, carrier_hz, settings, savings, geometry)
 
 
 def channels_in(
-    room: Sequence[RoomSurface], samples: PasDataset, settings: TraceSettings = COMPARING
+    room: Sequence[RoomSurface],
+    samples: PasDataset,
+    settings: TraceSettings = COMPARING,
+    savings: ImageSavings = ImageSavings(),
 ) -> Complex[NDArray[np.complex128], "n M"]:
     """Channels (n, M) of n samples, traced in a room."""
     carriers, of_carrier = np.unique(samples.carrier_hz, return_inverse=True)
     tx, of_tx = np.unique(samples.tx_index, return_inverse=True)
-    tracer = tracer_in(room, samples.header.receiver, carriers.tolist(), settings)
+    tracer = tracer_in(room, samples.header.receiver, carriers.tolist(), settings, savings)
     cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
     return cfr[of_tx.reshape(-1), of_carrier.reshape(-1)]
 
@@ -104,6 +111,8 @@ class RoomScore:
 
     samples: PasDataset
     settings: TraceSettings = COMPARING
+    savings: ImageSavings = ImageSavings()
+    others: Complex[NDArray[np.complex128], "n M"] | float = 0.0  # channels of the paths that are not traced
 
     @classmethod
     def of(cls, train: PasDataset, *, at_lowest: bool = False) -> RoomScore:
@@ -128,8 +137,8 @@ class RoomScore:
         return self.samples.pas()[:, ::_STRIDE, ::_STRIDE]
 
     @cached_property
-    def _known(self) -> dict[tuple[RoomSurface, ...], Float[NDArray[np.float32], "n e a"]]:
-        """Maps of the rooms that were traced last."""
+    def _known(self) -> dict[tuple[RoomSurface, ...], Complex[NDArray[np.complex128], "n M"]]:
+        """Channels in the rooms that were traced last."""
         return {}
 
     def __call__(self, room: Sequence[RoomSurface]) -> float:
@@ -138,23 +147,32 @@ class RoomScore:
         return 1 - float(map_loss(maps, truth, 1.0, _WINDOW, _STRIDE))  # compiled, unlike `mean_ssim`
 
     def _maps(self, room: Sequence[RoomSurface]) -> Float[NDArray[np.float32], "n e a"]:
-        """Maps that are traced in a room; those of the last few rooms are remembered."""
+        """Maps that are traced in a room."""
+        return self._beam.maps(self._cfr(room) + self.others, self.samples.header.pas_kind)[0]
+
+    def _cfr(self, room: Sequence[RoomSurface]) -> Complex[NDArray[np.complex128], "n M"]:
+        """Channels that are traced in a room; those of the last few rooms are remembered."""
         key = tuple(room)
         if key not in self._known:
             if len(self._known) == _MOST_KNOWN:
                 del self._known[next(iter(self._known))]
-            cfr = channels_in(room, self.samples, self.settings)
-            self._known[key] = self._beam.maps(cfr, self.samples.header.pas_kind)[0]
+            self._known[key] = channels_in(room, self.samples, self.settings, self.savings)
         return self._known[key]
 
     def roughly(
         self, room: Sequence[RoomSurface], other: Sequence[RoomSurface], num_tx: int = NUM_ROUGH_TX
     ) -> RoomScore:
-        """The same with fewer rays, for the transmitters whose maps differ most between two rooms."""
+        """`near` the second room, for the transmitters whose maps differ most between two rooms."""
         changes = np.abs(self._maps(room) - self._maps(other)).sum((1, 2))
         tx, of_tx = np.unique(self.samples.tx_index, return_inverse=True)
         most = tx[np.argsort(-np.bincount(of_tx.reshape(-1), changes), kind="stable")[:num_tx]]
-        return RoomScore(self.samples.subset(np.flatnonzero(np.isin(self.samples.tx_index, most))), ROUGHLY)
+        return self.near(other, np.flatnonzero(np.isin(self.samples.tx_index, most)))
+
+    def near(self, room: Sequence[RoomSurface], rows: Int[IntArray, "n"] | None = None) -> RoomScore:
+        """Roughly the same for rooms like this one, whose paths of many reflections are taken as they are in it."""
+        rows = np.arange(len(self.samples)) if rows is None else rows
+        score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW)
+        return replace(score, others=self._cfr(room)[rows] - score._cfr(room))
 
 
 def evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:

@@ -43,7 +43,6 @@ MAX_INTERPOLATED_WAVELENGTHS = (
     1.5  # of a 4×4 array: maps of 68 dB or better at the 5th percentile; 8×8: 40 dB
 )
 
-
 Along = tuple[Int[NDArray[np.int64], "D"], Int[NDArray[np.int64], "D"], Float[FloatArray, "D 3"]]
 
 
@@ -62,6 +61,7 @@ class ImageSavings:
     prune: bool = True
     share_visibility: bool = True
     field_nodes_per_axis: int = 2
+    max_reflections: int | None = None
     diffraction_planes: int = 1
     diffraction_floor: float = 0.003
 
@@ -130,7 +130,9 @@ class ImageTracer:
         aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         origins_m = np.vstack([receiver_m, receiver_m + aperture.corner_m[0]])  # of the widest aperture
-        candidates = _images(_plane_sequences(facets, origins_m, settings), facets, receiver_m)
+        candidates = _images(
+            _plane_sequences(facets, origins_m, settings, savings.max_reflections), facets, receiver_m
+        )
         self.compiled = facets, media, candidates, aperture
         self._surface = geometry.surfaces_by_plane
         self.diffraction = None
@@ -216,15 +218,21 @@ class ImageTracer:
 
 
 def _plane_sequences(
-    facets: kernels.Facets, origins_m: Float[FloatArray, "O 3"], settings: TraceSettings
+    facets: kernels.Facets,
+    origins_m: Float[FloatArray, "O 3"],
+    settings: TraceSettings,
+    max_reflections: int | None,
 ) -> Int[NDArray[np.int16], "C D"]:
     """Sequences of planes that rays from the origins are reflected at, padded with −1.
 
-    The empty sequence, the line of sight, is one of them.
+    The empty sequence, the line of sight, is one of them. Where few reflections are asked for, they are all sequences.
     """
     depth, num_planes = settings.max_depth, len(facets.offset)
-    if num_planes == 0 or depth == 0 or "specular" not in settings.interactions:
+    most = depth if max_reflections is None else min(depth, max_reflections)
+    if num_planes == 0 or most == 0 or "specular" not in settings.interactions:
         return np.full((1, depth), -1, dtype=np.int16)
+    if most < depth and num_planes**most <= settings.rays:
+        return _all_sequences(num_planes, most, depth)
     bits = _bits_per_plane(num_planes)
     num_rays = max(1, settings.rays // len(origins_m))
     rng = np.random.default_rng(settings.seed)
@@ -235,7 +243,21 @@ def _plane_sequences(
     keys = np.unique(np.concatenate(found))
     shift = np.uint64(bits) * np.arange(depth, dtype=np.uint64)
     group = (keys[:, None] >> shift) & np.uint64(2**bits - 1)
-    return group.astype(np.int16) - np.int16(1)
+    planes = group.astype(np.int16) - np.int16(1)
+    return planes[(planes >= 0).sum(axis=1) <= most]
+
+
+def _all_sequences(num_planes: int, most: int, depth: int) -> Int[NDArray[np.int16], "C D"]:
+    """Every sequence of at most so many planes, none of them twice in a row, padded with −1."""
+    found = np.full((1, depth), -1, dtype=np.int16)
+    longest = found
+    for order in range(most):
+        longest = np.repeat(longest, num_planes, axis=0)
+        longest[:, order] = np.tile(np.arange(num_planes), len(longest) // num_planes)
+        if order:
+            longest = longest[longest[:, order] != longest[:, order - 1]]
+        found = np.concatenate([found, longest])
+    return found
 
 
 def interactions_along(
@@ -295,7 +317,7 @@ def _facets(
     facets, (planes, plane) = geometry.facets, geometry.planes
     by_plane = np.argsort(plane, kind="stable")
     ordered = [facets[i] for i in by_plane]
-    dual = np.array([_dual(facet) for facet in ordered]).reshape(-1, 2, 3)
+    dual = _duals(ordered)
     slab = kind[[facet.surface for facet in ordered]] if ordered else np.zeros(0, np.int64)
     return kernels.Facets(
         normal=np.ascontiguousarray(planes[:, :3].T),
@@ -311,10 +333,11 @@ def _facets(
     )
 
 
-def _dual(facet: PlanarFacet) -> Float[FloatArray, "2 3"]:
+def _duals(facets: Sequence[PlanarFacet]) -> Float[FloatArray, "Q 2 3"]:
     """Vectors u*, v* with u = (x − origin)·u* and v = (x − origin)·v* where x = origin + u·edge_u + v·edge_v."""
-    edges = np.stack([facet.corners_m[1] - facet.corners_m[0], facet.corners_m[-1] - facet.corners_m[0]])
-    return np.linalg.solve(edges @ edges.T, edges)
+    corners_m = np.array([facet.corners_m[[0, 1, -1]] for facet in facets]).reshape(-1, 3, 3)
+    edges = corners_m[:, 1:] - corners_m[:, :1]
+    return np.linalg.solve(edges @ edges.transpose(0, 2, 1), edges)
 
 
 def aperture_of(

@@ -1,0 +1,261 @@
+"""Parts of a learned room moved to where the lengths of the paths that they reflect agree with training rows.
+
+A face that moves by x along its normal n lengthens a path that comes along a and leaves along b by about
+(a − b)·n x, and leaves its gain nearly as it is. So all paths are traced once, and any displacement of a part is a
+turn of the phases of some of them. That is far cheaper than to trace each room, and so precise at high carriers that
+parts are found to a small share of a wavelength. Carriers are taken from the lowest on, a few at a time: where long
+waves put a part, shorter ones need to look at nearby places only.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.virtual_source.parts import RoomPart, displacement, moved, parts_at
+from xfreqbench.methods.virtual_source.search.cross_terms import (
+    ComplexArray,
+    IsOver,
+    LagAverages,
+    never,
+    spherical_waves,
+)
+from xfreqbench.methods.virtual_source.surfaces import RoomSurface, is_clear
+from xfreqbench.methods.virtual_source.traced import UNHIDDEN, evenly, tracer_in
+from xfreqbench.tracing.paths import SPECULAR, Paths
+from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+_NUM_TX = 120  # whose paths are traced
+_AT_ONCE = 3  # carriers
+_LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimetre off are found
+_REACH_M = 0.03  # of the first search of a part, in either direction
+_STEPS_PER_WAVELENGTH = 16  # of the highest carrier
+_REACH = 3  # steps of the carriers before, within which a part is sought again
+_LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
+
+
+def settled(
+    room: Sequence[RoomSurface],
+    train: PasDataset,
+    lags: LagAverages,
+    standing_m: Float[FloatArray, "N 3"],
+    is_over: IsOver = never,
+) -> list[RoomSurface]:
+    """A room with its parts moved to where they agree best with training rows; ends early when its time is over."""
+    hz, best = np.unique(train.carrier_hz), list(room)
+    paths = ReflectedPaths.of(best, train, lags)
+    score, reach_m = paths.score, _REACH_M
+    for last in _ends(hz):
+        carriers = np.arange(max(0, last - _AT_ONCE), last)
+        step_m = SPEED_OF_LIGHT_M_S / float(hz[carriers[-1]]) / _STEPS_PER_WAVELENGTH
+        for part in paths.strongest_first:
+            if is_over():
+                return best
+            paths.settle(part, around(step_m, reach_m), carriers, standing_m)
+        paths = ReflectedPaths.of(paths.room, train, lags)
+        if paths.score > score:
+            best, score = paths.room, paths.score
+        reach_m = min(reach_m, _REACH * step_m)
+    return best
+
+
+def _ends(carrier_hz: Float[FloatArray, "F"]) -> list[int]:
+    """Ends of the ranges of carriers that are taken one after another: the lowest, then more, then overlapping ones."""
+    number = len(carrier_hz)
+    lowest = int(np.count_nonzero(carrier_hz <= _LOWEST * carrier_hz[0]))
+    growing = range(min(lowest, _AT_ONCE), min(number, _AT_ONCE))
+    return [*growing, *range(min(_AT_ONCE, number), number, _AT_ONCE - 1), number]
+
+
+def around(step_m: float, reach_m: float) -> Float[FloatArray, "n"]:
+    """Displacements up to a reach, 0 first."""
+    steps = np.arange(1, int(np.ceil(reach_m / step_m)) + 1)
+    return step_m * np.concatenate([[0], -steps[::-1], steps])
+
+
+@dataclass(eq=False)
+class ReflectedPaths:
+    """P paths of some transmitters to the array, traced in a room at F carriers, and which parts reflect them.
+
+    `wave` is the channel of each path at the array's elements, `channel` their sum for each of T transmitters.
+    `reflected` holds for each part the paths that it reflects, and how much longer each becomes by a metre that the
+    part moves. `rows` are compared with `measured`, their lag averages; theirs are transmitter `of_tx` and carrier
+    `of_carrier`.
+    """
+
+    room: list[RoomSurface]
+    carrier_hz: Float[FloatArray, "F"]
+    lags: LagAverages
+    wave: Complex[ComplexArray, "P F M"]
+    length_m: Float[FloatArray, "P"]
+    tx: Int[IntArray, "P"]
+    reflected: dict[RoomPart, tuple[Int[IntArray, "n"], Float[FloatArray, "n"]]]
+    of_tx: Int[IntArray, "B"]
+    of_carrier: Int[IntArray, "B"]
+    measured: Complex[ComplexArray, "B L"]
+
+    @classmethod
+    def of(
+        cls,
+        room: Sequence[RoomSurface],
+        train: PasDataset,
+        lags: LagAverages,
+        carrier_hz: Float[FloatArray, "F"] | None = None,
+    ) -> ReflectedPaths:
+        """The paths from evenly drawn transmitters of training rows, at all or some carriers of theirs."""
+        hz, receiver = (
+            np.unique(train.carrier_hz) if carrier_hz is None else carrier_hz,
+            train.header.receiver,
+        )
+        tracer = tracer_in(room, receiver, hz.tolist(), UNHIDDEN)
+        element = train.beam.element_position_wavelengths
+        lengthened = defaultdict[RoomPart, list[tuple[int, float]]](list)
+        waves, lengths_m, owners, rows = [], list[FloatArray](), list[IntArray](), []
+        num_paths = 0
+        for number, tx in enumerate(evenly(np.unique(train.tx_index), _NUM_TX)):
+            own = np.flatnonzero((train.tx_index == tx) & np.isin(train.carrier_hz, hz))
+            if not len(own):
+                continue
+            position_m = train.tx_position_m[own[0]]
+            paths = tracer.paths(position_m)
+            for part, path, slope in _slopes(paths, room, position_m, np.array(receiver.position_m)):
+                lengthened[part].append((num_paths + path, slope))
+            waves.append(_waves(paths, receiver.rotation, element))
+            lengths_m.append(paths.delay_s * SPEED_OF_LIGHT_M_S)
+            owners.append(np.full(len(paths.delay_s), number))
+            num_paths += len(paths.delay_s)
+            rows.append(np.stack([own, np.full(len(own), number)], axis=1))
+        rows, of_tx = np.concatenate(rows).T
+        return cls(
+            list(room),
+            hz,
+            lags,
+            np.concatenate(waves),
+            np.concatenate(lengths_m),
+            np.concatenate(owners),
+            {
+                part: (np.array([p for p, _ in of]), np.array([s for _, s in of]))
+                for part, of in lengthened.items()
+            },
+            of_tx,
+            np.searchsorted(hz, train.carrier_hz[rows]),
+            lags.measured(rows),
+        )
+
+    def __post_init__(self) -> None:
+        shape = int(self.of_tx.max(initial=-1)) + 1, *self.wave.shape[1:]
+        self.channel = np.zeros(shape, complex)
+        np.add.at(self.channel, self.tx, self.wave)
+
+    @property
+    def score(self) -> float:
+        """Mean likeness of the rows."""
+        return float(self._likeness(self.channel).mean())
+
+    @property
+    def strongest_first(self) -> list[RoomPart]:
+        """The parts, those first that reflect most."""
+        power = (np.abs(self.wave) ** 2).sum(axis=(1, 2)) / (np.abs(self.wave) ** 2).sum(axis=(1, 2)).max(
+            initial=0
+        )
+        return sorted(self.reflected, key=lambda part: -power[self.reflected[part][0]].sum())
+
+    def settle(
+        self,
+        part: RoomPart,
+        by_m: Float[FloatArray, "n"],
+        carriers: Int[IntArray, "K"],
+        standing_m: Float[FloatArray, "N 3"],
+    ) -> None:
+        """Move a part by the one of some displacements, 0 first, with which rows at some carriers agree best."""
+        likeness = self.likeness(part, by_m, carriers)
+        best = int(likeness.argmax())
+        if likeness[best] < likeness[0] + _LEAST_GAIN:
+            return
+        room = moved(self.room, part, by_m[best])
+        changed = (new for new, old in zip(room, self.room, strict=True) if new is not old)
+        if all(is_clear(each, standing_m) and each.depth_m >= 0 for each in changed):
+            paths, turn = (
+                self.reflected[part][0],
+                self._turn(part, by_m[best], np.arange(len(self.carrier_hz))),
+            )
+            change = self.wave[paths] * (turn - 1)[:, :, None]
+            np.add.at(self.channel, self.tx[paths], change)
+            self.wave[paths] += change
+            self.room = room
+
+    def likeness(
+        self, part: RoomPart, by_m: Float[FloatArray, "n"], carriers: Int[IntArray, "K"]
+    ) -> Float[FloatArray, "n"]:
+        """Summed likeness of the rows at some carriers that a part matters to, with each displacement of it."""
+        paths, _ = self.reflected[part]
+        tx, first = np.unique(self.tx[paths], return_index=True)
+        rows = np.isin(self.of_tx, tx) & np.isin(self.of_carrier, carriers)
+        place = np.searchsorted(tx, self.of_tx[rows]), np.searchsorted(carriers, self.of_carrier[rows])
+        wave, channel = self.wave[np.ix_(paths, carriers)], self.channel[np.ix_(tx, carriers)]
+        measured = self.measured[rows]
+
+        def of(each_m: float) -> float:
+            turn = self._turn(part, each_m, carriers) - 1
+            there = channel + np.add.reduceat(wave * turn[:, :, None], first, axis=0)
+            return float(self.lags.likeness(measured, self.lags.of_channels(there[place])).sum())
+
+        return np.array([of(each_m) for each_m in by_m.tolist()])
+
+    def _turn(
+        self, part: RoomPart, by_m: float, carriers: Int[IntArray, "K"]
+    ) -> Complex[NDArray[np.complex128], "n K"]:
+        """By which factor the waves of paths change with a displacement of the part that reflects them.
+
+        The image of the transmitter moves by twice as much, which is exact for a path that the part reflects once.
+        """
+        paths, slope = self.reflected[part]
+        length_m = self.length_m[paths]
+        bend = 0.0 if part.kind == "tilt" else (2 * by_m) ** 2
+        longer_m = np.sqrt(length_m**2 + 2 * length_m * slope * by_m + bend) - length_m
+        return np.exp(-2j * np.pi / SPEED_OF_LIGHT_M_S * longer_m[:, None] * self.carrier_hz[carriers])
+
+    def _likeness(self, channel: Complex[ComplexArray, "T F M"]) -> Float[FloatArray, "B"]:
+        told = self.lags.of_channels(channel[self.of_tx, self.of_carrier])
+        return self.lags.likeness(self.measured, told)
+
+
+def _waves(
+    paths: Paths, rotation: Float[FloatArray, "3 3"], element: Float[FloatArray, "M 3"]
+) -> Complex[ComplexArray, "P F M"]:
+    """Channels of paths at the elements of an array, `element` being their places in wavelengths."""
+    cycles = paths.carrier_hz[:, None] * paths.delay_s
+    centre = paths.gain * np.exp(-2j * np.pi * cycles)
+    source = cycles[:, :, None] * (paths.arrival @ rotation)
+    return np.stack(
+        [own[:, None] * spherical_waves(there, element) for own, there in zip(centre, source, strict=True)],
+        axis=1,
+    )
+
+
+def _slopes(
+    paths: Paths,
+    room: Sequence[RoomSurface],
+    tx_position_m: Float[FloatArray, "3"],
+    receiver_m: Float[FloatArray, "3"],
+) -> list[tuple[RoomPart, int, float]]:
+    """By how much each path grows for a metre that a part moves, for the parts that reflect it."""
+    found = []
+    for path, codes in enumerate(paths.interactions):
+        number = int(np.count_nonzero(codes))
+        line_m = np.concatenate([tx_position_m[None], paths.vertices_m[path, :number], receiver_m[None]])
+        way = np.diff(line_m, axis=0)
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        slopes = defaultdict[RoomPart, float](float)
+        for at in np.flatnonzero(codes[:number] == SPECULAR).tolist():
+            for part in parts_at(room[paths.surfaces[path, at]], line_m[at + 1]):
+                slopes[part] += float((way[at] - way[at + 1]) @ displacement(room, part, line_m[at + 1]))
+        found += [(part, path, slope) for part, slope in slopes.items()]
+    return found
