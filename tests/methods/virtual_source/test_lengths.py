@@ -10,7 +10,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.boxes import BoxFrame
 from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled
 from xfreqbench.methods.virtual_source.materials import NamedSlab
-from xfreqbench.methods.virtual_source.parts import RoomPart, displacement, moved, parts_at
+from xfreqbench.methods.virtual_source.parts import Motion, RoomPart, moved, parts_at
 from xfreqbench.methods.virtual_source.search.cross_terms import LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface, learned_surfaces, standing
 from xfreqbench.methods.virtual_source.told import StoredFindings
@@ -92,7 +92,7 @@ def test_a_face_of_a_box_moves_its_points_and_no_other(room: list[RoomSurface], 
     assert (np.isclose(change_m, 0.01) | np.isclose(change_m, 0.0)).all()
     assert np.isclose(change_m, 0.01).sum() == (8 if kind == "board" else 4)
     still = np.flatnonzero(change_m > 1e-6)[0]
-    np.testing.assert_allclose(after[still] - before[still], 0.01 * displacement([own], part, before[still]))
+    np.testing.assert_allclose(after[still] - before[still], 0.01 * Motion.of([own], part).at(before[still]))
 
 
 def test_a_point_belongs_to_the_face_that_it_lies_on(room: list[RoomSurface]) -> None:
@@ -100,7 +100,7 @@ def test_a_point_belongs_to_the_face_that_it_lies_on(room: list[RoomSurface]) ->
     assert parts_at(own, np.array([1.5, 1.5, 0.8])) == [RoomPart("front", 99)]
     assert parts_at(own, np.array([1.5, 1.5, 0.3])) == [RoomPart("back", 99)]
     (side,) = parts_at(own, np.array([2.0, 1.5, 0.5]))
-    np.testing.assert_allclose(own.outward(side.nth), [1.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(own.outward[side.nth], [1.0, 0.0, 0.0], atol=1e-9)
     thin = box(room, [1.0, 1.0, 0.77], [2.0, 2.0, 0.8])
     assert parts_at(thin, np.array([1.5, 1.5, 0.8])) == [RoomPart("front", 99), RoomPart("board", 99)]
 

@@ -98,7 +98,7 @@ def _edged(
     number = len(own.corners_m)
     for edge in range(number):
         ends = [edge, (edge + 1) % number]
-        outward = own.outward(edge)
+        outward = own.outward[edge]
         room_m = _way_to_wall(own.corners_m[ends], outward, walls)
         size_m = np.ptp(own.corners_m @ outward)
         steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}

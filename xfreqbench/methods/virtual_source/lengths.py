@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.virtual_source.parts import RoomPart, displacement, moved, parts_at
+from xfreqbench.methods.virtual_source.parts import Motion, RoomPart, moved, parts_at
 from xfreqbench.methods.virtual_source.search.cross_terms import (
     ComplexArray,
     IsOver,
@@ -37,7 +37,7 @@ _AT_ONCE = 3  # carriers
 _LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimetre off are found
 _REACH_M = 0.03  # of the first search of a part, in either direction
 _STEPS_PER_WAVELENGTH = 16  # of the highest carrier
-_REACH = 3  # steps of the carriers before, within which a part is sought again
+_REACH = 1.5  # steps of the carriers before, within which a part is sought again
 _LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
 
@@ -118,14 +118,14 @@ class ReflectedPaths:
         element = train.beam.element_position_wavelengths
         lengthened = defaultdict[RoomPart, list[tuple[int, float]]](list)
         waves, lengths_m, owners, rows = [], list[FloatArray](), list[IntArray](), []
-        num_paths = 0
+        motions, num_paths = dict[RoomPart, Motion](), 0
         for number, tx in enumerate(evenly(np.unique(train.tx_index), _NUM_TX)):
             own = np.flatnonzero((train.tx_index == tx) & np.isin(train.carrier_hz, hz))
             if not len(own):
                 continue
             position_m = train.tx_position_m[own[0]]
             paths = tracer.paths(position_m)
-            for part, path, slope in _slopes(paths, room, position_m, np.array(receiver.position_m)):
+            for part, path, slope in _slopes(paths, room, position_m, receiver.position_m, motions):
                 lengthened[part].append((num_paths + path, slope))
             waves.append(_waves(paths, receiver.rotation, element))
             lengths_m.append(paths.delay_s * SPEED_OF_LIGHT_M_S)
@@ -244,18 +244,25 @@ def _slopes(
     paths: Paths,
     room: Sequence[RoomSurface],
     tx_position_m: Float[FloatArray, "3"],
-    receiver_m: Float[FloatArray, "3"],
+    receiver_m: tuple[float, float, float],
+    motions: dict[RoomPart, Motion],
 ) -> list[tuple[RoomPart, int, float]]:
-    """By how much each path grows for a metre that a part moves, for the parts that reflect it."""
+    """By how much each path grows for a metre that a part moves, for the parts that reflect it.
+
+    `motions` are remembered from one transmitter to the next.
+    """
     found = []
     for path, codes in enumerate(paths.interactions):
         number = int(np.count_nonzero(codes))
-        line_m = np.concatenate([tx_position_m[None], paths.vertices_m[path, :number], receiver_m[None]])
+        line_m = np.concatenate([tx_position_m[None], paths.vertices_m[path, :number], [receiver_m]])
         way = np.diff(line_m, axis=0)
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         slopes = defaultdict[RoomPart, float](float)
         for at in np.flatnonzero(codes[:number] == SPECULAR).tolist():
-            for part in parts_at(room[paths.surfaces[path, at]], line_m[at + 1]):
-                slopes[part] += float((way[at] - way[at + 1]) @ displacement(room, part, line_m[at + 1]))
+            point_m, turn = line_m[at + 1], way[at] - way[at + 1]
+            for part in parts_at(room[paths.surfaces[path, at]], point_m):
+                if part not in motions:
+                    motions[part] = Motion.of(room, part)
+                slopes[part] += float(turn @ motions[part].at(point_m))
         found += [(part, path, slope) for part, slope in slopes.items()]
     return found

@@ -43,22 +43,36 @@ def parts_at(surface: RoomSurface, point_m: Float[FloatArray, "3"]) -> list[Room
         RoomPart("front", number): abs(behind_m),
         RoomPart("back", number): abs(behind_m - surface.depth_m),
     }
-    for side, corner_m in enumerate(surface.corners_m):
-        away_m[RoomPart("side", number, side)] = abs(float((point_m - corner_m) @ surface.outward(side)))
+    beside_m = np.einsum("nc,nc->n", point_m - surface.corners_m, surface.outward)
+    away_m |= {RoomPart("side", number, side): abs(by_m) for side, by_m in enumerate(beside_m.tolist())}
     nearest = min(away_m, key=away_m.__getitem__)
     is_board = nearest.kind != "side" and surface.depth_m < _MOST_BOARD_M
     return [nearest, RoomPart("board", number)] if is_board else [nearest]
 
 
-def displacement(room: Sequence[RoomSurface], part: RoomPart, point_m: Float[FloatArray, "3"]) -> FloatArray:
-    """By which vector a point moves for each metre that its part is moved."""
-    own = _own(room, part)[0]
-    if part.kind == "side":
-        return own.outward(part.nth)
-    if part.kind == "tilt":
-        centre_m, axis = _axis(room, part)
-        return float((point_m - centre_m) @ axis) * own.normal
-    return own.normal
+class Motion(NamedTuple):
+    """By which vector points move for each metre that their part is moved: all alike, or the more the farther along.
+
+    Tilted points move by their distance from `middle_m` along `axis`.
+    """
+
+    normal: Float[FloatArray, "3"]
+    middle_m: Float[FloatArray, "3"] | None = None
+    axis: Float[FloatArray, "3"] | None = None
+
+    @classmethod
+    def of(cls, room: Sequence[RoomSurface], part: RoomPart) -> Motion:
+        """How a part of a room moves."""
+        own = _own(room, part)[0]
+        if part.kind == "tilt":
+            return cls(own.normal, *_axis(room, part))
+        return cls(own.outward[part.nth] if part.kind == "side" else own.normal)
+
+    def at(self, point_m: Float[FloatArray, "3"]) -> Float[FloatArray, "3"]:
+        """How a point of the part moves."""
+        if self.axis is None or self.middle_m is None:
+            return self.normal
+        return float((point_m - self.middle_m) @ self.axis) * self.normal
 
 
 def moved(room: Sequence[RoomSurface], part: RoomPart, by_m: float) -> list[RoomSurface]:
@@ -70,7 +84,7 @@ def moved(room: Sequence[RoomSurface], part: RoomPart, by_m: float) -> list[Room
 def _moved(own: RoomSurface, room: Sequence[RoomSurface], part: RoomPart, by_m: float) -> RoomSurface:
     corners_m, depth_m, normal = own.corners_m.copy(), own.depth_m, own.normal
     if part.kind == "side":
-        corners_m[[part.nth, (part.nth + 1) % len(corners_m)]] += by_m * own.outward(part.nth)
+        corners_m[[part.nth, (part.nth + 1) % len(corners_m)]] += by_m * own.outward[part.nth]
     elif part.kind == "back":
         depth_m += by_m
     elif part.kind == "tilt":

@@ -70,12 +70,14 @@ class RoomSurface:
         """Area of the polygon."""
         return polygon_area_m2(self.corners_m)
 
-    def outward(self, side: int) -> Float[FloatArray, "3"]:
-        """Unit vector within the polygon's plane, at a right angle to one of its sides, that points out of it."""
-        start, end = self.corners_m[[side, (side + 1) % len(self.corners_m)]]
-        across = np.cross(end - start, self.normal)
-        across = across / np.linalg.norm(across)
-        return across if across @ (start - self.corners_m.mean(0)) > 0 else -across
+    @cached_property
+    def outward(self) -> Float[FloatArray, "n 3"]:
+        """Unit vectors within the polygon's plane, at right angles to its sides, that point out of it."""
+        along = np.roll(self.corners_m, -1, axis=0) - self.corners_m
+        across = np.cross(along, self.normal)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        inside_m = self.corners_m - self.corners_m.mean(axis=0)
+        return across * np.where(np.einsum("nc,nc->n", across, inside_m) > 0, 1.0, -1.0)[:, None]
 
     @property
     def slab_name(self) -> str:
