@@ -39,6 +39,12 @@ def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return generated(tmp_path_factory.mktemp("data"))
 
 
+@pytest.fixture
+def unsettled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box is left where it was put: `test_lengths` settles rooms."""
+    monkeypatch.setattr(refine, "settled", lambda room, *_: room)
+
+
 def refinement(dataset: PasDataset) -> Refinement:
     """Of a room that has all of the box but the crate."""
     made = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
@@ -76,6 +82,7 @@ def test_a_search_whose_time_is_over_finds_nothing(empty_room: PasDataset) -> No
     assert obstacles(refinement(empty_room).found, empty_room, standing_in(empty_room), lambda: True) == []
 
 
+@pytest.mark.usefixtures("unsettled")
 def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
     told = refinement(dataset)
     told.done = len(told.steps)
@@ -95,6 +102,7 @@ def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
     assert Refinement.resumed(stored, dataset).as_json() == told.as_json()
 
 
+@pytest.mark.usefixtures("unsettled")
 def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     told = refinement(empty_room)
     told.done, told.boxes = len(told.steps) + 1, [BoxFrame.of(told.found).along(CRATE_M)]
