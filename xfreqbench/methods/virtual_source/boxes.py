@@ -19,7 +19,7 @@ THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
 GAP_M = 0.02  # between a box and the walls, and whatever is known not to be in it
 _SHEET_M = 0.015  # thickness of the slabs of which boxes are made at first
 _BOARD_M = 0.03  # height of a table's top
-_MOST_BOARD_M = 0.05
+MOST_BOARD_M = 0.05
 _ALONG = 1 - 1e-5  # cosine of what stands along an axis
 _THINNEST_M = 0.01
 
@@ -133,7 +133,7 @@ class BoxFrame:
         """A box with faces moved: the lower or upper one along one of the axes, or both."""
         for step_m in steps_m:
             box = self.box_of(own)
-            is_board = box[1, 2] - box[0, 2] < _MOST_BOARD_M
+            is_board = box[1, 2] - box[0, 2] < MOST_BOARD_M
             box[_WHOLE if is_board and faces == _TOP else faces] += step_m
             if (box[1] - box[0] > _THINNEST_M).all():
                 yield self.surface(box, own.number, own.slab)
@@ -152,7 +152,7 @@ class BoxFrame:
         box[0, 2] = (
             min(((each.corners_m @ self.axes[2]).min() for each in self.walls), default=box[0, 2]) + GAP_M
         )
-        if box[1, 2] - box[0, 2] > _MOST_BOARD_M:
+        if box[1, 2] - box[0, 2] > MOST_BOARD_M:
             yield self.surface(box, own.number, own.slab)
 
 

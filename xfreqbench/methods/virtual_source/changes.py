@@ -91,9 +91,7 @@ def _is_back(other: RoomSurface, front: RoomSurface) -> bool:
     return not other.is_wall and 0 < behind_m < _BACK_M and float(other.normal @ front.normal) > 0.999
 
 
-def _edged(
-    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float] = EDGES_M
-) -> Iterator[RoomSurface]:
+def _edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
     """The surface with one edge moved within its plane, up to a wall at most."""
     number = len(own.corners_m)
     for edge in range(number):

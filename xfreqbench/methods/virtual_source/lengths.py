@@ -24,10 +24,9 @@ from xfreqbench.methods.virtual_source.search.cross_terms import (
     IsOver,
     LagAverages,
     never,
-    spherical_waves,
 )
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface, is_clear
-from xfreqbench.methods.virtual_source.traced import UNHIDDEN, evenly, tracer_in
+from xfreqbench.methods.virtual_source.traced import UNHIDDEN, evenly, tracer_in, waves_of
 from xfreqbench.tracing.paths import SPECULAR, Paths
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -38,7 +37,7 @@ _LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimet
 _REACH_M = 0.03  # of the first search of a part, in either direction
 _STEPS_PER_WAVELENGTH = 16  # of the highest carrier
 _REACH = 1.5  # steps of the carriers before, within which a part is sought again
-_LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
+LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
 
 def settled(
@@ -110,10 +109,8 @@ class ReflectedPaths:
         carrier_hz: Float[FloatArray, "F"] | None = None,
     ) -> ReflectedPaths:
         """The paths from evenly drawn transmitters of training rows, at all or some carriers of theirs."""
-        hz, receiver = (
-            np.unique(train.carrier_hz) if carrier_hz is None else carrier_hz,
-            train.header.receiver,
-        )
+        hz = np.unique(train.carrier_hz) if carrier_hz is None else carrier_hz
+        receiver = train.header.receiver
         tracer = tracer_in(room, receiver, hz.tolist(), UNHIDDEN)
         element = train.beam.element_position_wavelengths
         lengthened = defaultdict[RoomPart, list[tuple[int, float]]](list)
@@ -127,7 +124,7 @@ class ReflectedPaths:
             paths = tracer.paths(position_m)
             for part, path, slope in _slopes(paths, room, position_m, receiver.position_m, motions):
                 lengthened[part].append((num_paths + path, slope))
-            waves.append(_waves(paths, receiver.rotation, element))
+            waves.append(waves_of(paths, receiver.rotation, element))
             lengths_m.append(paths.delay_s * SPEED_OF_LIGHT_M_S)
             owners.append(np.full(len(paths.delay_s), number))
             num_paths += len(paths.delay_s)
@@ -157,14 +154,13 @@ class ReflectedPaths:
     @property
     def score(self) -> float:
         """Mean likeness of the rows."""
-        return float(self._likeness(self.channel).mean())
+        told = self.lags.of_channels(self.channel[self.of_tx, self.of_carrier])
+        return float(self.lags.likeness(self.measured, told).mean())
 
     @property
     def strongest_first(self) -> list[RoomPart]:
         """The parts, those first that reflect most."""
-        power = (np.abs(self.wave) ** 2).sum(axis=(1, 2)) / (np.abs(self.wave) ** 2).sum(axis=(1, 2)).max(
-            initial=0
-        )
+        power = (np.abs(self.wave) ** 2).sum(axis=(1, 2))
         return sorted(self.reflected, key=lambda part: -power[self.reflected[part][0]].sum())
 
     def settle(
@@ -177,15 +173,13 @@ class ReflectedPaths:
         """Move a part by the one of some displacements, 0 first, with which rows at some carriers agree best."""
         likeness = self.likeness(part, by_m, carriers)
         best = int(likeness.argmax())
-        if likeness[best] < likeness[0] + _LEAST_GAIN:
+        if likeness[best] < likeness[0] + LEAST_GAIN:
             return
         room = moved(self.room, part, by_m[best])
         changed = (new for new, old in zip(room, self.room, strict=True) if new is not old)
         if all(is_clear(each, standing_m) and each.depth_m >= 0 for each in changed):
-            paths, turn = (
-                self.reflected[part][0],
-                self._turn(part, by_m[best], np.arange(len(self.carrier_hz))),
-            )
+            paths, _ = self.reflected[part]
+            turn = self._turn(part, by_m[best], np.arange(len(self.carrier_hz)))
             change = self.wave[paths] * (turn - 1)[:, :, None]
             np.add.at(self.channel, self.tx[paths], change)
             self.wave[paths] += change
@@ -221,23 +215,6 @@ class ReflectedPaths:
         bend = 0.0 if part.kind == "tilt" else (2 * by_m) ** 2
         longer_m = np.sqrt(length_m**2 + 2 * length_m * slope * by_m + bend) - length_m
         return np.exp(-2j * np.pi / SPEED_OF_LIGHT_M_S * longer_m[:, None] * self.carrier_hz[carriers])
-
-    def _likeness(self, channel: Complex[ComplexArray, "T F M"]) -> Float[FloatArray, "B"]:
-        told = self.lags.of_channels(channel[self.of_tx, self.of_carrier])
-        return self.lags.likeness(self.measured, told)
-
-
-def _waves(
-    paths: Paths, rotation: Float[FloatArray, "3 3"], element: Float[FloatArray, "M 3"]
-) -> Complex[ComplexArray, "P F M"]:
-    """Channels of paths at the elements of an array, `element` being their places in wavelengths."""
-    cycles = paths.carrier_hz[:, None] * paths.delay_s
-    centre = paths.gain * np.exp(-2j * np.pi * cycles)
-    source = cycles[:, :, None] * (paths.arrival @ rotation)
-    return np.stack(
-        [own[:, None] * spherical_waves(there, element) for own, there in zip(centre, source, strict=True)],
-        axis=1,
-    )
 
 
 def _slopes(

@@ -21,10 +21,9 @@ from xfreqbench.methods.virtual_source.search.cross_terms import (
     IsOver,
     LagAverages,
     never,
-    spherical_waves,
 )
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
-from xfreqbench.methods.virtual_source.traced import UNHIDDEN, evenly, tracer_in
+from xfreqbench.methods.virtual_source.traced import UNHIDDEN, evenly, tracer_in, waves_of
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.types import FloatArray, IntArray
 
@@ -132,12 +131,8 @@ def _doubts(
     """How much nearer training rows of one transmitter are without each path, summed over them."""
     receiver, hz = train.header.receiver, train.carrier_hz[rows]
     of_carrier = np.searchsorted(paths.carrier_hz, hz)
-    waves = np.empty((len(paths.delay_s), len(rows), receiver.num_elements), complex)
-    for row, (carrier, f) in enumerate(zip(of_carrier.tolist(), hz.tolist(), strict=True)):
-        cycles = f * paths.delay_s
-        source = cycles[:, None] * (paths.arrival @ receiver.rotation)
-        centre = paths.gain[carrier] * np.exp(-2j * np.pi * cycles)
-        waves[:, row] = centre[:, None] * spherical_waves(source, train.beam.element_position_wavelengths)
+    element = train.beam.element_position_wavelengths
+    waves = waves_of(paths, receiver.rotation, element)[:, of_carrier]
     whole = waves.sum(axis=0)
     measured = lags.measured(rows)
     far = 1 - lags.likeness(measured, lags.of_channels(whole))

@@ -9,10 +9,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.methods.virtual_source.boxes import MOST_BOARD_M
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.types import FloatArray
-
-_MOST_BOARD_M = 0.05  # depth of a box whose front and back move together too
 
 
 class RoomPart(NamedTuple):
@@ -46,7 +45,7 @@ def parts_at(surface: RoomSurface, point_m: Float[FloatArray, "3"]) -> list[Room
     beside_m = np.einsum("nc,nc->n", point_m - surface.corners_m, surface.outward)
     away_m |= {RoomPart("side", number, side): abs(by_m) for side, by_m in enumerate(beside_m.tolist())}
     nearest = min(away_m, key=away_m.__getitem__)
-    is_board = nearest.kind != "side" and surface.depth_m < _MOST_BOARD_M
+    is_board = nearest.kind != "side" and surface.depth_m < MOST_BOARD_M
     return [nearest, RoomPart("board", number)] if is_board else [nearest]
 
 

@@ -36,7 +36,7 @@ from xfreqbench.methods.virtual_source.changes import (
     with_edges,
     without,
 )
-from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled
+from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
 from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
@@ -61,7 +61,6 @@ _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
 _WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
 _HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
-_MIN_NEARER = 0.05  # maps, for which it is moved
 
 
 class Trial(NamedTuple):
@@ -272,7 +271,7 @@ class Refinement:
         for part in (RoomPart("board", own.number), RoomPart("front", own.number)):
             if part in paths.reflected:
                 likeness = paths.likeness(part, _HEIGHTS_M, np.arange(len(carriers)))
-                for best in np.argsort(-likeness)[: np.count_nonzero(likeness > likeness[0] + _MIN_NEARER)]:
+                for best in np.argsort(-likeness)[: np.count_nonzero(likeness > likeness[0] + LEAST_GAIN)]:
                     box = moved([own], part, float(_HEIGHTS_M[best]))[0]
                     if box.depth_m > 0 and self._fits(box):
                         return box

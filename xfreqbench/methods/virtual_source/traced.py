@@ -16,11 +16,13 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.loss import map_loss
+from xfreqbench.methods.virtual_source.search.cross_terms import spherical_waves
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.tracing.image.furnished import FurnishedTracer, image_tracer
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
+from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, Maps
 
@@ -29,10 +31,8 @@ NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
 DIFFRACTING = replace(COMPARING, interactions=("specular", "refraction", "diffraction"))
-ROUGHLY, FEW = (
-    replace(COMPARING, rays=5_000),
-    ImageSavings(max_reflections=2),
-)  # for what changes between rooms
+# For what changes from one room to another.
+ROUGHLY, FEW = replace(COMPARING, rays=5_000), ImageSavings(max_reflections=2)
 UNHIDDEN = replace(COMPARING, max_depth=3)  # paths that something may hide
 _MOST_KNOWN = 8  # rooms whose maps are remembered
 _STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, and of the SSIM
@@ -64,6 +64,19 @@ def channels_in(
     tracer = tracer_in(room, samples.header.receiver, carriers.tolist(), settings, savings)
     cfr = tracer.channel(samples.tables["tx_position_m"][tx]).cfr
     return cfr[of_tx.reshape(-1), of_carrier.reshape(-1)]
+
+
+def waves_of(
+    paths: Paths, rotation: Float[FloatArray, "3 3"], element: Float[FloatArray, "M 3"]
+) -> Complex[NDArray[np.complex128], "P F M"]:
+    """Channels of each path at the elements of an array, `element` being their places in wavelengths."""
+    cycles = paths.carrier_hz[:, None] * paths.delay_s
+    centre = paths.gain * np.exp(-2j * np.pi * cycles)
+    source = cycles[:, :, None] * (paths.arrival @ rotation)
+    return np.stack(
+        [own[:, None] * spherical_waves(there, element) for own, there in zip(centre, source, strict=True)],
+        axis=1,
+    )
 
 
 class RoomTracer:
