@@ -19,6 +19,7 @@ from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.obstacle_kernels import hidden_by
 from xfreqbench.methods.virtual_source.obstacles import obstacles
 from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.search.cross_terms import never
 from xfreqbench.methods.virtual_source.surfaces import standing
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.scene.model import Surface
@@ -102,6 +103,36 @@ def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
     assert Refinement.resumed(stored, dataset).as_json() == told.as_json()
 
 
+def test_boxes_that_overlap_are_tried_as_one(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),))
+    told = refinement(dataset)
+    frame, middle_m = BoxFrame.of(told.found), CRATE_M.mean(axis=0)[0]
+    west_m, east_m = CRATE_M.copy(), CRATE_M.copy()
+    west_m[1, 0], east_m[0, 0] = middle_m + 0.1, middle_m - 0.1
+    west, east = (np.sort(frame.along(half_m), axis=0) for half_m in (west_m, east_m))
+    wood, apart = NamedSlab("wood", 0.015, 0.0), np.array([0.0, 0.0, 1.5])
+    away = frame.surface(west + apart, 92, wood)
+    told.room = [*told.found, frame.surface(west, 90, METAL), frame.surface(east, 91, wood), away]
+    told._join(91, never)
+    crate, other = told.room[-1], told.room[-2]
+    assert other is away
+    assert [each.number for each in told.room[len(told.found) :]] == [92, 90]
+    assert crate.slab.material == "metal"
+    assert shared(np.sort(frame.box_of(crate) @ frame.axes, axis=0)) > 0.99
+
+
+def test_a_box_is_fitted_again_where_others_have_changed(dataset: PasDataset) -> None:
+    told = refinement(dataset)
+    frame = BoxFrame.of(told.found)
+    lower = np.sort(frame.along(CRATE_M - [[0, 0, 0], [0, 0, 0.1]]), axis=0)
+    told.room = [*told.found, frame.surface(lower, 90, METAL)]
+    told._fit_again(told.found[0].number, never)  # is no box
+    assert told.room[0] is told.found[0]
+    told._fit_again(90, never)
+    top_m = frame.box_of(told.room[-1])[1, 2]
+    assert top_m == pytest.approx(CRATE_M[1, 2], abs=0.01)
+
+
 @pytest.mark.usefixtures("unsettled")
 def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     told = refinement(empty_room)
@@ -165,6 +196,22 @@ def test_a_box_is_moved_as_a_whole_too() -> None:
     for axis in (0, 1):
         along_m = sorted(float(shift[axis]) for shift in shifts_m if abs(shift[axis]) > 1e-9)
         np.testing.assert_allclose(along_m, boxes.WAYS_M[0]["across"][0])
+
+
+def test_a_hidden_face_is_moved_with_the_edge_that_is_seen_against_the_room() -> None:
+    frame = BoxFrame([], np.eye(3))
+    own = frame.surface(CRATE_M, 7, METAL)
+    by_m = (-0.2, 0.1)
+    ways_m = dict.fromkeys(boxes.WAYS_M[0], ()) | {"in line": (by_m,)}
+    changes = frame.changes(CRATE_M, [METAL], ARRAY_M, ways_m)
+    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    behind = [box for box in moved if box[0, 0] != CRATE_M[0, 0] and box[1, 2] != CRATE_M[1, 2]]
+    np.testing.assert_allclose([box[0, 0] - CRATE_M[0, 0] for box in behind], by_m)
+    for box in behind:  # the edge of the top and the side that is turned away stays in line with the array
+        before_m, after_m = (each[[0, 1], [0, 2]] - ARRAY_M[[0, 2]] for each in (CRATE_M, box))
+        assert before_m[1] / before_m[0] == pytest.approx(after_m[1] / after_m[0])
+        np.testing.assert_allclose(box[[1, 0, 1], [0, 1, 1]], CRATE_M[[1, 0, 1], [0, 1, 1]])
+    assert len({tuple((box != CRATE_M).reshape(-1)) for box in moved}) == 3 * 2 + 1  # pairs, and the floor
 
 
 def found_after(own_box: boxes.Box, **ways_m: tuple[tuple[float, ...], ...]) -> list[boxes.Box]:

@@ -15,7 +15,7 @@ from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
-from xfreqbench.methods.virtual_source import changes, traced
+from xfreqbench.methods.virtual_source import changes, refine, traced
 from xfreqbench.methods.virtual_source.boxes import BoxFrame
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
@@ -122,7 +122,7 @@ def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> 
     places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
     right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
     wrong = moved([right], RoomPart("board", 99), 0.06)[0]  # as far down
-    there = told._at_its_height(wrong, told.room)
+    (there,) = told._at_its_height(told.room, wrong)
     assert frame.box_of(there)[1, 2] == pytest.approx(0.73, abs=3e-3)
 
 
@@ -163,6 +163,19 @@ def test_faces_are_changed_again_once_boxes_are_in_their_places(
         told.step()
     (screen,) = [each for each in told.room if not each.is_wall]
     assert screen.corners_m[:, 1].max() == pytest.approx(2.5, abs=0.1)
+
+
+def test_only_parts_that_are_better_where_lengths_agree_are_settled(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = refinement(dataset, found_room())
+    right, planes = told.room, [each.plane for each in told.room if each.is_wall]
+    told.room = moved(right, RoomPart("wall", planes[0]), 0.004)
+    wrong = moved(right, RoomPart("wall", planes[1]), 0.004)
+    monkeypatch.setattr(refine, "settled", lambda *_: wrong)
+    told.settle()
+    assert told.is_over
+    assert told.room == right
 
 
 def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:

@@ -26,9 +26,8 @@ _THINNEST_M = 0.01
 Box = Float[FloatArray, "2 3"]  # lowest and highest corner, along axes of the room
 Change = Callable[[RoomSurface], Iterator[RoomSurface]]
 Faces = tuple[int | tuple[int, int], int]  # of a box: the lower or upper one, or both, along which axis
-Kind = Literal[
-    "board", "top", "shown", "hidden", "across"
-]  # across: two opposite upright faces, moved together
+# Across are two opposite upright faces, and in line a shown face and a hidden one, that are moved together.
+Kind = Literal["board", "top", "shown", "hidden", "across", "in line"]
 _TOP, _WHOLE = (1, 2), ((0, 1), 2)  # the latter: a board as a whole, upwards
 _IN_TURN: tuple[Kind, ...] = ("top", "shown", "hidden", "across")
 
@@ -40,20 +39,23 @@ def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
 
 
 Ways = Mapping[Kind, Sequence[Sequence[float]]]
-WAYS_M: tuple[Ways, ...] = (  # by which faces are moved, far and then nearer, at first and again
+# By which faces are moved: roughly, and then those that mirror in small steps, for they agree at one place only.
+WAYS_M: tuple[Ways, ...] = (
     {
         "board": ((0.0, *_within(0.2, 0.05)),),
         "top": (_within(0.25, 0.05), _within(0.04, 0.01)),
         "shown": (_within(0.12, 0.04), _within(0.03, 0.01)),
         "hidden": ((*_within(0.2, 0.05), -0.4, -0.3, 0.3, 0.4),),
         "across": (_within(0.2, 0.05),),
+        "in line": (_within(0.2, 0.05),),
     },
     {
         "board": ((0.0,),),
-        "top": (_within(0.03, 0.005),),
-        "shown": (_within(0.03, 0.005),),
+        "top": (_within(0.24, 0.02), _within(0.015, 0.005)),
+        "shown": (_within(0.24, 0.02), _within(0.015, 0.005)),
         "hidden": (_within(0.1, 0.05),),
         "across": (_within(0.03, 0.01),),
+        "in line": (_within(0.2, 0.05),),
     },
 )
 
@@ -116,14 +118,17 @@ class BoxFrame:
     ) -> list[Change]:
         """What may be changed one after another: slabs, faces by steps of `ways_m`, the height, and slabs again.
 
+        What a box hides tells of the edges between shown and hidden faces, but not how far each is from the array.
         The face that is held stays where it is, so a box is not moved as a whole along its normal.
         """
         fixed = (held, ((0, 1), held[1])) if held else ()
-        moves = [
-            partial(self._moved, faces, steps_m)
-            for faces, kind in _faces(box, self.along(array_m))
-            for steps_m in ways_m[kind]
-            if faces not in fixed
+        place_m = self.along(array_m)
+        faces = [(each, kind) for each, kind in _faces(box, place_m) if each not in fixed]
+        moves = [partial(self._moved, each, by_m) for each, kind in faces for by_m in ways_m[kind]]
+        moves += [
+            partial(self._moved_in_line, place_m, pair, by_m)
+            for pair in product(*(_of_kinds(faces, kinds) for kinds in (("top", "shown"), ("hidden",))))
+            for by_m in ways_m["in line"]
         ]
         of_slabs = partial(_of_slabs, slabs)
         boards = [partial(self._as_board, steps_m) for steps_m in ways_m["board"]]
@@ -137,6 +142,24 @@ class BoxFrame:
             box[_WHOLE if is_board and faces == _TOP else faces] += step_m
             if (box[1] - box[0] > _THINNEST_M).all():
                 yield self.surface(box, own.number, own.slab)
+
+    def _moved_in_line(
+        self,
+        array_m: Float[FloatArray, "3"],
+        pair: Sequence[Faces],
+        steps_m: Sequence[float],
+        own: RoomSurface,
+    ) -> Iterator[RoomSurface]:
+        """A box with a hidden face moved, and a shown one so that the edge between hides the same from the array."""
+        shown, hidden = pair
+        for step_m in steps_m:
+            box = self.box_of(own)
+            far_m = box[hidden] - array_m[hidden[1]]
+            if shown[1] != hidden[1] and abs(far_m) > _THINNEST_M:
+                box[hidden] += step_m
+                box[shown] += (box[shown] - array_m[shown[1]]) * step_m / far_m
+                if (box[1] - box[0] > _THINNEST_M).all():
+                    yield self.surface(box, own.number, own.slab)
 
     def _as_board(self, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
         """The top of a box alone, as of a table, as high or at other heights."""
@@ -175,6 +198,11 @@ def _of_slabs(slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurf
     thinner = () if own.slab.material == "metal" else map(own.slab.thinned, THICKNESSES)
     for slab in [*slabs, *thinner]:
         yield replace(own, slab=slab)
+
+
+def _of_kinds(faces: Sequence[tuple[Faces, Kind]], kinds: Sequence[Kind]) -> list[Faces]:
+    """The faces of some kinds."""
+    return [each for each, kind in faces if kind in kinds]
 
 
 def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[Faces, Kind]]:

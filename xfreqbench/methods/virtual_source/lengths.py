@@ -61,6 +61,8 @@ def settled(
         paths = ReflectedPaths.of(paths.room, train, lags)
         if paths.score > score:
             best, score = paths.room, paths.score
+        else:
+            paths = ReflectedPaths.of(best, train, lags)
         reach_m = min(reach_m, _REACH * step_m)
     return best
 

@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.boxes import (
+    GAP_M,
     WAYS_M,
     Box,
     BoxFrame,
@@ -42,6 +43,7 @@ from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacle
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
 from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import (
+    NO_PLANE,
     RoomSurface,
     is_clear,
     learned_surfaces,
@@ -137,7 +139,12 @@ class Refinement:
     def last_steps(self) -> list[Callable[[IsOver], None]]:
         """What is done once boxes are in their places: edges, depths and thicknesses of faces again."""
         trials = [self._trials_of(own) for own in self._fronts]
-        return [partial(self._change, trial) for edges, _, *rest, _ in trials for trial in (edges, *rest)]
+        again = [partial(self._fit_again, own.number) for own in self._fronts]
+        changed = [partial(self._change, trial) for edges, _, *rest, _ in trials for trial in (edges, *rest)]
+        return [*again, *changed]
+
+    def _numbered(self, number: int) -> RoomSurface | None:
+        return next((each for each in self.room if each.number == number), None)
 
     @property
     def _fronts(self) -> list[RoomSurface]:
@@ -191,7 +198,16 @@ class Refinement:
     def settle(self, is_over: IsOver = never) -> None:
         """Leave out the steps that are left but the last one: move all parts to where the lengths of paths agree."""
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
-        before, after = _scores([self._at_lowest, self.score], [self.room, room])
+        judges = [self._at_lowest, self.score]
+        near = [judge.near(room) for judge in judges]
+        for plane, number in dict.fromkeys(map(_moves_with, room)):  # each part has to be better there
+            back = [
+                old if _moves_with(old) == (plane, number) else new
+                for old, new in zip(self.room, room, strict=True)
+            ]
+            before, after = _scores(near, [back, room])
+            room = room if after > before else back
+        before, after = _scores(judges, [self.room, room])
         if after > before:
             self.room = room
         self.done = self.num_steps
@@ -207,28 +223,52 @@ class Refinement:
             scores = _scores([judge.near(self.room) for judge in judges], candidates, is_over)
             if not len(scores) or is_over():
                 break
-            before, after = _scores(judges, [self.room, candidates[int(scores.argmax())]])
-            if after < before + _MIN_CHANGE:
+            best = candidates[int(scores.argmax())]
+            if not (self._is_nearer(best, judges) and self._is_nearer(best, [self._at_lowest, self.score])):
                 break
-            self.room = candidates[int(scores.argmax())]
+            self.room = best
+
+    def _is_nearer(self, room: Room, judges: Sequence[RoomScore]) -> bool:
+        """Whether a room that is changed deserves to be kept."""
+        before, after = _scores(judges, [self.room, room])
+        return bool(after >= before + _MIN_CHANGE)
 
     def _fit_behind(self, number: int, is_over: IsOver) -> None:
-        """Put a box behind a face, if it has none yet and stands along the walls, and change all but that face."""
-        own = next((each for each in self.room if each.number == number), None)
+        """Make a face that stands along the walls the front of a box, and change all of the box but that face."""
+        own = self._numbered(number)
         frame = self._frame
-        if own is not None and not own.depth_m and (held := frame.face_of(own)):
-            box = frame.box_of(own.with_depth(_BEHIND_M, frame.walls))
+        if own is not None and (held := frame.face_of(own)):
+            box = frame.box_of(own if own.depth_m else own.with_depth(_BEHIND_M, frame.walls))
             self._fit(frame.surface(box, number, own.slab), WAYS_M, is_over, [own.slab], held)
+
+    def _fit_again(self, number: int, is_over: IsOver) -> None:
+        """Change the box that was put behind a face, if it has one."""
+        own = self._numbered(number)
+        if own is not None and own.depth_m and own.plane == NO_PLANE:
+            self._fit(own, WAYS_M[1:], is_over, [own.slab])
 
     def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
         """Put a box into the room, or change that which is there."""
         number = 1 + nth + max(each.number for each in self.found)
-        own = next((each for each in self.room if each.number == number), None)
+        own = self._numbered(number)
         if own is not None:
             self._fit(own, WAYS_M[turn:], is_over, self._slabs)
         elif not turn:  # else it was tried in vain
             new = self._frame.surface(box, number, self._slabs[0])
             self._fit(new, WAYS_M, is_over, self._slabs)
+            self._join(number, is_over)
+
+    def _join(self, number: int, is_over: IsOver) -> None:
+        """Try a box and each one that it overlaps as a single one, for two things are never in one place."""
+        for other in [each for each in self.room if not each.is_wall and each.number != number]:
+            own = self._numbered(number)
+            if own is None:
+                return
+            low_m, high_m = np.stack([self._frame.box_of(each) for each in (own, other)], axis=1)
+            if (low_m.max(axis=0) < high_m.min(axis=0) + GAP_M).all():
+                box = np.stack([low_m.min(axis=0), high_m.max(axis=0)])
+                whole = self._frame.surface(box, other.number, other.slab)
+                self._fit(whole, WAYS_M, is_over, [other.slab, own.slab], instead_of=own)
 
     def _fit(
         self,
@@ -237,19 +277,21 @@ class Refinement:
         is_over: IsOver,
         slabs: Sequence[NamedSlab],
         held: Faces | None = None,
+        instead_of: RoomSurface | None = None,
     ) -> None:
         """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it.
 
         Rooms are compared at the lowest carriers, for the transmitters that the box matters most to.
         """
         array_m = np.array(self.train.header.receiver.position_m)
-        others = [each for each in self.room if each.number != own.number]
+        others = [each for each in self.room if each.number != own.number and each is not instead_of]
         is_new = not any(each is own for each in self.room)
-        own = self._at_its_height(own, others)
         for nth, ways in enumerate(ways_m):
             near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
             changes = self._frame.changes(self._frame.box_of(own), slabs, array_m, ways, held)
-            for change in changes[1:] if nth else changes:  # slabs were changed last
+            at_its_height = partial(self._at_its_height, others)
+            changes = changes[1:] if nth else [at_its_height, *changes]  # slabs were changed last
+            for change in changes:
                 candidates = [own, *(each for each in change(own) if self._fits(each))]
                 scores = _scores([near], [[*others, each] for each in candidates], is_over)
                 if scores.max() > best:
@@ -264,7 +306,7 @@ class Refinement:
         """Whether a box stands where nothing else does."""
         return not holds_any(self._frame.box_of(box), self._free_m) and is_clear(box, self._standing_m)
 
-    def _at_its_height(self, own: RoomSurface, others: Room) -> RoomSurface:
+    def _at_its_height(self, others: Room, own: RoomSurface) -> Iterator[RoomSurface]:
         """A box with its top, or all of it if it is thin, where the lengths of the paths that it reflects agree."""
         carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
         paths = ReflectedPaths.of([*others, own], self.train, self._lags, carriers)
@@ -274,8 +316,8 @@ class Refinement:
                 for best in np.argsort(-likeness)[: np.count_nonzero(likeness > likeness[0] + LEAST_GAIN)]:
                     box = moved([own], part, float(_HEIGHTS_M[best]))[0]
                     if box.depth_m > 0 and self._fits(box):
-                        return box
-        return own
+                        yield box
+                        return
 
     @cached_property
     def _lags(self) -> LagAverages:
@@ -315,6 +357,11 @@ class Refinement:
 
 def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
+
+
+def _moves_with(own: RoomSurface) -> tuple[int, int]:
+    """The same for all parts of a wall, and no other surfaces."""
+    return (own.plane, NO_PLANE) if own.is_wall else (NO_PLANE, own.number)
 
 
 def _scores(

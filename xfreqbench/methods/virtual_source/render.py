@@ -28,7 +28,7 @@ from xfreqbench.types import FloatArray, Maps
 # Shares of a budget after which a room is reconstructed, and weights are chosen: what is learned is best at the end,
 # but of a budget in seconds the refinement takes its part, after which learning goes on.
 FROM, CHOOSE_AT = 0.95, 0.99
-FROM_OF_SECONDS, SETTLE_AT_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.4, 0.86, 0.94
+FROM_OF_SECONDS, SETTLE_AT_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.25, 0.87, 0.93
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
