@@ -126,8 +126,9 @@ class BoxFrame:
         faces = [(each, kind) for each, kind in _faces(box, place_m) if each not in fixed]
         moves = [partial(self._moved, each, by_m) for each, kind in faces for by_m in ways_m[kind]]
         moves += [
-            partial(self._moved_in_line, place_m, pair, by_m)
-            for pair in product(*(_of_kinds(faces, kinds) for kinds in (("top", "shown"), ("hidden",))))
+            partial(self._moved_in_line, place_m, shown, hidden, by_m)
+            for (shown, one), (hidden, other) in product(faces, repeat=2)
+            if one in ("top", "shown") and other == "hidden" and shown[1] != hidden[1]
             for by_m in ways_m["in line"]
         ]
         of_slabs = partial(_of_slabs, slabs)
@@ -146,16 +147,16 @@ class BoxFrame:
     def _moved_in_line(
         self,
         array_m: Float[FloatArray, "3"],
-        pair: Sequence[Faces],
+        shown: Faces,
+        hidden: Faces,
         steps_m: Sequence[float],
         own: RoomSurface,
     ) -> Iterator[RoomSurface]:
         """A box with a hidden face moved, and a shown one so that the edge between hides the same from the array."""
-        shown, hidden = pair
         for step_m in steps_m:
             box = self.box_of(own)
             far_m = box[hidden] - array_m[hidden[1]]
-            if shown[1] != hidden[1] and abs(far_m) > _THINNEST_M:
+            if abs(far_m) > _THINNEST_M:
                 box[hidden] += step_m
                 box[shown] += (box[shown] - array_m[shown[1]]) * step_m / far_m
                 if (box[1] - box[0] > _THINNEST_M).all():
@@ -198,11 +199,6 @@ def _of_slabs(slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurf
     thinner = () if own.slab.material == "metal" else map(own.slab.thinned, THICKNESSES)
     for slab in [*slabs, *thinner]:
         yield replace(own, slab=slab)
-
-
-def _of_kinds(faces: Sequence[tuple[Faces, Kind]], kinds: Sequence[Kind]) -> list[Faces]:
-    """The faces of some kinds."""
-    return [each for each, kind in faces if kind in kinds]
 
 
 def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[Faces, Kind]]:

@@ -112,6 +112,11 @@ class Refinement:
     def _at_lowest(self) -> RoomScore:
         return RoomScore.of(self.train, at_lowest=True)
 
+    @property
+    def _judges(self) -> list[RoomScore]:
+        """Those whose mean says which of two rooms is nearer at the lowest carriers and those in the middle."""
+        return [self._at_lowest, self.score]
+
     @cached_property
     def _standing_m(self) -> Float[FloatArray, "N 3"]:
         return _standing(self.train)
@@ -198,23 +203,21 @@ class Refinement:
     def settle(self, is_over: IsOver = never) -> None:
         """Leave out the steps that are left but the last one: move all parts to where the lengths of paths agree."""
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
-        judges = [self._at_lowest, self.score]
-        near = [judge.near(room) for judge in judges]
-        for plane, number in dict.fromkeys(map(_moves_with, room)):  # each part has to be better there
-            back = [
-                old if _moves_with(old) == (plane, number) else new
-                for old, new in zip(self.room, room, strict=True)
-            ]
+        near = [judge.near(room) for judge in self._judges]
+        has_moved = [_moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
+        for part in dict.fromkeys(has_moved):  # each has to be better there
+            pairs = zip(self.room, room, strict=True)
+            back = [old if _moves_with(old) == part else new for old, new in pairs]
             before, after = _scores(near, [back, room])
             room = room if after > before else back
-        before, after = _scores(judges, [self.room, room])
+        before, after = _scores(self._judges, [self.room, room])
         if after > before:
             self.room = room
         self.done = self.num_steps
 
     def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
-        judges = [self._at_lowest, self.score] if trial.at_lowest else [self.score]
+        judges = self._judges if trial.at_lowest else [self.score]
         for _ in range(_REPEATS):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
@@ -224,7 +227,8 @@ class Refinement:
             if not len(scores) or is_over():
                 break
             best = candidates[int(scores.argmax())]
-            if not (self._is_nearer(best, judges) and self._is_nearer(best, [self._at_lowest, self.score])):
+            asked = [judges] if trial.at_lowest else [judges, self._judges]
+            if not all(self._is_nearer(best, each) for each in asked):
                 break
             self.room = best
 
