@@ -68,8 +68,9 @@ class VirtualSource(LearnedMethod):
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
         """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way.
 
-        Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then. In the
-        last fifth of the budget a room is made of what was learned, and refined beside the training.
+        Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then. After
+        a quarter of it, or near the end of any other budget, a room is made of what was learned, and refined beside
+        the training.
 
         Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead.
         """

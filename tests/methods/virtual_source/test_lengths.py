@@ -8,7 +8,7 @@ from found_box import ARRAY_M, SETTINGS, found_room, generated
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.boxes import BoxFrame
-from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled
+from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled, sharpened
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.parts import Motion, RoomPart, moved, parts_at
 from xfreqbench.methods.virtual_source.search.cross_terms import LagAverages, never
@@ -56,6 +56,41 @@ def test_displaced_and_tilted_walls_are_put_back(dataset: PasDataset, room: list
         assert place_m(found, plane) == pytest.approx(place_m(room, plane), abs=3e-4)
     normals = [next(each.normal for each in of if each.plane == planes[2]) for of in (found, room)]
     np.testing.assert_allclose(*normals, atol=3e-4)
+
+
+def test_walls_that_are_off_by_a_share_of_the_shortest_wave_are_put_right_at_once(
+    dataset: PasDataset, room: list[RoomSurface]
+) -> None:
+    planes = sorted({each.plane for each in room if each.is_wall})
+    wrong = room
+    for plane, by_m in zip(planes, (1e-4, -2e-4, 2e-4), strict=False):
+        wrong = moved(wrong, RoomPart("wall", plane), by_m)
+    wrong = moved(wrong, RoomPart("tilt", planes[-1], 1), 1e-4)
+    found = sharpened(wrong, dataset, LagAverages(dataset, never), NOWHERE_M)
+    for plane in planes:
+        assert place_m(found, plane) == pytest.approx(place_m(room, plane), abs=6e-5)
+    normals = [next(each.normal for each in of if each.plane == planes[-1]) for of in (found, room)]
+    np.testing.assert_allclose(*normals, atol=3e-5)
+
+
+def test_no_part_moves_where_it_would_be_too_near_to_a_transmitter(
+    dataset: PasDataset, room: list[RoomSurface]
+) -> None:
+    wrong = moved(room, RoomPart("wall", room[0].plane), 2e-4)
+    beside_m = wrong[0].corners_m.mean(axis=0)[None]
+    found = sharpened(wrong, dataset, LagAverages(dataset, never), beside_m)
+    assert place_m(found, room[0].plane) == place_m(wrong, room[0].plane)
+
+
+def test_what_channels_leave_of_rows_has_the_power_that_they_do_not_explain(
+    dataset: PasDataset, room: list[RoomSurface]
+) -> None:
+    lags, rows = LagAverages(dataset, never), np.arange(len(dataset))
+    told = lags.of_channels(channels_in(room[1:], dataset)), lags.of_channels(2j * dataset.cfr[rows])
+    for known in told:
+        left = np.linalg.norm(lags.left(lags.measured(rows), known), axis=1)
+        np.testing.assert_allclose(left**2, 1 - lags.likeness(lags.measured(rows), known), atol=1e-9)
+    assert left.max() < 1e-6
 
 
 def test_nothing_moves_where_all_is_right_or_no_time_is_left(

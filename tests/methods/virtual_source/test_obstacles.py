@@ -86,7 +86,7 @@ def test_a_search_whose_time_is_over_finds_nothing(empty_room: PasDataset) -> No
 @pytest.mark.usefixtures("unsettled")
 def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
     told = refinement(dataset)
-    told.done = len(told.steps)
+    told.known, told.done = {}, len(told.steps)
     told.step()
     assert told.boxes
     told.boxes = told.boxes[:1]
@@ -134,9 +134,30 @@ def test_a_box_is_fitted_again_where_others_have_changed(dataset: PasDataset) ->
 
 
 @pytest.mark.usefixtures("unsettled")
+def test_another_round_goes_on_in_the_room_that_was_found(dataset: PasDataset) -> None:
+    told = refinement(dataset)
+    assert told.again() is None  # nothing has changed
+    frame = BoxFrame.of(told.found)
+    lower = np.sort(frame.along(CRATE_M - [[0, 0, 0], [0, 0, 0.1]]), axis=0)
+    told.known, told.room = {}, [*told.found, frame.surface(lower, 90, METAL)]
+    again = Refinement.resumed(json.loads(json.dumps(told.as_json())), dataset).again()
+    assert again is not None
+    again.step()
+    assert again.boxes is not None  # they were sought in this room
+    again.boxes = []
+    while not again.is_over:
+        again.step()
+    crate = again.room[-1]
+    assert crate.number == 90
+    assert frame.box_of(crate)[1, 2] == pytest.approx(CRATE_M[1, 2], abs=0.01)
+    assert again.score(again.room) > told.score(told.room)
+
+
+@pytest.mark.usefixtures("unsettled")
 def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     told = refinement(empty_room)
-    told.done, told.boxes = len(told.steps) + 1, [BoxFrame.of(told.found).along(CRATE_M)]
+    told.known, told.done = {}, len(told.steps) + 1
+    told.boxes = [BoxFrame.of(told.found).along(CRATE_M)]
     told.boxes = [np.sort(box, axis=0) for box in told.boxes]
     monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
     while not told.is_over:

@@ -199,7 +199,7 @@ def test_a_step_without_time_changes_nothing(dataset: PasDataset) -> None:
 def test_an_edge_goes_no_further_than_the_wall(dataset: PasDataset) -> None:
     surfaces = refinement(dataset, found_room()).found
     screen = surfaces[-1]
-    for changed in changes._edged(screen, surfaces[:-1], changes.EDGES_M):
+    for changed in changes.edged(screen, surfaces[:-1], changes.EDGES_M):
         assert (changed.corners_m > -1e-9).all()
         assert (changed.corners_m < SIZE_M + 1e-9).all()
 

@@ -18,6 +18,7 @@ from xfreqbench.methods.virtual_source.render import (
     CHOOSE_AT_OF_SECONDS,
     FROM,
     FROM_OF_SECONDS,
+    SETTLE_AT_OF_SECONDS,
     RoomRender,
 )
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
@@ -203,6 +204,30 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
         rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert len(rooms[0]) == 3
+
+
+def test_other_rounds_begin_while_there_are_seconds_and_something_changes(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds = []
+
+    def step(self: Refinement, is_over: Any = None) -> None:
+        rounds.append(self)
+        self.room = self.room[1:] if len(self.room) > 3 else self.room
+        self.done += 1
+
+    monkeypatch.setattr(Refinement, "steps", [])
+    monkeypatch.setattr(Refinement, "num_steps", 2)
+    monkeypatch.setattr(Refinement, "step", step)
+    render, budget = RoomRender("traced"), Budget(max_seconds=100.0)
+    for share in np.linspace(FROM_OF_SECONDS, SETTLE_AT_OF_SECONDS - 0.01, 40).tolist():
+        render.advance(dataset, budget, share, found_room, Known(dataset))
+    found = len(rounds[0].found)
+    assert [len(each.found) for each in rounds[::2]] == [
+        *range(found, 3, -2),
+        3,
+    ]  # the last has nothing to change
+    assert len(rounds[-1].room) == 3
 
 
 def test_learning_goes_on_where_a_refinement_is_over_before_its_seconds_are(

@@ -19,14 +19,17 @@ _TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
-_NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
+NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
+OTHERWISE = (*THICKNESSES, 0.9, 1.1)
 _THICK_M = 0.05  # with more, all carriers tell of the front alone
 _BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
 
 Room = list[RoomSurface]
 
 
-def other_slabs(key: tuple[int, int], slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
+def other_slabs(
+    key: tuple[int, int], slabs: Sequence[NamedSlab], factors: Sequence[float], room: Room
+) -> Iterator[Room]:
     """The room with another slab, or another thickness, in all parts of a plane that were found to be of one slab.
 
     The other slabs of the plane are among those that are tried.
@@ -35,7 +38,7 @@ def other_slabs(key: tuple[int, int], slabs: Sequence[NamedSlab], room: Room) ->
     if own is None:
         return
     beside = {each.slab for each in room if each.plane == key[0]} - {own}
-    for slab in [*slabs, *sorted(beside), *(own.thinned(factor) for factor in _NEARLY)]:
+    for slab in [*slabs, *sorted(beside), *(own.thinned(factor) for factor in factors)]:
         yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
 
 
@@ -50,7 +53,7 @@ def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Ro
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number:
-            for changed in _edged(own, walls, steps_m):
+            for changed in edged(own, walls, steps_m):
                 yield [changed if each is own else each for each in room]
 
 
@@ -91,7 +94,7 @@ def _is_back(other: RoomSurface, front: RoomSurface) -> bool:
     return not other.is_wall and 0 < behind_m < _BACK_M and float(other.normal @ front.normal) > 0.999
 
 
-def _edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
+def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
     """The surface with one edge moved within its plane, up to a wall at most."""
     number = len(own.corners_m)
     for edge in range(number):

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
+from xfreqbench.methods.virtual_source.polygons import beyond, clipped, convex_common, without
 from xfreqbench.types import FloatArray, IntArray
 
 _MIN_SEEN = (
@@ -112,10 +113,10 @@ def _wall(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]:
     rest = [whole]
     for low, high in best_rectangles(signed):
         rectangle = _snapped(plane, plane.sides(low, high), whole)
-        inside = _convex_common(rectangle, whole)
+        inside = convex_common(rectangle, whole)
         if len(inside) >= 3:
             yield _face(index, other, plane, inside, is_wall=True)
-            rest = [piece for each in rest for piece in _without(each, rectangle)]
+            rest = [piece for each in rest for piece in without(each, rectangle)]
     for piece in rest:
         yield _face(index, main, plane, piece, is_wall=True)
 
@@ -132,7 +133,7 @@ def _inside(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]
     for low, high in best_rectangles(signed):
         here = tuple(slice(a, b + 1) for a, b in zip(low.tolist(), high.tolist(), strict=True))
         slab = int(plane.share[here][held[here]].sum(0)[1:].argmax())
-        inside = _convex_common(_snapped(plane, plane.sides(low, high), whole), whole)
+        inside = convex_common(_snapped(plane, plane.sides(low, high), whole), whole)
         if len(inside) >= 3:
             yield _face(index, slab, plane, inside, is_wall=False)
 
@@ -142,7 +143,7 @@ def _face(index: int, slab: int, plane: Cells, place_m: Float[FloatArray, "n 2"]
     grid = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), -1) * plane.cell_m + plane.low_m
     inner = np.ones(count, bool)
     for start, end in zip(place_m, np.roll(place_m, -1, axis=0), strict=True):
-        inner &= _beyond(grid, start, end) >= 0
+        inner &= beyond(grid, start, end) >= 0
     seen = float(plane.is_seen[inner].mean()) if inner.any() else 0.0
     return Face(index, slab, plane.points_m(place_m), seen, is_wall)
 
@@ -198,7 +199,7 @@ def _room_section(
     low = np.where(whole.min(0) <= border_low + _NONE_M, low, border_low)
     high = np.where(whole.max(0) >= border_high - _NONE_M, high, border_high)
     limits = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    return _convex_common(limits, whole)
+    return convex_common(limits, whole)
 
 
 def _cut(
@@ -207,51 +208,8 @@ def _cut(
     """The part of a polygon of a plane that lies in front of all walls."""
     for wall in around:
         height_m = wall.distance_m - plane.points_m(place_m) @ wall.normal
-        place_m = _clipped(place_m, height_m)
+        place_m = clipped(place_m, height_m)
     return place_m
-
-
-def _clipped(place_m: Float[FloatArray, "n 2"], inward: Float[FloatArray, "n"]) -> Float[FloatArray, "m 2"]:
-    """The part of a convex polygon where a linear function, given at its corners, is not negative."""
-    kept = []
-    corners = zip(
-        place_m, inward.tolist(), np.roll(place_m, -1, axis=0), np.roll(inward, -1).tolist(), strict=True
-    )
-    for start, height, end, next_height in corners:
-        if height >= 0:
-            kept.append(start)
-        if height * next_height < 0:
-            kept.append(start + height / (height - next_height) * (end - start))
-    return np.array(kept).reshape(-1, 2)
-
-
-def _beyond(
-    point_m: Float[FloatArray, "*n 2"], start: Float[FloatArray, "2"], end: Float[FloatArray, "2"]
-) -> Float[FloatArray, "*n"]:
-    """How far to the left of an edge points lie, times its length."""
-    (along, across), offset_m = end - start, point_m - start
-    return along * offset_m[..., 1] - across * offset_m[..., 0]
-
-
-def _convex_common(
-    place_m: Float[FloatArray, "n 2"], other_m: Float[FloatArray, "m 2"]
-) -> Float[FloatArray, "k 2"]:
-    """The common part of two convex polygons, whose corners turn left."""
-    for start, end in zip(other_m, np.roll(other_m, -1, axis=0), strict=True):
-        place_m = _clipped(place_m, _beyond(place_m, start, end))
-    return place_m
-
-
-def _without(
-    place_m: Float[FloatArray, "n 2"], hole_m: Float[FloatArray, "4 2"]
-) -> Iterator[Float[FloatArray, "k 2"]]:
-    """A convex polygon without a rectangle, as convex pieces."""
-    for start, end in zip(hole_m, np.roll(hole_m, -1, axis=0), strict=True):
-        inward = _beyond(place_m, start, end)
-        outside = _clipped(place_m, -inward)
-        if len(outside) >= 3 and np.ptp(outside, axis=0).min() > _NONE_M:
-            yield outside
-        place_m = _clipped(place_m, inward)
 
 
 def _snapped(

@@ -4,18 +4,20 @@ A face that moves by x along its normal n lengthens a path that comes along a an
 (a − b)·n x, and leaves its gain nearly as it is. So all paths are traced once, and any displacement of a part is a
 turn of the phases of some of them. That is far cheaper than to trace each room, and so precise at high carriers that
 parts are found to a small share of a wavelength. Carriers are taken from the lowest on, a few at a time: where long
-waves put a part, shorter ones need to look at nearby places only.
+waves put a part, shorter ones need to look at nearby places only. Each part is sought alone first, on a grid, and then
+all of them are moved together, in least squares.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.parts import Motion, RoomPart, moved, parts_at
@@ -36,6 +38,8 @@ _AT_ONCE = 3  # carriers
 _LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimetre off are found
 _REACH_M = 0.03  # of the first search of a part, in either direction
 _STEPS_PER_WAVELENGTH = 16  # of the highest carrier
+_FLAT = 0.05  # metres by which a part lengthens its paths for each by which it moves, at least
+_NEAR, _MOST_STEPS = 1 / 8, 3  # wavelengths, and steps, of least squares
 _REACH = 1.5  # steps of the carriers before, within which a part is sought again
 LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
@@ -48,23 +52,26 @@ def settled(
     is_over: IsOver = never,
 ) -> list[RoomSurface]:
     """A room with its parts moved to where they agree best with training rows; ends early when its time is over."""
-    hz, best = np.unique(train.carrier_hz), list(room)
-    paths = ReflectedPaths.of(best, train, lags)
-    score, reach_m = paths.score, _REACH_M
+    hz, reach_m = np.unique(train.carrier_hz), _REACH_M
+    best = ReflectedPaths.of(room, train, lags)
     for last in _ends(hz):
         carriers = np.arange(max(0, last - _AT_ONCE), last)
-        step_m = SPEED_OF_LIGHT_M_S / float(hz[carriers[-1]]) / _STEPS_PER_WAVELENGTH
-        for part in paths.strongest_first:
-            if is_over():
-                return best
-            paths.settle(part, around(step_m, reach_m), carriers, standing_m)
-        paths = ReflectedPaths.of(paths.room, train, lags)
-        if paths.score > score:
-            best, score = paths.room, paths.score
-        else:
-            paths = ReflectedPaths.of(best, train, lags)
-        reach_m = min(reach_m, _REACH * step_m)
-    return best
+        if last <= _AT_ONCE:
+            step_m = SPEED_OF_LIGHT_M_S / float(hz[last - 1]) / _STEPS_PER_WAVELENGTH
+            best = best.nearest(best.alone(around(step_m, reach_m), carriers, standing_m, is_over), train)
+            reach_m = min(reach_m, _REACH * step_m)
+        if is_over():
+            break
+        best = best.nearest(best.together(carriers, standing_m), train)
+    return best.room
+
+
+def sharpened(
+    room: Sequence[RoomSurface], train: PasDataset, lags: LagAverages, standing_m: Float[FloatArray, "N 3"]
+) -> list[RoomSurface]:
+    """A room whose parts are off by a share of the shortest wave, with all of them moved to where they belong."""
+    paths = ReflectedPaths.of(room, train, lags)
+    return paths.together(np.arange(len(paths.carrier_hz))[-_AT_ONCE:], standing_m)
 
 
 def _ends(carrier_hz: Float[FloatArray, "F"]) -> list[int]:
@@ -153,6 +160,11 @@ class ReflectedPaths:
         self.channel = np.zeros(shape, complex)
         np.add.at(self.channel, self.tx, self.wave)
 
+    def nearest(self, room: Sequence[RoomSurface], train: PasDataset) -> ReflectedPaths:
+        """The paths in a changed room, or these, whichever rows agree with better."""
+        there = ReflectedPaths.of(room, train, self.lags)
+        return there if there.score > self.score else self
+
     @property
     def score(self) -> float:
         """Mean likeness of the rows."""
@@ -165,27 +177,72 @@ class ReflectedPaths:
         power = (np.abs(self.wave) ** 2).sum(axis=(1, 2))
         return sorted(self.reflected, key=lambda part: -power[self.reflected[part][0]].sum())
 
-    def settle(
+    def alone(
         self,
-        part: RoomPart,
         by_m: Float[FloatArray, "n"],
         carriers: Int[IntArray, "K"],
         standing_m: Float[FloatArray, "N 3"],
-    ) -> None:
-        """Move a part by the one of some displacements, 0 first, with which rows at some carriers agree best."""
-        likeness = self.likeness(part, by_m, carriers)
-        best = int(likeness.argmax())
-        if likeness[best] < likeness[0] + LEAST_GAIN:
-            return
-        room = moved(self.room, part, by_m[best])
-        changed = (new for new, old in zip(room, self.room, strict=True) if new is not old)
-        if all(is_clear(each, standing_m) and each.depth_m >= 0 for each in changed):
+        is_over: IsOver = never,
+    ) -> list[RoomSurface]:
+        """The room with parts moved one after another, as rows at some carriers agree best.
+
+        Each is moved by one of some displacements, 0 first.
+        """
+        paths = replace(self, wave=self.wave.copy())
+        for part in self.strongest_first:
+            if is_over():
+                break
+            likeness = paths.likeness(part, by_m, carriers)
+            best = int(likeness.argmax())
+            if likeness[best] >= likeness[0] + LEAST_GAIN:
+                paths._move(part, float(by_m[best]), standing_m)
+        return paths.room
+
+    def _move(self, part: RoomPart, by_m: float, standing_m: Float[FloatArray, "N 3"]) -> None:
+        """Move a part and turn the waves that it reflects, if it may stand there."""
+        room = moved(self.room, part, by_m)
+        if _may_become(self.room, room, standing_m):
             paths, _ = self.reflected[part]
-            turn = self._turn(part, by_m[best], np.arange(len(self.carrier_hz)))
+            turn = self._turn(part, by_m, np.arange(len(self.carrier_hz)))
             change = self.wave[paths] * (turn - 1)[:, :, None]
             np.add.at(self.channel, self.tx[paths], change)
             self.wave[paths] += change
             self.room = room
+
+    def together(
+        self, carriers: Int[IntArray, "K"], standing_m: Float[FloatArray, "N 3"]
+    ) -> list[RoomSurface]:
+        """The room with all parts moved by little, so that rows at some carriers agree best, in least squares.
+
+        No part lengthens its paths by more than a share of the shortest wave in the root mean square.
+        """
+        parts = self.strongest_first
+        if not parts:
+            return self.room
+        slopes, unit_m = np.zeros((len(self.length_m), len(parts))), np.ones(len(parts))
+        for column, part in enumerate(parts):
+            paths, slope = self.reflected[part]
+            unit_m[column] = 1 / np.sqrt((slope**2).mean()).clip(_FLAT)
+            slopes[paths, column] = slope * unit_m[column]
+        rows, wave = np.isin(self.of_carrier, carriers), self.wave[:, carriers]
+        place = self.of_tx[rows], np.searchsorted(carriers, self.of_carrier[rows])
+        wavenumber = 2 * np.pi / SPEED_OF_LIGHT_M_S * self.carrier_hz[carriers]
+        reach_m = _NEAR * 2 * np.pi / float(wavenumber.max())
+        measured, channel = self.measured[rows], np.zeros_like(self.channel[:, carriers])
+        tx, first = np.unique(self.tx, return_index=True)
+
+        def left(by: Float[FloatArray, "n"]) -> Float[FloatArray, "r"]:
+            turn = np.exp(-1j * (slopes @ by)[:, None] * wavenumber)
+            channel[tx] = np.add.reduceat(wave * turn[:, :, None], first, axis=0)
+            return self.lags.left(measured, self.lags.of_channels(channel[place])).view(np.float64).ravel()
+
+        bounds = (-reach_m, reach_m)
+        best = least_squares(left, np.zeros(len(parts)), bounds=bounds, x_scale=reach_m, max_nfev=_MOST_STEPS)
+        room = self.room
+        for part, by_m in zip(parts, (best.x * unit_m).tolist(), strict=True):
+            changed = moved(room, part, by_m)
+            room = changed if _may_become(room, changed, standing_m) else room
+        return room
 
     def likeness(
         self, part: RoomPart, by_m: Float[FloatArray, "n"], carriers: Int[IntArray, "K"]
@@ -217,6 +274,14 @@ class ReflectedPaths:
         bend = 0.0 if part.kind == "tilt" else (2 * by_m) ** 2
         longer_m = np.sqrt(length_m**2 + 2 * length_m * slope * by_m + bend) - length_m
         return np.exp(-2j * np.pi / SPEED_OF_LIGHT_M_S * longer_m[:, None] * self.carrier_hz[carriers])
+
+
+def _may_become(
+    room: Sequence[RoomSurface], changed: Sequence[RoomSurface], standing_m: Float[FloatArray, "N 3"]
+) -> bool:
+    """Whether what changed of a room may be there."""
+    new = (each for each, old in zip(changed, room, strict=True) if each is not old)
+    return all(is_clear(each, standing_m) and each.depth_m >= 0 for each in new)
 
 
 def _slopes(

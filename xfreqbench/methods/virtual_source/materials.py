@@ -16,6 +16,7 @@ from xfreqbench.scene.materials import complex_permittivity, materials_defined_a
 from xfreqbench.tracing.image.kernels import slab_coefficients
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
+_WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
 METAL_THICKNESS_M = 0.002  # what is behind the surface of a metal does not matter
 _COSINES = np.linspace(0.1, 1.0, 7)  # of the angles of incidence that are compared
 _THICKNESSES = np.linspace(0.9, 1.1, 41)  # in units of the one that delays a wave as the learned slab does
@@ -74,3 +75,10 @@ class SlabNames:
                 for eta, turn in zip(permittivity.tolist(), phase.tolist(), strict=True)
             ]
         )
+
+
+def likely_slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
+    """Slabs that may be the learned one, of all the nearest first: those about as near as that one, and metal."""
+    return [
+        each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"
+    ]

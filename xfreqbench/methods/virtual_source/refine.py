@@ -30,6 +30,8 @@ from xfreqbench.methods.virtual_source.boxes import (
 from xfreqbench.methods.virtual_source.changes import (
     EDGES_M,
     FINER_M,
+    NEARLY,
+    OTHERWISE,
     Room,
     deeper,
     other_slabs,
@@ -37,8 +39,8 @@ from xfreqbench.methods.virtual_source.changes import (
     with_edges,
     without,
 )
-from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled
-from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
+from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled, sharpened
+from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames, likely_slabs
 from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
 from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, LagAverages, never
@@ -51,17 +53,17 @@ from xfreqbench.methods.virtual_source.surfaces import (
     surface_from_json,
     surface_json,
 )
+from xfreqbench.methods.virtual_source.tiles import with_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, RoomScore
 from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
 _MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
-_LISTED = 10  # changes that are compared on all rows, of those that are best on a few
+_LISTED = 5  # changes that are compared on all rows, of those that are best on a few
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
-_WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
 _HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
 
 
@@ -83,9 +85,7 @@ class Refinement:
     """
 
     found: Sequence[RoomSurface]
-    known: Mapping[
-        tuple[int, int], Sequence[NamedSlab]
-    ]  # slabs that may be the one of a plane and a slab of findings
+    known: Mapping[tuple[int, int], Sequence[NamedSlab]]  # slabs that one of a plane in findings may be
     train: PasDataset
     room: Room
     done: int = 0
@@ -100,8 +100,17 @@ class Refinement:
             return None
         names = SlabNames(carriers.tolist())
         slabs = dict.fromkeys((each.plane, each.found_slab) for each in found)
-        known = {key: _slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
+        known = {key: likely_slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
         return cls(found, known, train, found)
+
+    def again(self) -> Refinement | None:
+        """Another round in the room as it is now, from the search for boxes on; None where this one changed nothing."""
+        stored = self.as_json()
+        if stored["room"] == stored["found"]:
+            return None
+        another = Refinement(self.room, self.known, self.train, self.room)
+        another.done = len(another.steps)
+        return another
 
     @cached_property
     def score(self) -> RoomScore:
@@ -136,17 +145,21 @@ class Refinement:
         of_faces = [self._trials_of(own) for own in self._fronts]
         first = [trial for own in of_faces for trial in own]
         again = [trial for own in of_faces for trial in own[1:3]]
-        of_walls = [Trial(partial(other_slabs, key, slabs)) for key, slabs in self.known.items()]
+        of_walls = self._trials_of_walls(NEARLY)
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
-        return [*(partial(self._change, trial) for trial in [*first, *again, *of_walls]), *as_boxes]
+        changed = [partial(self._change, trial) for trial in [*first, *again, *of_walls]]
+        return [self._sharpen, *changed, *as_boxes]
 
     @cached_property
     def last_steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done once boxes are in their places: edges, depths and thicknesses of faces again."""
+        """What is done once boxes are in their places: edges, depths and thicknesses of faces again, and walls."""
         trials = [self._trials_of(own) for own in self._fronts]
         again = [partial(self._fit_again, own.number) for own in self._fronts]
-        changed = [partial(self._change, trial) for edges, _, *rest, _ in trials for trial in (edges, *rest)]
-        return [*again, *changed]
+        changed = [trial for edges, _, *rest, _ in trials for trial in (edges, *rest)]
+        planes = dict.fromkeys(each.plane for each in self.found if each.is_wall)
+        slabs = self._trials_of_walls(OTHERWISE, at_lowest=True)
+        patches = [Trial(partial(with_patches, plane), at_lowest=True) for plane in planes]
+        return [*again, *(partial(self._change, trial) for trial in [*slabs, *patches, *changed])]
 
     def _numbered(self, number: int) -> RoomSurface | None:
         return next((each for each in self.room if each.number == number), None)
@@ -155,12 +168,13 @@ class Refinement:
     def _fronts(self) -> list[RoomSurface]:
         return sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
 
+    def _trials_of_walls(self, factors: Sequence[float], *, at_lowest: bool = False) -> list[Trial]:
+        return [Trial(partial(other_slabs, *known, factors), at_lowest) for known in self.known.items()]
+
     def _trials_of(self, own: RoomSurface) -> list[Trial]:
-        known = self.known[own.plane, own.found_slab]
+        known = self.known.get((own.plane, own.found_slab), [own.slab])
         others = [each for each in self._slabs if each.material not in {one.material for one in known}]
-        slabs = (
-            known if known[0].material == "metal" else [*known, *others]
-        )  # nothing else is taken for metal
+        slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
         edges, finer = (partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M))
         return [
             Trial(edges, at_lowest=True),
@@ -201,7 +215,12 @@ class Refinement:
         self.done += 1
 
     def settle(self, is_over: IsOver = never) -> None:
-        """Leave out the steps that are left but the last one: move all parts to where the lengths of paths agree."""
+        """Leave out the steps that are left but the last one."""
+        self._settle(is_over)
+        self.done = self.num_steps
+
+    def _settle(self, is_over: IsOver) -> None:
+        """Move all parts to where the lengths of paths agree, but those with which the room is not nearer then."""
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
         near = [judge.near(room) for judge in self._judges]
         has_moved = [_moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
@@ -213,7 +232,12 @@ class Refinement:
         before, after = _scores(self._judges, [self.room, room])
         if after > before:
             self.room = room
-        self.done = self.num_steps
+
+    def _sharpen(self, is_over: IsOver) -> None:
+        """Move all parts by little, if the room is nearer then."""
+        room = sharpened(self.room, self.train, self._lags, self._standing_m)
+        if not is_over() and self._is_nearer(room, self._judges):
+            self.room = room
 
     def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
@@ -373,10 +397,3 @@ def _scores(
 ) -> Float[FloatArray, "n"]:
     """The mean score of each room; −∞ of those for which there is no time."""
     return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])
-
-
-def _slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
-    """Slabs that may be the learned one: those about as near as the nearest, and metal."""
-    return [
-        each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"
-    ]

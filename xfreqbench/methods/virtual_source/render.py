@@ -79,22 +79,26 @@ class RoomRender:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}
             if self.refinement is not None:
-                self._refine(self.refinement, budget, share)
+                self.refinement = self._refine(self.refinement, budget, share)
                 if share >= ends or (seconds is None and self.refinement.is_over):
                     self._weigh(self.refinement, train, learned)
         except SceneError:  # of a room that cannot be traced
             self.refinement = None
 
-    def _refine(self, refinement: Refinement, budget: Budget, share: float) -> None:
+    def _refine(self, refinement: Refinement, budget: Budget, share: float) -> Refinement:
+        """Do what is due of a refinement, or begin another round while there are seconds; returns the one at hand."""
         if budget.max_seconds is not None:
-            if share < SETTLE_AT_OF_SECONDS and not refinement.is_over:
+            if share < SETTLE_AT_OF_SECONDS:
+                if refinement.is_over:
+                    return refinement.again() or refinement
                 refinement.step(budget.timer(SETTLE_AT_OF_SECONDS - share))
             elif share < CHOOSE_AT_OF_SECONDS and not refinement.is_over:
                 refinement.settle(budget.timer(CHOOSE_AT_OF_SECONDS - share))
-            return
+            return refinement
         due = (share - FROM) / (CHOOSE_AT - FROM)
         while not refinement.is_over and refinement.done < due * refinement.num_steps:
             refinement.step()
+        return refinement
 
     def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:
         """Take the room as it is now, and choose on the rows of validation transmitters.

@@ -22,7 +22,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 _MIN_SEEN = 0.05  # of a face; where paths tell of less, its material is what learning began with
 _ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
 _SAME_M = 0.01  # corners that are nearer to each other are one
-_LEAST_AREA_M2 = 0.01
+LEAST_AREA_M2 = 0.01
 NO_PLANE = -1  # of a surface that was found by the paths that it hides
 
 
@@ -150,7 +150,7 @@ def learned_surfaces(
         surfaces.append(
             RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall)
         )
-    return [each for each in surfaces if each.area_m2 > _LEAST_AREA_M2 and is_clear(each, standing_m)]
+    return [each for each in surfaces if each.area_m2 > LEAST_AREA_M2 and is_clear(each, standing_m)]
 
 
 def standing(

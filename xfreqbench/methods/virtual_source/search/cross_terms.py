@@ -206,6 +206,14 @@ class LagAverages:
         share = self._share(measured, known)
         return share**2 * np.einsum("bl,l,bl->b", known, self._count, known.conj()).real / power
 
+    def left(
+        self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
+    ) -> Complex[ComplexArray, "B L"]:
+        """What known lag averages leave of measured ones; the power of each row of it is 1 less its likeness."""
+        weighted, share = np.sqrt(self._count) * measured, self._share(measured, known)
+        norm = np.linalg.norm(weighted, axis=1, keepdims=True).clip(1e-15)
+        return (weighted - share[:, None] * np.sqrt(self._count) * known) / norm
+
     def _of_maps(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
         """Lag averages r_l by least squares from maps P(d) = Σ_l r_l exp(−j2π l·d), scaled to a mean power of 1."""
         kind, seen = self._train.header.pas_kind, self._directions
