@@ -216,15 +216,15 @@ class ReflectedPaths:
 
         No part lengthens its paths by more than a share of the shortest wave in the root mean square.
         """
-        parts = self.strongest_first
-        if not parts:
+        parts, rows = self.strongest_first, np.isin(self.of_carrier, carriers)
+        if not (parts and rows.any()):
             return self.room
         slopes, unit_m = np.zeros((len(self.length_m), len(parts))), np.ones(len(parts))
         for column, part in enumerate(parts):
             paths, slope = self.reflected[part]
             unit_m[column] = 1 / np.sqrt((slope**2).mean()).clip(_FLAT)
             slopes[paths, column] = slope * unit_m[column]
-        rows, wave = np.isin(self.of_carrier, carriers), self.wave[:, carriers]
+        wave = self.wave[:, carriers]
         place = self.of_tx[rows], np.searchsorted(carriers, self.of_carrier[rows])
         wavenumber = 2 * np.pi / SPEED_OF_LIGHT_M_S * self.carrier_hz[carriers]
         reach_m = _NEAR * 2 * np.pi / float(wavenumber.max())
