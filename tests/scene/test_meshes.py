@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 from sionna_scenes import GRID, RECEIVER, scene_of
 
 from xfreqbench.errors import SceneError
@@ -101,6 +102,17 @@ def test_a_triangle_of_no_area_changes_nothing(tmp_path: Path) -> None:
     planes = planes_of(bad)
     assert np.isfinite(planes.normal).all()
     assert planes.index.tolist() == [0, 0]
+
+
+def test_a_corner_within_a_side_makes_no_facet_without_area() -> None:
+    corners_m = np.array([[0, 0, 0], [0.7, 0, 0], [2, 0, 0], [2, 1, 0], [0.3, 1.7, 0]])
+    fan = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]])
+    whole = planar_facets([mesh_of(corners_m, fan[1:])])
+    for turn in Rotation.random(20, rng=1):
+        facets = planar_facets([mesh_of(turn.apply(corners_m), fan)])
+        assert len(facets) == len(whole)
+        for facet, expected in zip(facets, whole, strict=True):
+            np.testing.assert_allclose(facet.corners_m, turn.apply(expected.corners_m), atol=1e-12)
 
 
 def test_meshes_of_one_name_have_different_ids() -> None:

@@ -76,14 +76,8 @@ def _merged(vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"
             if corners is not None:
                 merged.append(corners)
                 used |= set(pair)
-    return merged + [
-        vertices_m[t] for i, t in enumerate(triangles) if i not in used and _area_m2(vertices_m[t]) > 0
-    ]
-
-
-def _area_m2(corners_m: Float[FloatArray, "3 3"]) -> float:
-    a, b, c = corners_m
-    return float(np.linalg.norm(np.cross(b - a, c - a)) / 2)
+    has_area = _have_area(vertices_m[triangles])
+    return merged + [vertices_m[t] for i, t in enumerate(triangles) if i not in used and has_area[i]]
 
 
 def _parallelogram(
@@ -98,7 +92,7 @@ def _parallelogram(
     a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
     size = np.linalg.norm(c - a)
     is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
-    return np.stack([a, b, c, d]) if is_parallelogram and _area_m2(np.stack([a, b, c])) > 0 else None
+    return np.stack([a, b, c, d]) if is_parallelogram and _have_area(np.stack([a, b, c])[None])[0] else None
 
 
 def slabs_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:

@@ -64,7 +64,7 @@ def _flat(geometry: Geometry) -> _Flat:
     corners_m = np.array([facet.corners_m[[0, 1, -1]] for facet in geometry.facets])
     sides_m = corners_m[:, 1:] - corners_m[:, :1]
     normal = np.cross(sides_m[:, 0], sides_m[:, 1])
-    dual = np.linalg.solve(sides_m @ sides_m.transpose(0, 2, 1), sides_m)
+    dual = np.linalg.pinv(sides_m).transpose(0, 2, 1)
     is_triangle = np.array([len(facet.corners_m) == 3 for facet in geometry.facets])
     return _Flat(normal / np.linalg.norm(normal, axis=1)[:, None], corners_m[:, 0], dual, is_triangle)
 

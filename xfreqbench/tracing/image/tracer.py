@@ -337,7 +337,7 @@ def _duals(facets: Sequence[PlanarFacet]) -> Float[FloatArray, "Q 2 3"]:
     """Vectors u*, v* with u = (x − origin)·u* and v = (x − origin)·v* where x = origin + u·edge_u + v·edge_v."""
     corners_m = np.array([facet.corners_m[[0, 1, -1]] for facet in facets]).reshape(-1, 3, 3)
     edges = corners_m[:, 1:] - corners_m[:, :1]
-    return np.linalg.solve(edges @ edges.transpose(0, 2, 1), edges)
+    return np.linalg.pinv(edges).transpose(0, 2, 1)
 
 
 def aperture_of(
