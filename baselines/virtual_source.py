@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Generator
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -69,8 +69,8 @@ class VirtualSource(LearnedMethod):
         """Search for planes, then minimise Eq. 12 by Adam, with further searches on the way.
 
         Of a budget in seconds, each search takes a share at most, and goes on with what it has found by then. After
-        a quarter of it, or near the end of any other budget, a room is made of what was learned, and refined beside
-        the training.
+        a quarter of it, or of a budget in maps, a room is made of what was learned, and refined beside the training;
+        near its end where the budget is in steps. A map counts each time a changed room is compared with it, too.
 
         Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead.
         """
@@ -86,10 +86,11 @@ class VirtualSource(LearnedMethod):
         with closing(steps), suppress(StopIteration):
             progress = next(steps)
             while True:
-                spent = budget.share(progress.step, 0.0, progress.counts["maps"])
+                spent = budget.share(progress.step, 0.0, progress.counts["maps"] + self._render.count.maps)
                 spent = max(spent, self._trained().share, progress.step / self.config.steps)
                 self._render.advance(train, budget, spent, self.findings, self._learned)
-                share = yield progress
+                maps = progress.counts["maps"] + self._render.count.maps
+                share = yield replace(progress, counts={**progress.counts, "maps": maps})
                 progress = steps.send(share)
 
     def _begin(self, train: PasDataset, seed: int) -> None:

@@ -55,7 +55,7 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "xfreq-gs": 1.5e-4,
     "aperture-gs": 3.5e-4,
     "wideband-3dgs": 7e-4,
-    "virtual-source": 2.6e-3,
+    "virtual-source": 1e-3,
     "wrf-gs-plus": 2.6e-3,
     "xfreq-gs-paper": 0.1,
 }

@@ -15,10 +15,10 @@ from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.render import (
     CHOOSE_AT,
-    CHOOSE_AT_OF_SECONDS,
+    CHOOSE_AT_OF_STEPS,
     FROM,
-    FROM_OF_SECONDS,
-    SETTLE_AT_OF_SECONDS,
+    FROM_OF_STEPS,
+    SETTLE_AT,
     RoomRender,
 )
 from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
@@ -26,6 +26,7 @@ from xfreqbench.types import Maps
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STEPS = Budget(max_steps=100)
+PAID = Budget(max_seconds=100.0), Budget(max_maps=10_000)  # that a refinement spends
 AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
 
 
@@ -135,7 +136,7 @@ def test_the_learned_field_stands_where_no_room_can_be_made(
 ) -> None:
     learned = Known(dataset, everywhere)
     render = RoomRender(mode)
-    for share in (FROM - 0.01, FROM, 1.0):
+    for share in (FROM_OF_STEPS - 0.01, FROM_OF_STEPS, 1.0):
         render.advance(dataset, budget, share, findings, learned)
     maps = learned(*asked(dataset))
     np.testing.assert_array_equal(render.maps(maps, *asked(dataset)), maps)
@@ -191,7 +192,7 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     monkeypatch.setattr(Refinement, "step", step)
     learned = Known(dataset)
     first = RoomRender("traced")
-    first.advance(dataset, STEPS, (FROM + CHOOSE_AT) / 2, found_room, learned)
+    first.advance(dataset, STEPS, (FROM_OF_STEPS + CHOOSE_AT_OF_STEPS) / 2, found_room, learned)
     assert 0 < done[-1] < 8
     assert first.tracer is None
     first.save(tmp_path)
@@ -206,8 +207,23 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     assert len(rooms[0]) == 3
 
 
-def test_other_rounds_begin_while_there_are_seconds_and_something_changes(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+def test_a_refinement_spends_maps_of_a_budget(dataset: PasDataset, tmp_path: Path) -> None:
+    render, budget = RoomRender("traced"), Budget(max_maps=4000)
+    for learned in np.linspace(FROM, CHOOSE_AT, 200).tolist():
+        share = learned + render.count.maps / 4000
+        render.advance(dataset, budget, share, found_room, Known(dataset))
+        if share > CHOOSE_AT:
+            break
+    assert render.tracer is not None
+    assert 1000 < render.count.maps < (1 - FROM) * 4000  # some are compared after the last look at the count
+    render.save(tmp_path)
+    stored = RoomRender.load("traced", tmp_path, dataset.beam, dataset.header.pas_kind)
+    assert stored.count == render.count
+
+
+@pytest.mark.parametrize("budget", PAID)
+def test_other_rounds_begin_while_the_budget_allows_and_something_changes(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch, budget: Budget
 ) -> None:
     rounds = []
 
@@ -219,8 +235,8 @@ def test_other_rounds_begin_while_there_are_seconds_and_something_changes(
     monkeypatch.setattr(Refinement, "steps", [])
     monkeypatch.setattr(Refinement, "num_steps", 2)
     monkeypatch.setattr(Refinement, "step", step)
-    render, budget = RoomRender("traced"), Budget(max_seconds=100.0)
-    for share in np.linspace(FROM_OF_SECONDS, SETTLE_AT_OF_SECONDS - 0.01, 40).tolist():
+    render = RoomRender("traced")
+    for share in np.linspace(FROM, SETTLE_AT - 0.01, 40).tolist():
         render.advance(dataset, budget, share, found_room, Known(dataset))
     found = len(rounds[0].found)
     assert [len(each.found) for each in rounds[::2]] == [
@@ -230,13 +246,14 @@ def test_other_rounds_begin_while_there_are_seconds_and_something_changes(
     assert len(rounds[-1].room) == 3
 
 
-def test_learning_goes_on_where_a_refinement_is_over_before_its_seconds_are(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("budget", PAID)
+def test_learning_goes_on_where_a_refinement_is_over_before_its_part_is(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch, budget: Budget
 ) -> None:
     monkeypatch.setattr(Refinement, "num_steps", 2)
     monkeypatch.setattr(Refinement, "step", lambda self, is_over: setattr(self, "done", self.done + 1))
-    render, budget = RoomRender("traced"), Budget(max_seconds=100.0)
-    shares = np.linspace(FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS, 5).tolist()
+    render = RoomRender("traced")
+    shares = np.linspace(FROM, CHOOSE_AT, 5).tolist()
     is_weighed = []
     for share in shares:
         render.advance(dataset, budget, share, found_room, Known(dataset))

@@ -9,7 +9,7 @@ all parts are moved to where the lengths of paths agree. No tested row is looked
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -55,7 +55,7 @@ from xfreqbench.methods.virtual_source.surfaces import (
 )
 from xfreqbench.methods.virtual_source.tiles import with_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, RoomScore
+from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, MapCount, RoomScore
 from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
@@ -90,6 +90,7 @@ class Refinement:
     room: Room
     done: int = 0
     boxes: list[Box] | None = None  # where something hides paths, once it was sought
+    count: MapCount = field(default_factory=MapCount)
 
     @classmethod
     def of(cls, findings: StoredFindings, train: PasDataset) -> Refinement | None:
@@ -108,18 +109,18 @@ class Refinement:
         stored = self.as_json()
         if stored["room"] == stored["found"]:
             return None
-        another = Refinement(self.room, self.known, self.train, self.room)
+        another = Refinement(self.room, self.known, self.train, self.room, count=self.count)
         another.done = len(another.steps)
         return another
 
     @cached_property
     def score(self) -> RoomScore:
         """How near a room is to training rows."""
-        return RoomScore.of(self.train)
+        return RoomScore.of(self.train, self.count)
 
     @cached_property
     def _at_lowest(self) -> RoomScore:
-        return RoomScore.of(self.train, at_lowest=True)
+        return RoomScore.of(self.train, self.count, at_lowest=True)
 
     @property
     def _judges(self) -> list[RoomScore]:

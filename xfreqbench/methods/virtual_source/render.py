@@ -18,17 +18,19 @@ from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.mixing import Predict, mixed
 from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.search.cross_terms import IsOver
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, RoomTracer, evenly
+from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, MapCount, RoomTracer, evenly
 from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
 
-# Shares of a budget after which a room is reconstructed, and weights are chosen: what is learned is best at the end,
-# but of a budget in seconds the refinement takes its part, after which learning goes on.
-FROM, CHOOSE_AT = 0.95, 0.99
-FROM_OF_SECONDS, SETTLE_AT_OF_SECONDS, CHOOSE_AT_OF_SECONDS = 0.25, 0.87, 0.93
+# Shares of a budget after which a room is reconstructed, settled, and weights are chosen. The refinement takes its part
+# of seconds and of maps, and learning goes on beside it and after it. Of a budget in steps it takes nothing, and what
+# is learned is best at the end.
+FROM, SETTLE_AT, CHOOSE_AT = 0.25, 0.87, 0.93
+FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
@@ -50,6 +52,9 @@ class RoomRender:
     tracer: RoomTracer | None = None  # of the room as it is when it is weighed
     weights: LocalWeights | None = None
     has_begun: bool = False
+    count: MapCount = field(
+        default_factory=MapCount
+    )  # maps that the refinement compared, which a budget pays for
     _stored: dict[str, Any] = field(default_factory=dict)  # of a refinement that goes on
 
     def advance(
@@ -62,11 +67,11 @@ class RoomRender:
     ) -> None:
         """Do what is due at a share of the budget: reconstruct, refine a little, or choose the weights.
 
-        The refinement takes its part between the two shares. Of a budget in seconds it takes no more than that time,
-        and ends where it is by then.
+        The refinement takes its part between the two shares. Of a budget in seconds or in maps it takes no more than
+        that, and ends where it is by then.
         """
-        seconds = budget.max_seconds
-        begins, ends = (FROM, CHOOSE_AT) if seconds is None else (FROM_OF_SECONDS, CHOOSE_AT_OF_SECONDS)
+        seconds, is_paid = budget.max_seconds, _pays(budget)
+        begins, ends = (FROM, CHOOSE_AT) if is_paid else (FROM_OF_STEPS, CHOOSE_AT_OF_STEPS)
         if self.mode == "learned" or share < begins or self.tracer is not None:
             return
         try:
@@ -79,26 +84,32 @@ class RoomRender:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}
             if self.refinement is not None:
+                self.refinement.count = self.count
                 self.refinement = self._refine(self.refinement, budget, share)
-                if share >= ends or (seconds is None and self.refinement.is_over):
+                if share >= ends or (not is_paid and self.refinement.is_over):
                     self._weigh(self.refinement, train, learned)
         except SceneError:  # of a room that cannot be traced
             self.refinement = None
 
     def _refine(self, refinement: Refinement, budget: Budget, share: float) -> Refinement:
-        """Do what is due of a refinement, or begin another round while there are seconds; returns the one at hand."""
-        if budget.max_seconds is not None:
-            if share < SETTLE_AT_OF_SECONDS:
+        """Do what is due of a refinement, or begin another round while the budget allows; returns the one at hand."""
+        if _pays(budget):
+            if share < SETTLE_AT:
                 if refinement.is_over:
                     return refinement.again() or refinement
-                refinement.step(budget.timer(SETTLE_AT_OF_SECONDS - share))
-            elif share < CHOOSE_AT_OF_SECONDS and not refinement.is_over:
-                refinement.settle(budget.timer(CHOOSE_AT_OF_SECONDS - share))
+                refinement.step(self._timer(budget, SETTLE_AT - share))
+            elif share < CHOOSE_AT and not refinement.is_over:
+                refinement.settle(self._timer(budget, CHOOSE_AT - share))
             return refinement
-        due = (share - FROM) / (CHOOSE_AT - FROM)
+        due = (share - FROM_OF_STEPS) / (CHOOSE_AT_OF_STEPS - FROM_OF_STEPS)
         while not refinement.is_over and refinement.done < due * refinement.num_steps:
             refinement.step()
         return refinement
+
+    def _timer(self, budget: Budget, share: float) -> IsOver:
+        """A function that tells whether a share of the budget's seconds or maps is spent since now."""
+        is_late, most = budget.timer(share), self.count.maps + share * (budget.max_maps or np.inf)
+        return lambda: is_late() or self.count.maps >= most
 
     def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:
         """Take the room as it is now, and choose on the rows of validation transmitters.
@@ -152,6 +163,7 @@ class RoomRender:
             "refinement": self._stored or (self.refinement and self.refinement.as_json()),
             "tracer": tracer,
             "weights": self.weights and self.weights.as_json(),
+            "compared_maps": self.count.maps,
         }
         (directory / _FILE).write_text(json.dumps(stored), encoding="utf-8")
 
@@ -161,7 +173,8 @@ class RoomRender:
         if not (directory / _FILE).is_file():
             return cls(mode)
         stored = json.loads((directory / _FILE).read_text(encoding="utf-8"))
-        render = cls(mode, has_begun=True, _stored=stored["refinement"] or {})
+        count = MapCount(stored.get("compared_maps", 0))
+        render = cls(mode, has_begun=True, count=count, _stored=stored["refinement"] or {})
         if told := stored["tracer"]:
             receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
             room = [surface_from_json(each) for each in told["room"]]
@@ -170,6 +183,11 @@ class RoomRender:
         if stored["weights"]:
             render.weights = LocalWeights.from_json(stored["weights"])
         return render
+
+
+def _pays(budget: Budget) -> bool:
+    """Whether a refinement spends the budget."""
+    return budget.max_seconds is not None or budget.max_maps is not None
 
 
 def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:

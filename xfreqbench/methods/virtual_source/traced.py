@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -118,6 +118,13 @@ class RoomTracer:
         return self._beam.maps(cfr, self._kind)[0]
 
 
+@dataclass
+class MapCount:
+    """How many maps were compared with those that are traced in a room."""
+
+    maps: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class RoomScore:
     """How near what is traced in a room is to some training rows, of some transmitters at some carriers."""
@@ -126,9 +133,10 @@ class RoomScore:
     settings: TraceSettings = COMPARING
     savings: ImageSavings = ImageSavings()
     others: Complex[NDArray[np.complex128], "n M"] | float = 0.0  # channels of the paths that are not traced
+    count: MapCount = field(default_factory=MapCount)
 
     @classmethod
-    def of(cls, train: PasDataset, *, at_lowest: bool = False) -> RoomScore:
+    def of(cls, train: PasDataset, count: MapCount, *, at_lowest: bool = False) -> RoomScore:
         """All pairs of some transmitters and carriers of training rows, evenly drawn, or at the lowest carriers.
 
         Long waves forgive a surface whose place is known to a centimetre only.
@@ -137,7 +145,7 @@ class RoomScore:
         chosen_hz = carriers[:NUM_CARRIERS] if at_lowest else evenly(carriers, NUM_CARRIERS + 2)[1:-1]
         is_chosen = np.isin(train.carrier_hz, chosen_hz if len(chosen_hz) else carriers)
         is_chosen &= np.isin(train.tx_index, evenly(tx, NUM_TX))
-        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)))
+        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)), count=count)
 
     @cached_property
     def _beam(self) -> BartlettBeam:
@@ -170,6 +178,7 @@ class RoomScore:
             if len(self._known) == _MOST_KNOWN:
                 del self._known[next(iter(self._known))]
             self._known[key] = channels_in(room, self.samples, self.settings, self.savings)
+            self.count.maps += len(self.samples)
         return self._known[key]
 
     def roughly(
@@ -184,7 +193,7 @@ class RoomScore:
     def near(self, room: Sequence[RoomSurface], rows: Int[IntArray, "n"] | None = None) -> RoomScore:
         """Roughly the same for rooms like this one, whose paths of many reflections are taken as they are in it."""
         rows = np.arange(len(self.samples)) if rows is None else rows
-        score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW)
+        score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW, count=self.count)
         return replace(score, others=self._cfr(room)[rows] - score._cfr(room))
 
 
