@@ -207,18 +207,35 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     assert len(rooms[0]) == 3
 
 
-def test_a_refinement_spends_maps_of_a_budget(dataset: PasDataset, tmp_path: Path) -> None:
-    render, budget = RoomRender("traced"), Budget(max_maps=4000)
-    for learned in np.linspace(FROM, CHOOSE_AT, 200).tolist():
-        share = learned + render.count.maps / 4000
-        render.advance(dataset, budget, share, found_room, Known(dataset))
-        if share > CHOOSE_AT:
-            break
-    assert render.tracer is not None
-    assert 1000 < render.count.maps < (1 - FROM) * 4000  # some are compared after the last look at the count
-    render.save(tmp_path)
-    stored = RoomRender.load("traced", tmp_path, dataset.beam, dataset.header.pas_kind)
-    assert stored.count == render.count
+def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    budget, learned, shares = (
+        Budget(max_maps=12_000),
+        Known(dataset),
+        np.linspace(FROM, CHOOSE_AT, 100).tolist(),
+    )
+
+    def go_on(render: RoomRender, up_to: float) -> None:
+        for learning in shares:
+            if learning + render.count.maps / 12_000 <= up_to:
+                render.advance(dataset, budget, learning + render.count.maps / 12_000, found_room, learned)
+
+    first = RoomRender("traced")
+    go_on(first, 0.3)
+    assert first.tracer is None
+    assert 0 < first.count.maps < (SETTLE_AT - FROM) * 12_000
+    first.save(tmp_path)
+    loaded = RoomRender.load("traced", tmp_path, dataset.beam, dataset.header.pas_kind)
+    rooms = []
+    for render in (first, loaded):
+        go_on(render, CHOOSE_AT)
+        render.advance(dataset, budget, 1.0, found_room, learned)
+        assert render.tracer is not None
+        rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
+    assert rooms[0] == rooms[1]
+    assert loaded.count == first.count
+    assert 6000 < first.count.maps < (1 - FROM) * 12_000  # some are compared after the last look at the count
 
 
 @pytest.mark.parametrize("budget", PAID)

@@ -120,7 +120,7 @@ class RoomTracer:
 
 @dataclass
 class MapCount:
-    """How many maps were compared with those that are traced in a room."""
+    """How many times a map was compared with the one that is traced in a room."""
 
     maps: int = 0
 
@@ -164,6 +164,7 @@ class RoomScore:
 
     def __call__(self, room: Sequence[RoomSurface]) -> float:
         """Mean SSIM of the maps that are traced in a room."""
+        self.count.maps += len(self.samples)
         maps, truth = torch.as_tensor(self._maps(room)), torch.as_tensor(self._truth)
         return 1 - float(map_loss(maps, truth, 1.0, _WINDOW, _STRIDE))  # compiled, unlike `mean_ssim`
 
@@ -178,7 +179,6 @@ class RoomScore:
             if len(self._known) == _MOST_KNOWN:
                 del self._known[next(iter(self._known))]
             self._known[key] = channels_in(room, self.samples, self.settings, self.savings)
-            self.count.maps += len(self.samples)
         return self._known[key]
 
     def roughly(
