@@ -32,6 +32,7 @@ from xfreqbench.types import FloatArray, IntArray
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 _TX_AT_ONCE = 32
+_LEAST_SECONDS = 12.0  # of a budget, for a search for planes and something learned after it
 _INSTEAD_FILE = "instead.json"
 
 
@@ -72,7 +73,8 @@ class VirtualSource(LearnedMethod):
         a quarter of it, or of a budget in maps, a room is made of what was learned, and refined beside the training;
         near its end where the budget is in steps. A map counts each time a changed room is compared with it, too.
 
-        Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead.
+        Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead; and where the
+        budget has too few seconds for a search.
         """
         self._train, self._budget = train, budget
         if self._training is not None:
@@ -94,14 +96,16 @@ class VirtualSource(LearnedMethod):
                 progress = steps.send(share)
 
     def _begin(self, train: PasDataset, seed: int) -> None:
-        """Search for planes, and decide which field learns."""
-        training = self.started(train, seed)
-        field = _field(training)
-        if field.has_too_few_planes:
+        """Search for planes where the budget allows it, and decide which field learns."""
+        is_long = self._budget.max_seconds is None or self._budget.max_seconds >= _LEAST_SECONDS
+        if is_long or not self.field().searches:
+            training = self.started(train, seed)
+            field = _field(training)
+            if not field.has_too_few_planes:
+                self._training = training
+                return
             self._told = field.room.findings(field.array_m)
-            self._instead = XFreqGS(XFreqGSConfig(steps=self.config.steps))
-        else:
-            self._training = training
+        self._instead = XFreqGS(XFreqGSConfig(steps=self.config.steps))
 
     @property
     def num_parameters(self) -> int:

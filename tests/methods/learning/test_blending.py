@@ -106,6 +106,17 @@ def test_transmitters_of_a_region_are_far_from_those_that_are_left(many: PasData
     )  # that many more for a quarter of the training
 
 
+def test_a_budget_of_few_seconds_chooses_nothing_for_far_transmitters(many: PasDataset) -> None:
+    for seconds, has_far in ((3, False), (300, True)):
+        model = XFreqGS(XFreqGSConfig(**{**TINY, "blend": "auto"}))
+        steps = model.fit(many, Budget(max_seconds=seconds), 0)
+        next(steps)
+        steps.send(0.6)
+        chosen = model.findings()["blend"]
+        assert KINDS[1] in chosen
+        assert (KINDS[3] in chosen) is has_far
+
+
 def test_far_transmitters_have_their_own_choice(many: PasDataset) -> None:
     early, late = Holdout.draw(many, 0)
     far_tx = np.concatenate([many.tx_index[rows] for rows in early.rows.values()]).tolist()

@@ -160,6 +160,19 @@ def test_where_no_plane_is_found_xfreq_gs_learns_instead(dataset: PasDataset, tm
     assert resumed.config == model.config
 
 
+def test_with_seconds_too_few_for_a_search_xfreq_gs_learns_instead(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(field_module, "find_planes", lambda *_: pytest.fail("no search was asked for"))
+    model, other = tiny(), XFreqGS()
+    few = Budget(max_seconds=3)
+    assert next(model.fit(dataset, few, 0)).loss == next(other.fit(dataset, few, 0)).loss
+    assert model.findings() == other.findings()
+    ablation = tiny(planes="random")  # searches nothing, so it needs no time for it
+    next(ablation.fit(dataset, few, 0))
+    assert "planes" in ablation.findings()
+
+
 def test_a_device_other_than_the_processor_is_refused_before_any_work() -> None:
     with pytest.raises(MethodError, match=r"device.*cpu"):
         build_method("virtual-source", ["device=cuda"])

@@ -123,24 +123,24 @@ class VirtualSourceField(ChannelField):
     def _first_planes(self, train: PasDataset, generator: torch.Generator) -> list[Plane]:
         """The planes before training: found, or random ones, or none, as the options say."""
         seed = int(torch.randint(2**31, (), generator=generator))
-        if self._searches:
+        if self.searches:
             return find_planes(train, seed, self.budget.timer(_SEARCH_SHARE))
         return random_planes(train, seed, self.config.max_planes) if self.config.max_order else []
 
     @property
     def has_too_few_planes(self) -> bool:
         """Whether planes were searched, but no room was found, so that free sources would have to explain the rest."""
-        return self._searches and len(self.room.normal) < min(_FEWEST_PLANES, self.config.max_planes)
+        return self.searches and len(self.room.normal) < min(_FEWEST_PLANES, self.config.max_planes)
 
     @property
-    def _searches(self) -> bool:
+    def searches(self) -> bool:
         """Whether planes are searched at all."""
         config = self.config
         return config.planes == "search" and config.max_order > 0 and config.max_planes > 0
 
     def is_time_to_look(self, step: int, share: float) -> bool:
         """Whether it is time for another search for planes, given the step and the share of the budget spent."""
-        if not (self._searches and self.config.phase and len(self.room.normal)):
+        if not (self.searches and self.config.phase and len(self.room.normal)):
             return False
         looks = int(self.num_looks)
         has_learned = step - int(self.last_look) >= _MIN_STEPS_BETWEEN_LOOKS
