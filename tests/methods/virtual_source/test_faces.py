@@ -103,6 +103,19 @@ def test_a_partition_reaches_the_walls_that_are_near_and_ends_where_it_ends() ->
     assert low_m[1] == pytest.approx(1.9, abs=CELL_M)
 
 
+def test_a_doorway_is_left_open() -> None:
+    doorway = between((3.0, 1.1, -1.0), (4.0, 2.0, 2.0))
+    divider = cells(0, 3.4, lambda at_m: in_room(at_m) & ~doorway(at_m), seen=in_room)
+    found = [face for face in faces([*box(), divider], TX_M) if face.plane == 6]
+    width_m, height_m = 0.9 + CELL_M / 2, 2.0
+    expected = SIZE_M[1] * SIZE_M[2] - width_m * height_m
+    assert sum(map(area_m2, found)) == pytest.approx(expected, abs=CELL_M * (width_m + 2 * height_m))
+    assert len(found) == 3
+    in_it_m = np.array([3.4, 1.55, 1.0])
+    for low_m, high_m in map(bounds_m, found):
+        assert ((in_it_m < low_m - 1e-6) | (in_it_m > high_m + 1e-6)).any()
+
+
 def test_images_of_surfaces_behind_a_wall_are_no_faces() -> None:
     behind = cells(0, SIZE_M[0] + 0.5, EVERYWHERE)
     found = faces([*box(), behind], TX_M)

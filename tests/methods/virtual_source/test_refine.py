@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated
+from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
@@ -153,6 +153,33 @@ def test_what_training_rows_contradict_is_changed(
     assert [each.slab.material for each in told.room] == [surface.material for surface in SCENE.surface]
 
 
+def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path) -> None:
+    sheet = Surface("front", "plasterboard", 0.0125, (3.4, 0.0, 0.0), (3.4, 2.5, 2.6))
+    back = replace(sheet, name="back", min_m=(3.5, 0.0, 0.0), max_m=(3.5, 2.5, 2.6))
+    end = replace(sheet, name="end", min_m=(3.4, 2.5, 0.0), max_m=(3.5, 2.5, 2.6))
+    scene = replace(SCENE, surface=(*SCENE.surface[:-1], sheet, back, end))
+    findings = found_room()
+    planes = [*findings["planes"], plane("x", 3.372, slabs=[slab("wood", 0.011)])]  # type: ignore[misc]
+    planes[6]["slabs"] = [slab("plasterboard", 0.0125)]
+    faces = [dict(face) for face in findings["faces"]]  # type: ignore[attr-defined]
+    for at_plane, x_m, low_z_m, high_z_m in ((6, 3.4, 0.3, 1.2), (6, 3.4, 1.5, 2.6), (7, 3.372, 0.6, 1.5)):
+        corners_m = [[x_m, 0, low_z_m], [x_m, 2.45, low_z_m], [x_m, 2.45, high_z_m], [x_m, 0, high_z_m]]
+        faces.append({**faces[-1], "plane": at_plane, "corners_m": corners_m})
+    del faces[6]
+    told = refinement(
+        generated(tmp_path, scene, AS_DEEP, num_transmitters=40),
+        {**findings, "planes": planes, "faces": faces},
+    )
+    assert len(told.found) == len(SCENE.surface) + 2
+    for _ in range(6):  # up to the depths of the largest front
+        told.step()
+    (partition,) = [each for each in told.room if not each.is_wall]
+    assert partition.depth_m == pytest.approx(0.1)
+    assert partition.corners_m.max(axis=0) == pytest.approx([3.4, 2.5, 2.6], abs=2e-3)
+    assert partition.corners_m.min(axis=0) == pytest.approx([3.4, 0.0, 0.0], abs=2e-3)
+    assert partition.slab_name == "plasterboard 12.50 mm"
+
+
 def test_faces_are_changed_again_once_boxes_are_in_their_places(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,9 +231,66 @@ def test_an_edge_goes_no_further_than_the_wall(dataset: PasDataset) -> None:
         assert (changed.corners_m < SIZE_M + 1e-9).all()
 
 
-def test_a_face_just_behind_another_may_be_its_back(dataset: PasDataset) -> None:
+def test_a_face_just_behind_another_may_be_its_back() -> None:
+    behind, before, beside = (
+        front(number=number, corners_m=front().corners_m + by_m)
+        for number, by_m in ((1, [0.0, 0.0, -0.1]), (2, [0.0, 0.0, 0.03]), (3, [1.5, 0.0, 0.0]))
+    )
+    far, wall = (
+        front(number=number, corners_m=front().corners_m - [0.0, 0.0, -0.5], is_wall=is_wall)
+        for number, is_wall in ((4, False), (5, True))
+    )
+    rooms = list(changes.with_depths(0, [front().slab], [front(), behind, before, beside, far, wall]))
+    left = [[each.number for each in room] for room in rooms]
+    assert left == [[0, 2, 3, 4, 5]] * 6 + [[0, 3, 4, 5]] * 6
+    only_behind = list(changes.with_depths(0, [front().slab], [front(), behind]))
+    assert [[each.number for each in room] for room in only_behind] == [[0]] * 6
+
+
+def test_faces_of_a_plane_may_be_one() -> None:
+    beside = front(number=1, corners_m=front().corners_m - [-1.5, -0.2, 0.0])
+    near_m = ARRAY_M + np.array([[2.6, -3.0, -4.0], [2.6, 3.0, -4.0], [2.6, 3.0, 4.0], [2.6, -3.0, 4.0]])
+    wall = front(number=2, plane=1, normal=np.array([1.0, 0.0, 0.0]), corners_m=near_m, is_wall=True)
+    rooms = list(changes.as_one(0, [front(), beside, wall]))
+    assert [[each.number for each in room] for room in rooms] == [[2, 0]] * 2
+    for room, right_m in zip(rooms, (2.0, 2.6), strict=True):
+        np.testing.assert_allclose(room[1].corners_m.min(axis=0) - ARRAY_M, [-0.5, -0.5, -1.0])
+        np.testing.assert_allclose(room[1].corners_m.max(axis=0) - ARRAY_M, [right_m, 0.7, -1.0])
+        assert room[1].area_m2 == pytest.approx((right_m + 0.5) * 1.2)
+    assert not list(changes.as_one(1, [front(), wall]))  # walls stay as they are
+
+
+def test_a_wall_some_waves_off_is_put_where_it_is(dataset: PasDataset) -> None:
+    told = refinement(dataset, found_room())
+    right, east = (
+        told.room,
+        next(each for each in told.room if each.is_wall and each.corners_m[:, 0].min() > 4.9),
+    )
+    told.room = next(changes.with_wall_at(east.plane, [0.125], [NamedSlab("metal", 0.002, 0.0)], right))
+    assert told.room[3].corners_m[:, 0] == pytest.approx(5.125)
+    others = [each.corners_m[:, 0].max() for each in told.room if each.is_wall and each.number not in (2, 3)]
+    assert others == pytest.approx([5.125] * 4)  # walls still meet
+    told.step()
+    assert told.done == 1
+    assert told.room[3].corners_m[:, 0] == pytest.approx(5.0, abs=0.006)
+    assert told.room[3].slab.material == "concrete"
+
+
+def test_faces_behind_each_other_may_end_at_another_place_together() -> None:
     behind = front(number=1, corners_m=front().corners_m - [0.0, 0.0, 0.1])
-    assert changes._is_back(behind, front())
-    assert not changes._is_back(front(), behind)
-    (room, *_) = list(changes.with_depths(0, [front().slab], [front(), behind]))
-    assert [each.number for each in room] == [0]
+    shorter = front(number=2, corners_m=front().corners_m * [1.0, 0.8, 1.0] - [0.0, 0.0, 0.05 - 0.2 * 0.0])
+    rooms = list(changes.with_edges(0, [0.1], [front(), behind, shorter]))
+    moved = [
+        [
+            bool((new.corners_m != old.corners_m).any())
+            for new, old in zip(room, (front(), behind, shorter), strict=True)
+        ]
+        for room in rooms
+    ]
+    assert all(each[0] for each in moved)
+    assert len(rooms) == 2 * 4  # each edge alone, and with those that end there
+    assert {tuple(each) for each in moved[::2]} == {(True, False, False)}
+    for room in rooms[1::2]:
+        np.testing.assert_allclose(
+            (room[1].corners_m - room[0].corners_m), [[0.0, 0.0, -0.1]] * 4, atol=1e-12
+        )

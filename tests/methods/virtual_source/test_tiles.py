@@ -15,7 +15,7 @@ from xfreqbench.methods.virtual_source.polygons import tidied
 from xfreqbench.methods.virtual_source.refine import Refinement, Trial
 from xfreqbench.methods.virtual_source.search.cross_terms import never
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface, learned_surfaces
-from xfreqbench.methods.virtual_source.tiles import with_patches
+from xfreqbench.methods.virtual_source.tiles import with_patches, without_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING
 from xfreqbench.scene.model import Surface
@@ -116,3 +116,14 @@ def test_corners_that_are_hardly_there_are_left_out() -> None:
     square = np.array([[0.0, 0.0], [0.5, 1e-7], [1.0, 0.0], [1.0, 1e-9], [1.0, 1.0], [0.0, 1.0]])
     assert len(tidied(square)) == 4
     assert len(tidied(square[:4])) == 0
+
+
+def test_a_rectangle_that_is_not_there_becomes_the_wall_around_it() -> None:
+    room = room_with(
+        [*with_door(1.0, 2.0, 2.0)[:1], *with_door(3.0, 4.0, 2.0)[:1], *with_door(1.0, 2.0, 2.0)[1:]]
+    )
+    rooms = list(without_patches(NORTH, room))
+    numbers = [[each.number for each in one if each.slab == METAL] for one in rooms]
+    assert numbers == [[], [21], [20]]
+    assert {(each.slab, each.found_slab) for each in rooms[0] if each.plane == NORTH} == {(GLASS, 0)}
+    assert not list(without_patches(NORTH, rooms[0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,10 @@ from xfreqbench.methods.virtual_source.surfaces import NO_PLANE, RoomSurface
 from xfreqbench.types import FloatArray
 
 EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
+NEAR_EDGES_M = (-0.05, 0.05)  # a front that ends so far off hides other paths, and no depth is right then
+_PARALLEL = 0.999  # cosine between normals, or between the directions in which two edges point
+_SAME_END_M = 0.05  # edges that are so near each other end at the same place
+_SAME_PLANE_M = 1e-3
 _MIN_WIDTH_M = 0.1
 _TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
@@ -42,6 +47,30 @@ def other_slabs(
         yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
 
 
+def with_wall_at(
+    plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room
+) -> Iterator[Room]:
+    """The room with a wall moved along its normal, of its own slabs or all of another one; what met it still does."""
+    own = next(each for each in room if each.is_wall and each.plane == plane)
+    for by_m in places_m:
+        moved = [each if each.depth_m else _stretched(each, own, by_m) for each in room]
+        for slab in slabs:
+            yield [
+                replace(each, slab=slab) if each.is_wall and each.plane == plane else each for each in moved
+            ]
+        yield moved
+
+
+def _stretched(other: RoomSurface, wall: RoomSurface, by_m: float) -> RoomSurface:
+    """A surface with its corners that lie on a wall moved along the wall's normal."""
+    on_wall = np.abs((other.corners_m - wall.corners_m[0]) @ wall.normal) < _SAME_END_M
+    return (
+        replace(other, corners_m=other.corners_m + by_m * on_wall[:, None] * wall.normal)
+        if on_wall.any()
+        else other
+    )
+
+
 def without(number: int, room: Room) -> Iterator[Room]:
     """The room without a face."""
     if any(each.number == number for each in room):
@@ -49,30 +78,57 @@ def without(number: int, room: Room) -> Iterator[Room]:
 
 
 def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Room]:
-    """The room with one edge of a face moved."""
+    """The room with one edge of a face moved, alone or together with those of parallel faces that end there too."""
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number:
+            near = [each for each in room if each is not own and abs(_behind_m(each, own)) < _BACK_M]
             for changed in edged(own, walls, steps_m):
                 yield [changed if each is own else each for each in room]
+                along = {each: _moved_along(each, own, changed, walls) for each in near}
+                if any(old is not new for old, new in along.items()):
+                    yield [changed if each is own else along.get(each, each) for each in room]
+
+
+def as_one(plane: int, room: Room) -> Iterator[Room]:
+    """The room with the faces of a plane as one rectangle about all of them, some sides of it moved to the walls.
+
+    What was learned as several faces, for the cells between them saw few paths, may be a single thing.
+    """
+    walls = [each for each in room if each.is_wall]
+    parts = [each for each in room if each.plane == plane and not each.is_wall]
+    if not parts:
+        return
+    largest = max(parts, key=lambda each: each.area_m2)
+    own = replace(largest, corners_m=_rectangle_about(largest, parts))
+    slabs = dict.fromkeys(each.slab for each in parts)
+    others = [each for each in room if not any(each is part for part in parts)]
+    of_sides = [[own.corners_m[[side, (side + 1) % 4]], own.outward[side]] for side in range(4)]
+    ways_m = [_way_to_wall(ends_m, outward, walls) for ends_m, outward in of_sides]
+    for moved in product(*([0.0, way_m] if 0 < way_m < _TO_WALL_M else [0.0] for way_m in ways_m)):
+        corners_m = own.corners_m.copy()
+        for side, way_m in enumerate(moved):
+            corners_m[[side, (side + 1) % 4]] += way_m * own.outward[side]
+        for slab in slabs:
+            yield [*others, replace(own, corners_m=corners_m, slab=slab).with_depth(own.depth_m, walls)]
 
 
 def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
     """The room with a face as the front of a box, or of a deeper one, in place of what was found just behind it.
 
-    Two thin sheets that were learned as one are thinner than that.
+    It may also take the place of what was found in it or just before it: a plane that mirrors as the box's back does
+    at some carriers, a part of a wave off. Two thin sheets that were learned as one are thinner than that.
     """
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number and own.plane != NO_PLANE:
-            others = [each for each in room if not _is_back(each, own)]
-            for slab in slabs:
-                is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
-                for factor in _THINNER if is_thin else (1.0,):
-                    sheet = replace(own, slab=slab.thinned(factor))
-                    for depth_m in _DEPTHS_M:
-                        box = sheet.with_depth(depth_m, walls)
-                        yield [box if each is own else each for each in others]
+            over = {each: _behind_m(each, own) for each in room if each is not own and _is_over(each, own)}
+            alone = [each for each in room if not 0 < over.get(each, 0.0) < _BACK_M]
+            apart = [each for each in alone if abs(over.get(each, np.inf)) >= _BACK_M]
+            for others in [alone, apart] if len(apart) < len(alone) else [alone]:
+                for sheet, depth_m in product(_sheets(own, slabs), _DEPTHS_M):
+                    box = sheet.with_depth(depth_m, walls)
+                    yield [box if each is own else each for each in others]
 
 
 def deeper(number: int, room: Room) -> Iterator[Room]:
@@ -88,10 +144,19 @@ def deeper(number: int, room: Room) -> Iterator[Room]:
                 yield [box if each is own else each for each in room]
 
 
-def _is_back(other: RoomSurface, front: RoomSurface) -> bool:
-    """Whether a face is parallel to another one, and little behind it."""
-    behind_m = float((other.corners_m[0] - front.corners_m[0]) @ front.normal)
-    return not other.is_wall and 0 < behind_m < _BACK_M and float(other.normal @ front.normal) > 0.999
+def _sheets(own: RoomSurface, slabs: Sequence[NamedSlab]) -> Iterator[RoomSurface]:
+    """A face of each slab, and of thinner ones where the slab is thin."""
+    for slab in slabs:
+        is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
+        for factor in _THINNER if is_thin else (1.0,):
+            yield replace(own, slab=slab.thinned(factor))
+
+
+def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
+    """How far a face is behind another one, if they are parallel; infinite otherwise, and for walls."""
+    if other.is_wall or float(other.normal @ front.normal) <= _PARALLEL:
+        return np.inf
+    return float((other.corners_m[0] - front.corners_m[0]) @ front.normal)
 
 
 def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
@@ -109,6 +174,50 @@ def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float])
             corners_m = own.corners_m.copy()
             corners_m[ends] += step_m * outward
             yield replace(own, corners_m=corners_m).with_depth(own.depth_m, walls)
+
+
+def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
+    """Whether a face covers some of another one, as seen along the latter's normal."""
+    axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
+    (low, high), (own_low, own_high) = (
+        (place_m.min(axis=1), place_m.max(axis=1))
+        for place_m in (axes @ each.corners_m.T for each in (other, own))
+    )
+    return bool((np.minimum(high, own_high) - np.maximum(low, own_low) > _SAME_END_M).all())
+
+
+def _moved_along(
+    other: RoomSurface, own: RoomSurface, changed: RoomSurface, walls: Sequence[RoomSurface]
+) -> RoomSurface:
+    """A parallel face with its edge moved as one of `own` was, or as it is.
+
+    It is moved if both edges ended at the same place, but not at a wall, or if two faces of a plane met there, which
+    then still do.
+    """
+    by_m = changed.corners_m - own.corners_m
+    (edge,) = [each for each in range(len(by_m)) if by_m[each].any() and by_m[(each + 1) % len(by_m)].any()]
+    same_way = other.outward @ own.outward[edge]
+    apart_m = (other.corners_m - own.corners_m[edge]) @ own.outward[edge]
+    meets = abs(_behind_m(other, own)) < _SAME_PLANE_M
+    if _way_to_wall(own.corners_m[[edge, (edge + 1) % len(by_m)]], own.outward[edge], walls) < _SAME_END_M:
+        return other
+    for each in np.flatnonzero(np.abs(apart_m) < _SAME_END_M).tolist():
+        if same_way[each] > _PARALLEL or (meets and same_way[each] < -_PARALLEL):
+            corners_m = other.corners_m.copy()
+            corners_m[[each, (each + 1) % len(corners_m)]] += by_m[edge]
+            return replace(other, corners_m=corners_m).with_depth(other.depth_m, walls)
+    return other
+
+
+def _rectangle_about(largest: RoomSurface, parts: Sequence[RoomSurface]) -> Float[FloatArray, "4 3"]:
+    """The corners of the rectangle about some faces of a plane, along the first side of the largest one."""
+    along = largest.corners_m[1] - largest.corners_m[0]
+    along /= np.linalg.norm(along)
+    across = np.cross(largest.normal, along)
+    at_m = np.concatenate([each.corners_m for each in parts]) - largest.corners_m[0]
+    (low, down), (high, up) = (ends(at_m @ np.array([along, across]).T, axis=0) for ends in (np.min, np.max))
+    corners = [[low, down], [high, down], [high, up], [low, up]]
+    return largest.corners_m[0] + np.array(corners) @ np.array([along, across])
 
 
 def _way_to_wall(

@@ -92,7 +92,7 @@ def faces(planes: Sequence[Cells], offset_m: Float[FloatArray, "T 3"]) -> list[F
 
     A wall is filled up to its neighbours, because what does not reflect there may be hidden by furniture; it is made
     of the slab that most of it shows, and of the other one in rectangles that show that. Other planes have the
-    rectangles that hold most, up to a wall that is near.
+    rectangles that hold most, up to a wall that is near, without those that hold nothing, such as doorways.
     """
     bounds = walls(planes, offset_m)
     found: list[Face] = []
@@ -134,8 +134,16 @@ def _inside(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]
         here = tuple(slice(a, b + 1) for a, b in zip(low.tolist(), high.tolist(), strict=True))
         slab = int(plane.share[here][held[here]].sum(0)[1:].argmax())
         inside = convex_common(_snapped(plane, plane.sides(low, high), whole), whole)
-        if len(inside) >= 3:
-            yield _face(index, slab, plane, inside, is_wall=False)
+        if len(inside) < 3:
+            continue
+        empty = np.full(signed.shape, -np.inf)
+        empty[here] = np.where(is_seen, -signed, _UNSEEN)[here]
+        rest = [inside]
+        for opening in best_rectangles(empty):
+            hole = _snapped(plane, plane.sides(*opening), inside)
+            rest = [piece for each in rest for piece in without(each, hole)]
+        for piece in rest:
+            yield _face(index, slab, plane, piece, is_wall=False)
 
 
 def _face(index: int, slab: int, plane: Cells, place_m: Float[FloatArray, "n 2"], *, is_wall: bool) -> Face:

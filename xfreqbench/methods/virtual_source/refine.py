@@ -30,13 +30,16 @@ from xfreqbench.methods.virtual_source.boxes import (
 from xfreqbench.methods.virtual_source.changes import (
     EDGES_M,
     FINER_M,
+    NEAR_EDGES_M,
     NEARLY,
     OTHERWISE,
     Room,
+    as_one,
     deeper,
     other_slabs,
     with_depths,
     with_edges,
+    with_wall_at,
     without,
 )
 from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled, sharpened
@@ -53,7 +56,7 @@ from xfreqbench.methods.virtual_source.surfaces import (
     surface_from_json,
     surface_json,
 )
-from xfreqbench.methods.virtual_source.tiles import with_patches
+from xfreqbench.methods.virtual_source.tiles import with_patches, without_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, MapCount, RoomScore
 from xfreqbench.types import FloatArray
@@ -61,17 +64,23 @@ from xfreqbench.types import FloatArray
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
 _MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few
+_WITH_MORE = 10  # with which further changes are tried, on a few rows too
 _REPEATS = 4  # most changes of one kind of one face, one after another
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
+_PLACES_M, _AT_WALL_M = around(0.01, 0.5), 0.02  # by which a wall is moved, and where it is still the same
 _HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
 
 
 class Trial(NamedTuple):
-    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little."""
+    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little.
+
+    `besides` are further changes that are tried together with the best of them.
+    """
 
     changes: Callable[[Room], Iterator[Room]]
     at_lowest: bool = False
+    besides: Callable[[Room], Iterator[Room]] | None = None
 
 
 @dataclass(eq=False)
@@ -142,14 +151,22 @@ class Refinement:
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done until boxes are sought: faces in turn, again where the others are, walls, and faces as boxes."""
+        """What is done until boxes are sought: faces are changed in turn, again where the others are, and as boxes.
+
+        Walls are placed first, and get other slabs before faces become boxes.
+        """
         of_faces = [self._trials_of(own) for own in self._fronts]
+        of_planes = dict.fromkeys(own.plane for own in self._fronts)
+        whole = [Trial(partial(as_one, plane), at_lowest=True) for plane in of_planes]
         first = [trial for own in of_faces for trial in own]
         again = [trial for own in of_faces for trial in own[1:3]]
-        of_walls = self._trials_of_walls(NEARLY)
+        of_walls = [
+            *(Trial(partial(without_patches, plane), at_lowest=True) for plane in self._walls),
+            *self._trials_of_walls(NEARLY),
+        ]
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
-        changed = [partial(self._change, trial) for trial in [*first, *again, *of_walls]]
-        return [self._sharpen, *changed, *as_boxes]
+        changed = [partial(self._change, trial) for trial in [*whole, *first, *again, *of_walls]]
+        return [self._place_walls, self._sharpen, *changed, *as_boxes]
 
     @cached_property
     def last_steps(self) -> list[Callable[[IsOver], None]]:
@@ -157,9 +174,8 @@ class Refinement:
         trials = [self._trials_of(own) for own in self._fronts]
         again = [partial(self._fit_again, own.number) for own in self._fronts]
         changed = [trial for edges, _, *rest, _ in trials for trial in (edges, *rest)]
-        planes = dict.fromkeys(each.plane for each in self.found if each.is_wall)
         slabs = self._trials_of_walls(OTHERWISE, at_lowest=True)
-        patches = [Trial(partial(with_patches, plane), at_lowest=True) for plane in planes]
+        patches = [Trial(partial(with_patches, plane), at_lowest=True) for plane in self._walls]
         return [*again, *(partial(self._change, trial) for trial in [*slabs, *patches, *changed])]
 
     def _numbered(self, number: int) -> RoomSurface | None:
@@ -169,6 +185,11 @@ class Refinement:
     def _fronts(self) -> list[RoomSurface]:
         return sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
 
+    @property
+    def _walls(self) -> list[int]:
+        """The planes that bound the room."""
+        return list(dict.fromkeys(each.plane for each in self.found if each.is_wall))
+
     def _trials_of_walls(self, factors: Sequence[float], *, at_lowest: bool = False) -> list[Trial]:
         return [Trial(partial(other_slabs, *known, factors), at_lowest) for known in self.known.items()]
 
@@ -176,10 +197,12 @@ class Refinement:
         known = self.known.get((own.plane, own.found_slab), [own.slab])
         others = [each for each in self._slabs if each.material not in {one.material for one in known}]
         slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
-        edges, finer = (partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M))
+        edges, finer, nearly = (
+            partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M)
+        )
         return [
             Trial(edges, at_lowest=True),
-            Trial(partial(with_depths, own.number, slabs), at_lowest=True),
+            Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly),
             Trial(partial(deeper, own.number)),
             Trial(edges),
             Trial(finer),
@@ -234,6 +257,27 @@ class Refinement:
         if after > before:
             self.room = room
 
+    def _place_walls(self, is_over: IsOver) -> None:
+        """Move walls that agree better elsewhere, by up to half a metre, with another slab or their own.
+
+        A far wall that few paths show may have been found some waves off.
+        """
+        carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
+        paths = ReflectedPaths.of(self.room, self.train, self._lags, carriers)
+        walls = {each.plane: each for each in self.room if each.is_wall}
+        for plane, own in walls.items():
+            part = RoomPart("wall", plane)
+            if is_over() or part not in paths.reflected:
+                continue
+            likeness = paths.likeness(part, _PLACES_M, np.arange(len(carriers)))
+            near, peaks = likeness[np.abs(_PLACES_M) <= _AT_WALL_M].max(), _peaks(_PLACES_M, likeness)
+            places_m = [by_m for by_m, value in peaks if abs(by_m) > _AT_WALL_M and value > near + LEAST_GAIN]
+            of_others = [each.slab for each in walls.values() if each is not own]
+            slabs = {each.material: each for each in [*self._slabs[:1], *of_others, own.slab]}
+            if places_m:
+                changes = partial(with_wall_at, plane, places_m[:_LISTED], list(slabs.values()))
+                self._change(Trial(changes, at_lowest=True), is_over)
+
     def _sharpen(self, is_over: IsOver) -> None:
         """Move all parts by little, if the room is nearer then."""
         room = sharpened(self.room, self.train, self._lags, self._standing_m)
@@ -246,16 +290,20 @@ class Refinement:
         for _ in range(_REPEATS):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
-                scores = _scores([judges[0].roughly(candidates[0], self.room)], candidates, is_over)
-                candidates = [candidates[index] for index in np.argsort(-scores, kind="stable")[:_LISTED]]
+                few = judges[0].roughly(candidates[0], self.room)
+                if trial.besides:
+                    best = _best_of(candidates, few, _WITH_MORE, is_over)
+                    more = [each for room in best for each in trial.besides(room) if self._stands(each)]
+                    candidates = [*best, *more]
+                candidates = _best_of(candidates, few, _LISTED, is_over)
             scores = _scores([judge.near(self.room) for judge in judges], candidates, is_over)
             if not len(scores) or is_over():
                 break
-            best = candidates[int(scores.argmax())]
+            changed = candidates[int(scores.argmax())]
             asked = [judges] if trial.at_lowest else [judges, self._judges]
-            if not all(self._is_nearer(best, each) for each in asked):
+            if not all(self._is_nearer(changed, each) for each in asked):
                 break
-            self.room = best
+            self.room = changed
 
     def _is_nearer(self, room: Room, judges: Sequence[RoomScore]) -> bool:
         """Whether a room that is changed deserves to be kept."""
@@ -391,6 +439,21 @@ def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
 def _moves_with(own: RoomSurface) -> tuple[int, int]:
     """The same for all parts of a wall, and no other surfaces."""
     return (own.plane, NO_PLANE) if own.is_wall else (NO_PLANE, own.number)
+
+
+def _peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
+    """Places where the likeness is higher than beside them, and that, the highest first."""
+    order = np.argsort(places_m)
+    places_m, likeness = places_m[order], likeness[order]
+    padded = np.pad(likeness, 1, constant_values=-np.inf)
+    at = np.flatnonzero((likeness >= padded[:-2]) & (likeness > padded[2:]))
+    return sorted(zip(places_m[at].tolist(), likeness[at].tolist(), strict=True), key=lambda each: -each[1])
+
+
+def _best_of(rooms: Sequence[Room], judge: RoomScore, number: int, is_over: IsOver) -> list[Room]:
+    """So many of the rooms, those of the highest score first."""
+    scores = _scores([judge], rooms, is_over)
+    return [rooms[index] for index in np.argsort(-scores, kind="stable")[:number]]
 
 
 def _scores(

@@ -17,19 +17,34 @@ _FIRST_PIECE = 1000  # number of the first piece of a wall that was none before
 _STEPS_M = (-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
 
 
+def without_patches(plane: int, room: Room) -> Iterator[Room]:
+    """The room with a rectangle, or all of them, of the slab of most of the wall around it."""
+    patches, rest = _patches(plane, room)
+    for gone in (
+        [patches, *([each] for each in patches)] if len(patches) > 1 else [patches] if patches else []
+    ):
+        slab, found = rest[0].slab, rest[0].found_slab
+        yield [replace(each, slab=slab, found_slab=found) if each in gone else each for each in room]
+
+
 def with_patches(plane: int, room: Room) -> Iterator[Room]:
     """The room with one side of a rectangle moved that is of another slab than most of the wall around it."""
     walls = [each for each in room if each.is_wall]
-    tiles = [each for each in walls if each.plane == plane]
-    main = max(tiles, key=lambda each: sum(one.area_m2 for one in tiles if one.slab == each.slab)).slab
-    patches = [each for each in tiles if each.slab != main]
-    rest = [each for each in tiles if each.slab == main]
+    patches, rest = _patches(plane, room)
+    tiles = [*patches, *rest]
     first = max(_FIRST_PIECE, *(1 + each.number for each in room))
     for own in patches:
         for changed in edged(own, walls, _STEPS_M):
             others = [changed if each is own else each for each in patches]
             if pieces := _around(tiles, others, rest, first):
                 yield [*(each for each in room if each not in tiles), *others, *pieces]
+
+
+def _patches(plane: int, room: Room) -> tuple[list[RoomSurface], list[RoomSurface]]:
+    """The parts of a wall that are of another slab than most of it, and the others."""
+    tiles = [each for each in room if each.is_wall and each.plane == plane]
+    main = max(tiles, key=lambda each: sum(one.area_m2 for one in tiles if one.slab == each.slab)).slab
+    return [each for each in tiles if each.slab != main], [each for each in tiles if each.slab == main]
 
 
 def _around(
