@@ -20,7 +20,6 @@ _PARALLEL = 0.999  # cosine between normals, or between the directions in which 
 _SAME_END_M = 0.05  # edges that are so near each other end at the same place
 _SAME_PLANE_M = 1e-3
 _MIN_WIDTH_M = 0.1
-_TO_WALL_M = 1.0  # an edge that is so near may reach the wall
 _DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
 FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
@@ -91,13 +90,13 @@ def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Ro
 
 
 def as_one(plane: int, room: Room) -> Iterator[Room]:
-    """The room with the faces of a plane as one rectangle about all of them, some sides of it moved to the walls.
+    """The room with several faces of a plane as one rectangle about all of them, some sides of it moved to the walls.
 
-    What was learned as several faces, for the cells between them saw few paths, may be a single thing.
+    What was learned in parts, for the cells between them saw few paths, may be a single thing.
     """
     walls = [each for each in room if each.is_wall]
     parts = [each for each in room if each.plane == plane and not each.is_wall]
-    if not parts:
+    if len(parts) < 2:
         return
     largest = max(parts, key=lambda each: each.area_m2)
     own = replace(largest, corners_m=_rectangle_about(largest, parts))
@@ -105,7 +104,7 @@ def as_one(plane: int, room: Room) -> Iterator[Room]:
     others = [each for each in room if not any(each is part for part in parts)]
     of_sides = [[own.corners_m[[side, (side + 1) % 4]], own.outward[side]] for side in range(4)]
     ways_m = [_way_to_wall(ends_m, outward, walls) for ends_m, outward in of_sides]
-    for moved in product(*([0.0, way_m] if 0 < way_m < _TO_WALL_M else [0.0] for way_m in ways_m)):
+    for moved in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
         corners_m = own.corners_m.copy()
         for side, way_m in enumerate(moved):
             corners_m[[side, (side + 1) % 4]] += way_m * own.outward[side]
@@ -168,7 +167,7 @@ def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float])
         room_m = _way_to_wall(own.corners_m[ends], outward, walls)
         size_m = np.ptp(own.corners_m @ outward)
         steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}
-        if room_m < _TO_WALL_M:
+        if np.isfinite(room_m):
             steps_m.add(room_m)
         for step_m in sorted(steps_m - {0.0}):
             corners_m = own.corners_m.copy()

@@ -65,7 +65,7 @@ _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
 _MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few
 _WITH_MORE = 10  # with which further changes are tried, on a few rows too
-_REPEATS = 4  # most changes of one kind of one face, one after another
+_REPEATS = 4  # most changes of one kind of one face, one after another, where many may follow each other
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
 _PLACES_M, _AT_WALL_M = around(0.01, 0.5), 0.02  # by which a wall is moved, and where it is still the same
@@ -75,12 +75,15 @@ _HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the l
 class Trial(NamedTuple):
     """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little.
 
-    `besides` are further changes that are tried together with the best of them.
+    `besides` are further changes that are tried together with the best of them. A change is kept that raises the mean
+    SSIM by `least`; where it makes a room simpler, it has to be no worse.
     """
 
     changes: Callable[[Room], Iterator[Room]]
     at_lowest: bool = False
     besides: Callable[[Room], Iterator[Room]] | None = None
+    least: float = _MIN_CHANGE
+    repeats: int = _REPEATS
 
 
 @dataclass(eq=False)
@@ -151,17 +154,17 @@ class Refinement:
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done until boxes are sought: faces are changed in turn, again where the others are, and as boxes.
+        """What is done until boxes are sought: walls are placed, and faces changed in turn, then the largest again.
 
-        Walls are placed first, and get other slabs before faces become boxes.
+        Then walls get other slabs, and faces become boxes.
         """
         of_faces = [self._trials_of(own) for own in self._fronts]
         of_planes = dict.fromkeys(own.plane for own in self._fronts)
-        whole = [Trial(partial(as_one, plane), at_lowest=True) for plane in of_planes]
+        whole = [Trial(partial(as_one, plane), at_lowest=True, least=0.0) for plane in of_planes]
         first = [trial for own in of_faces for trial in own]
-        again = [trial for own in of_faces for trial in own[1:3]]
+        again = [trial for own in of_faces[:1] for trial in own[1:3]]
         of_walls = [
-            *(Trial(partial(without_patches, plane), at_lowest=True) for plane in self._walls),
+            *(Trial(partial(without_patches, plane), at_lowest=True, least=0.0) for plane in self._walls),
             *self._trials_of_walls(NEARLY),
         ]
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
@@ -202,11 +205,11 @@ class Refinement:
         )
         return [
             Trial(edges, at_lowest=True),
-            Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly),
+            Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly, repeats=1),
             Trial(partial(deeper, own.number)),
             Trial(edges),
             Trial(finer),
-            Trial(partial(without, own.number)),
+            Trial(partial(without, own.number), least=0.0),
         ]
 
     @property
@@ -276,7 +279,7 @@ class Refinement:
             slabs = {each.material: each for each in [*self._slabs[:1], *of_others, own.slab]}
             if places_m:
                 changes = partial(with_wall_at, plane, places_m[:_LISTED], list(slabs.values()))
-                self._change(Trial(changes, at_lowest=True), is_over)
+                self._change(Trial(changes, at_lowest=True, repeats=1), is_over)
 
     def _sharpen(self, is_over: IsOver) -> None:
         """Move all parts by little, if the room is nearer then."""
@@ -287,7 +290,7 @@ class Refinement:
     def _change(self, trial: Trial, is_over: IsOver) -> None:
         """Keep the best changes of one kind."""
         judges = self._judges if trial.at_lowest else [self.score]
-        for _ in range(_REPEATS):
+        for _ in range(trial.repeats):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
             if len(candidates) > _LISTED:
                 few = judges[0].roughly(candidates[0], self.room)
@@ -301,14 +304,14 @@ class Refinement:
                 break
             changed = candidates[int(scores.argmax())]
             asked = [judges] if trial.at_lowest else [judges, self._judges]
-            if not all(self._is_nearer(changed, each) for each in asked):
+            if not all(self._is_nearer(changed, each, trial.least) for each in asked):
                 break
             self.room = changed
 
-    def _is_nearer(self, room: Room, judges: Sequence[RoomScore]) -> bool:
+    def _is_nearer(self, room: Room, judges: Sequence[RoomScore], least: float = _MIN_CHANGE) -> bool:
         """Whether a room that is changed deserves to be kept."""
         before, after = _scores(judges, [self.room, room])
-        return bool(after >= before + _MIN_CHANGE)
+        return bool(after >= before + least)
 
     def _fit_behind(self, number: int, is_over: IsOver) -> None:
         """Make a face that stands along the walls the front of a box, and change all of the box but that face."""
