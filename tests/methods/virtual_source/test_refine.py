@@ -171,7 +171,7 @@ def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path
         {**findings, "planes": planes, "faces": faces},
     )
     assert len(told.found) == len(SCENE.surface) + 2
-    for _ in range(6):  # up to the depths of the largest front
+    for _ in range(12):  # up to the depths of the largest front
         told.step()
     (partition,) = [each for each in told.room if not each.is_wall]
     assert partition.depth_m == pytest.approx(0.1)

@@ -267,6 +267,7 @@ def test_other_rounds_begin_while_the_budget_allows_and_something_changes(
 def test_learning_goes_on_where_a_refinement_is_over_before_its_part_is(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch, budget: Budget
 ) -> None:
+    monkeypatch.setattr(Refinement, "steps", [])
     monkeypatch.setattr(Refinement, "num_steps", 2)
     monkeypatch.setattr(Refinement, "step", lambda self, is_over: setattr(self, "done", self.done + 1))
     render = RoomRender("traced")

@@ -154,7 +154,7 @@ class Refinement:
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done until boxes are sought: walls are placed, and faces changed in turn, then the largest again.
+        """What is done until boxes are sought: walls are placed, faces joined, and changed in turn, the largest first.
 
         Then walls get other slabs, and faces become boxes.
         """
@@ -163,12 +163,10 @@ class Refinement:
         whole = [Trial(partial(as_one, plane), at_lowest=True, least=0.0) for plane in of_planes]
         first = [trial for own in of_faces for trial in own]
         again = [trial for own in of_faces[:1] for trial in own[1:3]]
-        of_walls = [
-            *(Trial(partial(without_patches, plane), at_lowest=True, least=0.0) for plane in self._walls),
-            *self._trials_of_walls(NEARLY),
-        ]
+        plain = [Trial(partial(without_patches, plane), at_lowest=True, least=0.0) for plane in self._walls]
+        of_walls = self._trials_of_walls(NEARLY)
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
-        changed = [partial(self._change, trial) for trial in [*whole, *first, *again, *of_walls]]
+        changed = [partial(self._change, trial) for trial in [*whole, *plain, *first, *again, *of_walls]]
         return [self._place_walls, self._sharpen, *changed, *as_boxes]
 
     @cached_property
@@ -240,6 +238,10 @@ class Refinement:
             turn, nth = divmod(later - 1, len(self.boxes))
             self._fit_obstacle(nth, self.boxes[nth], turn, is_over)
         self.done += 1
+
+    def leave_faces(self) -> None:
+        """Leave out what is left to do before boxes are sought."""
+        self.done = max(self.done, len(self.steps))
 
     def settle(self, is_over: IsOver = never) -> None:
         """Leave out the steps that are left but the last one."""

@@ -26,10 +26,10 @@ from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
 
-# Shares of a budget after which a room is reconstructed, settled, and weights are chosen. The refinement takes its part
-# of seconds and of maps, and learning goes on beside it and after it. Of a budget in steps it takes nothing, and what
-# is learned is best at the end.
-FROM, SETTLE_AT, CHOOSE_AT = 0.25, 0.87, 0.93
+# Shares of a budget after which a room is reconstructed, furniture is sought, all is settled, and weights are chosen.
+# The refinement takes its part of seconds and of maps, and learning goes on beside it and after it. Of a budget in
+# steps it takes nothing, and what is learned is best at the end.
+FROM, FURNITURE_AT, SETTLE_AT, CHOOSE_AT = 0.25, 0.5, 0.87, 0.93
 FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
@@ -97,6 +97,8 @@ class RoomRender:
             if share < SETTLE_AT:
                 if refinement.is_over:
                     return refinement.again() or refinement
+                if share >= FURNITURE_AT:
+                    refinement.leave_faces()
                 refinement.step(self._timer(budget, SETTLE_AT - share))
             elif share < CHOOSE_AT and not refinement.is_over:
                 refinement.settle(self._timer(budget, CHOOSE_AT - share))
