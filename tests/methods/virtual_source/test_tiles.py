@@ -12,12 +12,13 @@ from found_box import SCENE, SETTINGS, SIZE_M, found_room, generated
 
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.polygons import tidied
-from xfreqbench.methods.virtual_source.refine import Refinement, Trial
+from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.search.cross_terms import never
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface, learned_surfaces
 from xfreqbench.methods.virtual_source.tiles import with_patches, without_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING
+from xfreqbench.methods.virtual_source.trials import Trial
 from xfreqbench.scene.model import Surface
 
 GLASS, METAL = NamedSlab("glass", 0.01, 0.0), NamedSlab("metal", 0.002, 0.0)

@@ -36,6 +36,7 @@ _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of 
 _FEW_TX, _FOLDS = 16, 5  # with fewer held out the choice is a cautious one
 _ROUNDING = 1e-6  # of a standard error: a gain at one transmitter alone is as large as its error
 _FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
+_LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take one or two
 _REGION_SHARE = 0.15  # of the transmitters
 _PLACES = ("transmitter", "far transmitter", "very far transmitter")
 BoolArray = NDArray[np.bool_]
@@ -63,7 +64,7 @@ class Holdout:
     rows: Mapping[str, IntArray]
 
     @classmethod
-    def draw(cls, train: PasDataset, seed: int) -> list[Holdout]:
+    def draw(cls, train: PasDataset, seed: int, seconds: float | None = None) -> list[Holdout]:
         """One carrier inside the band and a tenth of the transmitters, and before it a region too, the earliest first.
 
         They are the same for the same seed. Of few transmitters they are more than a tenth. `make_splits` with
@@ -88,7 +89,7 @@ class Holdout:
         last = drawn(CHOOSE_AT, ~is_carrier & ~is_tx, dict(zip(KINDS[:3], among, strict=True)))
         is_unseen = is_tx | _is_in_region(train, generator)
         left = ~is_carrier & ~is_unseen
-        if not left.any():
+        if not left.any() or (seconds is not None and seconds < _LEAST_SECONDS_FOR_FAR):
             return [last]
         known = TrainingTransmitters(train.subset(np.flatnonzero(left)))
         reach = _reach(known, train.tx_position_m) * is_unseen

@@ -43,7 +43,6 @@ from xfreqbench.types import FloatArray
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
 _PREDICT_BATCH = 16
 MAX_GRADIENT_NORM = 1.0
-_LEAST_SECONDS_FOR_FAR = 8.0  # of a budget, for choices of the blend for far transmitters
 _MIN_RATE = 0.01  # of the learning rate, reached at the end of the budget
 
 Fraction = Annotated[float, Limits(ge=0, le=1)]
@@ -174,17 +173,13 @@ class LearnedMethod:
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
         """Minimise Eq. 12 by Adam; the learning rate falls as half a cosine over the share of the budget spent.
 
-        In a budget of a few seconds, maps of far transmitters are blended as those of nearer ones.
-
         Raises `DivergenceError` where the loss or a gradient is no longer finite.
         """
         if self._training is None:
             self._training = self.started(train, seed)
         training = self._training
         chosen = self._blend.choices if self._blend else {}
-        holdouts = Holdout.draw(train, seed) if self.config.blend == "auto" else []
-        if budget.max_seconds is not None and budget.max_seconds < _LEAST_SECONDS_FOR_FAR:
-            holdouts = holdouts[-1:]
+        holdouts = Holdout.draw(train, seed, budget.max_seconds) if self.config.blend == "auto" else []
         holdouts = [each for each in holdouts if not each.rows.keys() & chosen.keys()]
         targets = self._targets(train, training, holdouts)
         if not len(targets):

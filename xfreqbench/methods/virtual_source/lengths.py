@@ -41,6 +41,7 @@ _STEPS_PER_WAVELENGTH = 16  # of the highest carrier
 _FLAT = 0.05  # metres by which a part lengthens its paths for each by which it moves, at least
 _NEAR, _MOST_STEPS = 1 / 8, 3  # wavelengths, and steps, of least squares
 _REACH = 1.5  # steps of the carriers before, within which a part is sought again
+_HERE_M = 0.02  # a part that is so near another place is there
 LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
 
@@ -86,6 +87,9 @@ def around(step_m: float, reach_m: float) -> Float[FloatArray, "n"]:
     """Displacements up to a reach, 0 first."""
     steps = np.arange(1, int(np.ceil(reach_m / step_m)) + 1)
     return step_m * np.concatenate([[0], -steps[::-1], steps])
+
+
+_PLACES_M = around(0.01, 0.5)  # by which a wall may have been found off
 
 
 @dataclass(eq=False)
@@ -262,6 +266,13 @@ class ReflectedPaths:
 
         return np.array([of(each_m) for each_m in by_m.tolist()])
 
+    def elsewhere(self, part: RoomPart, carriers: Int[IntArray, "K"]) -> list[float]:
+        """By how many metres a part may have been found off, the likeliest first: rows agree better there than here."""
+        likeness = self.likeness(part, _PLACES_M, carriers)
+        here = likeness[np.abs(_PLACES_M) <= _HERE_M].max()
+        peaks = _peaks(_PLACES_M, likeness)
+        return [by_m for by_m, value in peaks if abs(by_m) > _HERE_M and value > here + LEAST_GAIN]
+
     def _turn(
         self, part: RoomPart, by_m: float, carriers: Int[IntArray, "K"]
     ) -> Complex[NDArray[np.complex128], "n K"]:
@@ -310,3 +321,12 @@ def _slopes(
                 slopes[part] += float(turn @ motions[part].at(point_m))
         found += [(part, path, slope) for part, slope in slopes.items()]
     return found
+
+
+def _peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
+    """Places where the likeness is higher than beside them, and that, the highest first."""
+    order = np.argsort(places_m)
+    places_m, likeness = places_m[order], likeness[order]
+    padded = np.pad(likeness, 1, constant_values=-np.inf)
+    at = np.flatnonzero((likeness >= padded[:-2]) & (likeness > padded[2:]))
+    return sorted(zip(places_m[at].tolist(), likeness[at].tolist(), strict=True), key=lambda each: -each[1])

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.methods.virtual_source.boxes import MOST_BOARD_M
-from xfreqbench.methods.virtual_source.surfaces import RoomSurface
+from xfreqbench.methods.virtual_source.surfaces import NO_PLANE, RoomSurface
 from xfreqbench.types import FloatArray
 
 
@@ -47,6 +47,11 @@ def parts_at(surface: RoomSurface, point_m: Float[FloatArray, "3"]) -> list[Room
     nearest = min(away_m, key=away_m.__getitem__)
     is_board = nearest.kind != "side" and surface.depth_m < MOST_BOARD_M
     return [nearest, RoomPart("board", number)] if is_board else [nearest]
+
+
+def moves_with(own: RoomSurface) -> tuple[int, int]:
+    """The same for all parts of a wall, which move together, and for no other surfaces."""
+    return (own.plane, NO_PLANE) if own.is_wall else (NO_PLANE, own.number)
 
 
 class Motion(NamedTuple):

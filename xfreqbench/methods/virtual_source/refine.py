@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,25 +27,11 @@ from xfreqbench.methods.virtual_source.boxes import (
     box_slabs,
     holds_any,
 )
-from xfreqbench.methods.virtual_source.changes import (
-    EDGES_M,
-    FINER_M,
-    NEAR_EDGES_M,
-    NEARLY,
-    OTHERWISE,
-    Room,
-    as_one,
-    deeper,
-    other_slabs,
-    with_depths,
-    with_edges,
-    with_wall_at,
-    without,
-)
+from xfreqbench.methods.virtual_source.changes import NEARLY, OTHERWISE, Room, as_one, with_wall_at
 from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled, sharpened
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames, likely_slabs
 from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
-from xfreqbench.methods.virtual_source.parts import RoomPart, moved
+from xfreqbench.methods.virtual_source.parts import RoomPart, moved, moves_with
 from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import (
     NO_PLANE,
@@ -58,32 +44,22 @@ from xfreqbench.methods.virtual_source.surfaces import (
 )
 from xfreqbench.methods.virtual_source.tiles import with_patches, without_patches
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import NUM_CARRIERS, MapCount, RoomScore
+from xfreqbench.methods.virtual_source.traced import (
+    NUM_CARRIERS,
+    MapCount,
+    RoomScore,
+    best_rooms,
+    mean_scores,
+)
+from xfreqbench.methods.virtual_source.trials import MIN_CHANGE, Trial, trials_of_face, trials_of_slabs
 from xfreqbench.types import FloatArray
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
-_MIN_CHANGE = 3e-4  # for which one of its surfaces is changed
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few
 _WITH_MORE = 10  # with which further changes are tried, on a few rows too
-_REPEATS = 4  # most changes of one kind of one face, one after another, where many may follow each other
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _NUM_NEAR_TX = 16  # those that a box matters to most
-_PLACES_M, _AT_WALL_M = around(0.01, 0.5), 0.02  # by which a wall is moved, and where it is still the same
 _HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
-
-
-class Trial(NamedTuple):
-    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little.
-
-    `besides` are further changes that are tried together with the best of them. A change is kept that raises the mean
-    SSIM by `least`; where it makes a room simpler, it has to be no worse.
-    """
-
-    changes: Callable[[Room], Iterator[Room]]
-    at_lowest: bool = False
-    besides: Callable[[Room], Iterator[Room]] | None = None
-    least: float = _MIN_CHANGE
-    repeats: int = _REPEATS
 
 
 @dataclass(eq=False)
@@ -164,7 +140,7 @@ class Refinement:
         first = [trial for own in of_faces for trial in own]
         again = [trial for own in of_faces[:1] for trial in own[1:3]]
         plain = [Trial(partial(without_patches, plane), at_lowest=True, least=0.0) for plane in self._walls]
-        of_walls = self._trials_of_walls(NEARLY)
+        of_walls = trials_of_slabs(self.known, NEARLY)
         as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
         changed = [partial(self._change, trial) for trial in [*whole, *plain, *first, *again, *of_walls]]
         return [self._place_walls, self._sharpen, *changed, *as_boxes]
@@ -175,7 +151,7 @@ class Refinement:
         trials = [self._trials_of(own) for own in self._fronts]
         again = [partial(self._fit_again, own.number) for own in self._fronts]
         changed = [trial for edges, _, *rest, _ in trials for trial in (edges, *rest)]
-        slabs = self._trials_of_walls(OTHERWISE, at_lowest=True)
+        slabs = trials_of_slabs(self.known, OTHERWISE, at_lowest=True)
         patches = [Trial(partial(with_patches, plane), at_lowest=True) for plane in self._walls]
         return [*again, *(partial(self._change, trial) for trial in [*slabs, *patches, *changed])]
 
@@ -191,24 +167,8 @@ class Refinement:
         """The planes that bound the room."""
         return list(dict.fromkeys(each.plane for each in self.found if each.is_wall))
 
-    def _trials_of_walls(self, factors: Sequence[float], *, at_lowest: bool = False) -> list[Trial]:
-        return [Trial(partial(other_slabs, *known, factors), at_lowest) for known in self.known.items()]
-
     def _trials_of(self, own: RoomSurface) -> list[Trial]:
-        known = self.known.get((own.plane, own.found_slab), [own.slab])
-        others = [each for each in self._slabs if each.material not in {one.material for one in known}]
-        slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
-        edges, finer, nearly = (
-            partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M)
-        )
-        return [
-            Trial(edges, at_lowest=True),
-            Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly, repeats=1),
-            Trial(partial(deeper, own.number)),
-            Trial(edges),
-            Trial(finer),
-            Trial(partial(without, own.number), least=0.0),
-        ]
+        return trials_of_face(own, self.known.get((own.plane, own.found_slab), [own.slab]), self._slabs)
 
     @property
     def num_steps(self) -> int:
@@ -252,13 +212,13 @@ class Refinement:
         """Move all parts to where the lengths of paths agree, but those with which the room is not nearer then."""
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
         near = [judge.near(room) for judge in self._judges]
-        has_moved = [_moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
+        has_moved = [moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
         for part in dict.fromkeys(has_moved):  # each has to be better there
             pairs = zip(self.room, room, strict=True)
-            back = [old if _moves_with(old) == part else new for old, new in pairs]
-            before, after = _scores(near, [back, room])
+            back = [old if moves_with(old) == part else new for old, new in pairs]
+            before, after = mean_scores(near, [back, room])
             room = room if after > before else back
-        before, after = _scores(self._judges, [self.room, room])
+        before, after = mean_scores(self._judges, [self.room, room])
         if after > before:
             self.room = room
 
@@ -274,9 +234,7 @@ class Refinement:
             part = RoomPart("wall", plane)
             if is_over() or part not in paths.reflected:
                 continue
-            likeness = paths.likeness(part, _PLACES_M, np.arange(len(carriers)))
-            near, peaks = likeness[np.abs(_PLACES_M) <= _AT_WALL_M].max(), _peaks(_PLACES_M, likeness)
-            places_m = [by_m for by_m, value in peaks if abs(by_m) > _AT_WALL_M and value > near + LEAST_GAIN]
+            places_m = paths.elsewhere(part, np.arange(len(carriers)))
             of_others = [each.slab for each in walls.values() if each is not own]
             slabs = {each.material: each for each in [*self._slabs[:1], *of_others, own.slab]}
             if places_m:
@@ -297,11 +255,11 @@ class Refinement:
             if len(candidates) > _LISTED:
                 few = judges[0].roughly(candidates[0], self.room)
                 if trial.besides:
-                    best = _best_of(candidates, few, _WITH_MORE, is_over)
+                    best = best_rooms(candidates, few, _WITH_MORE, is_over)
                     more = [each for room in best for each in trial.besides(room) if self._stands(each)]
                     candidates = [*best, *more]
-                candidates = _best_of(candidates, few, _LISTED, is_over)
-            scores = _scores([judge.near(self.room) for judge in judges], candidates, is_over)
+                candidates = best_rooms(candidates, few, _LISTED, is_over)
+            scores = mean_scores([judge.near(self.room) for judge in judges], candidates, is_over)
             if not len(scores) or is_over():
                 break
             changed = candidates[int(scores.argmax())]
@@ -310,9 +268,9 @@ class Refinement:
                 break
             self.room = changed
 
-    def _is_nearer(self, room: Room, judges: Sequence[RoomScore], least: float = _MIN_CHANGE) -> bool:
+    def _is_nearer(self, room: Room, judges: Sequence[RoomScore], least: float = MIN_CHANGE) -> bool:
         """Whether a room that is changed deserves to be kept."""
-        before, after = _scores(judges, [self.room, room])
+        before, after = mean_scores(judges, [self.room, room])
         return bool(after >= before + least)
 
     def _fit_behind(self, number: int, is_over: IsOver) -> None:
@@ -375,7 +333,7 @@ class Refinement:
             changes = changes[1:] if nth else [at_its_height, *changes]  # slabs were changed last
             for change in changes:
                 candidates = [own, *(each for each in change(own) if self._fits(each))]
-                scores = _scores([near], [[*others, each] for each in candidates], is_over)
+                scores = mean_scores([near], [[*others, each] for each in candidates], is_over)
                 if scores.max() > best:
                     own, best = candidates[int(scores.argmax())], float(scores.max())
             if is_over() or (is_new and self._at_lowest([*others, own]) < self._at_lowest(others)):
@@ -439,30 +397,3 @@ class Refinement:
 
 def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
-
-
-def _moves_with(own: RoomSurface) -> tuple[int, int]:
-    """The same for all parts of a wall, and no other surfaces."""
-    return (own.plane, NO_PLANE) if own.is_wall else (NO_PLANE, own.number)
-
-
-def _peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
-    """Places where the likeness is higher than beside them, and that, the highest first."""
-    order = np.argsort(places_m)
-    places_m, likeness = places_m[order], likeness[order]
-    padded = np.pad(likeness, 1, constant_values=-np.inf)
-    at = np.flatnonzero((likeness >= padded[:-2]) & (likeness > padded[2:]))
-    return sorted(zip(places_m[at].tolist(), likeness[at].tolist(), strict=True), key=lambda each: -each[1])
-
-
-def _best_of(rooms: Sequence[Room], judge: RoomScore, number: int, is_over: IsOver) -> list[Room]:
-    """So many of the rooms, those of the highest score first."""
-    scores = _scores([judge], rooms, is_over)
-    return [rooms[index] for index in np.argsort(-scores, kind="stable")[:number]]
-
-
-def _scores(
-    judges: Sequence[RoomScore], rooms: Sequence[Room], is_over: IsOver = never
-) -> Float[FloatArray, "n"]:
-    """The mean score of each room; −∞ of those for which there is no time."""
-    return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])

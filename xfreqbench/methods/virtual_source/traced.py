@@ -16,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.loss import map_loss
-from xfreqbench.methods.virtual_source.search.cross_terms import spherical_waves
+from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, never, spherical_waves
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
@@ -195,6 +195,21 @@ class RoomScore:
         rows = np.arange(len(self.samples)) if rows is None else rows
         score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW, count=self.count)
         return replace(score, others=self._cfr(room)[rows] - score._cfr(room))
+
+
+def best_rooms(
+    rooms: Sequence[list[RoomSurface]], judge: RoomScore, number: int, is_over: IsOver
+) -> list[list[RoomSurface]]:
+    """So many of the rooms, those of the highest score first."""
+    scores = mean_scores([judge], rooms, is_over)
+    return [rooms[index] for index in np.argsort(-scores, kind="stable")[:number]]
+
+
+def mean_scores(
+    judges: Sequence[RoomScore], rooms: Sequence[Sequence[RoomSurface]], is_over: IsOver = never
+) -> Float[FloatArray, "n"]:
+    """The mean score of each room; −∞ of those for which there is no time."""
+    return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])
 
 
 def evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:
