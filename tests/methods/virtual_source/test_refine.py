@@ -278,7 +278,7 @@ def test_a_wall_some_waves_off_is_put_where_it_is(dataset: PasDataset) -> None:
 
 def test_faces_behind_each_other_may_end_at_another_place_together() -> None:
     behind = front(number=1, corners_m=front().corners_m - [0.0, 0.0, 0.1])
-    shorter = front(number=2, corners_m=front().corners_m * [1.0, 0.8, 1.0] - [0.0, 0.0, 0.05 - 0.2 * 0.0])
+    shorter = front(number=2, corners_m=front().corners_m * [1.0, 0.8, 1.0] - [0.0, 0.0, 0.05])
     rooms = list(changes.with_edges(0, [0.1], [front(), behind, shorter]))
     moved = [
         [
@@ -294,3 +294,13 @@ def test_faces_behind_each_other_may_end_at_another_place_together() -> None:
         np.testing.assert_allclose(
             (room[1].corners_m - room[0].corners_m), [[0.0, 0.0, -0.1]] * 4, atol=1e-12
         )
+
+
+def test_faces_of_a_plane_still_meet_where_an_edge_between_them_moves() -> None:
+    beside = front(number=1, corners_m=front().corners_m - [-1.0, 0.0, 0.0])
+    edge_m = ARRAY_M[0] + 0.5  # the first ends there, the other begins
+    rooms = list(changes.with_edges(0, [0.1], [front(), beside]))
+    meeting = [room for room in rooms if room[1].corners_m[:, 0].min() > edge_m + 0.05]
+    assert len(meeting) == 1
+    assert [each.corners_m[:, 0].max() for each in meeting[0]] == pytest.approx([edge_m + 0.1, edge_m + 1.0])
+    assert meeting[0][1].corners_m[:, 0].min() == pytest.approx(edge_m + 0.1)

@@ -82,9 +82,10 @@ def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Ro
     for own in room:
         if own.number == number:
             near = [each for each in room if each is not own and abs(_behind_m(each, own)) < _BACK_M]
-            for changed in edged(own, walls, steps_m):
+            for edge, step_m in _edge_steps(own, walls, steps_m):
+                changed = _with_edge(own, edge, step_m * own.outward[edge], walls)
                 yield [changed if each is own else each for each in room]
-                along = {each: _moved_along(each, own, changed, walls) for each in near}
+                along = {each: _moved_along(each, own, edge, step_m, walls) for each in near}
                 if any(old is not new for old, new in along.items()):
                     yield [changed if each is own else along.get(each, each) for each in room]
 
@@ -101,15 +102,16 @@ def as_one(plane: int, room: Room) -> Iterator[Room]:
     largest = max(parts, key=lambda each: each.area_m2)
     own = replace(largest, corners_m=_rectangle_about(largest, parts))
     slabs = dict.fromkeys(each.slab for each in parts)
-    others = [each for each in room if not any(each is part for part in parts)]
-    of_sides = [[own.corners_m[[side, (side + 1) % 4]], own.outward[side]] for side in range(4)]
-    ways_m = [_way_to_wall(ends_m, outward, walls) for ends_m, outward in of_sides]
-    for moved in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
-        corners_m = own.corners_m.copy()
-        for side, way_m in enumerate(moved):
-            corners_m[[side, (side + 1) % 4]] += way_m * own.outward[side]
+    others = [each for each in room if each not in parts]
+    ways_m = [
+        _way_to_wall(own.corners_m[[side, (side + 1) % 4]], own.outward[side], walls) for side in range(4)
+    ]
+    for moves_m in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
+        whole = own
+        for side, by_m in enumerate(moves_m):
+            whole = _with_edge(whole, side, by_m * own.outward[side], walls)
         for slab in slabs:
-            yield [*others, replace(own, corners_m=corners_m, slab=slab).with_depth(own.depth_m, walls)]
+            yield [*others, replace(whole, slab=slab)]
 
 
 def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
@@ -160,19 +162,31 @@ def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
 
 def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
     """The surface with one edge moved within its plane, up to a wall at most."""
+    for edge, step_m in _edge_steps(own, walls, by_m):
+        yield _with_edge(own, edge, step_m * own.outward[edge], walls)
+
+
+def _edge_steps(
+    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]
+) -> Iterator[tuple[int, float]]:
+    """Each edge of a surface with how far outwards it may be moved: up to a wall at most, and to the wall itself."""
     number = len(own.corners_m)
-    for edge in range(number):
-        ends = [edge, (edge + 1) % number]
-        outward = own.outward[edge]
-        room_m = _way_to_wall(own.corners_m[ends], outward, walls)
+    for edge, outward in enumerate(own.outward):
+        room_m = _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls)
         size_m = np.ptp(own.corners_m @ outward)
         steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}
         if np.isfinite(room_m):
             steps_m.add(room_m)
-        for step_m in sorted(steps_m - {0.0}):
-            corners_m = own.corners_m.copy()
-            corners_m[ends] += step_m * outward
-            yield replace(own, corners_m=corners_m).with_depth(own.depth_m, walls)
+        yield from ((edge, step_m) for step_m in sorted(steps_m - {0.0}))
+
+
+def _with_edge(
+    own: RoomSurface, edge: int, by_m: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
+) -> RoomSurface:
+    """A surface with the edge from one of its corners to the next moved."""
+    corners_m = own.corners_m.copy()
+    corners_m[[edge, (edge + 1) % len(corners_m)]] += by_m
+    return replace(own, corners_m=corners_m).with_depth(own.depth_m, walls)
 
 
 def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
@@ -186,25 +200,21 @@ def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
 
 
 def _moved_along(
-    other: RoomSurface, own: RoomSurface, changed: RoomSurface, walls: Sequence[RoomSurface]
+    other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Sequence[RoomSurface]
 ) -> RoomSurface:
-    """A parallel face with its edge moved as one of `own` was, or as it is.
+    """A parallel face with its edge moved as one of `own` is, if both ended or met at the same place; else as it is.
 
-    It is moved if both edges ended at the same place, but not at a wall, or if two faces of a plane met there, which
-    then still do.
+    Faces meet where they lie in one plane. What ends at a wall is not moved.
     """
-    by_m = changed.corners_m - own.corners_m
-    (edge,) = [each for each in range(len(by_m)) if by_m[each].any() and by_m[(each + 1) % len(by_m)].any()]
-    same_way = other.outward @ own.outward[edge]
-    apart_m = (other.corners_m - own.corners_m[edge]) @ own.outward[edge]
-    meets = abs(_behind_m(other, own)) < _SAME_PLANE_M
-    if _way_to_wall(own.corners_m[[edge, (edge + 1) % len(by_m)]], own.outward[edge], walls) < _SAME_END_M:
+    outward, number = own.outward[edge], len(own.corners_m)
+    if _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls) < _SAME_END_M:
         return other
+    same_way = other.outward @ outward
+    apart_m = (other.corners_m - own.corners_m[edge]) @ outward
+    may_meet = abs(_behind_m(other, own)) < _SAME_PLANE_M
     for each in np.flatnonzero(np.abs(apart_m) < _SAME_END_M).tolist():
-        if same_way[each] > _PARALLEL or (meets and same_way[each] < -_PARALLEL):
-            corners_m = other.corners_m.copy()
-            corners_m[[each, (each + 1) % len(corners_m)]] += by_m[edge]
-            return replace(other, corners_m=corners_m).with_depth(other.depth_m, walls)
+        if same_way[each] > _PARALLEL or (may_meet and same_way[each] < -_PARALLEL):
+            return _with_edge(other, each, step_m * outward, walls)
     return other
 
 

@@ -20,9 +20,8 @@ _STEPS_M = (-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
 def without_patches(plane: int, room: Room) -> Iterator[Room]:
     """The room with a rectangle, or all of them, of the slab of most of the wall around it."""
     patches, rest = _patches(plane, room)
-    for gone in (
-        [patches, *([each] for each in patches)] if len(patches) > 1 else [patches] if patches else []
-    ):
+    each_alone = [[each] for each in patches]
+    for gone in [patches, *each_alone] if len(patches) > 1 else each_alone:
         slab, found = rest[0].slab, rest[0].found_slab
         yield [replace(each, slab=slab, found_slab=found) if each in gone else each for each in room]
 
