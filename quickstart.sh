@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Set everything up, generate a small office data set, run three methods and the trivial ones on it, print the leaderboard.
-# Other sizes: NUM_TX=240 METHODS=all BUDGET=1000steps ./quickstart.sh
+# Other sizes, of 61 transmitters or more: NUM_TX=240 METHODS=all BUDGET=1000steps ./quickstart.sh
 set -euo pipefail
 cd "$(dirname "$0")"
 say() { printf '\n== %s\n' "$*"; }
@@ -27,5 +27,5 @@ say "Fitting at nine carriers and predicting the tenth, at 2.4, 24.25 and 77 GHz
 say "Writing the leaderboard as Markdown and as a page; ten seconds"
 .venv/bin/xfreqbench report "$results" --output "$results/BENCHMARK.md" --html "$results/page.html"
 
-say "Done: $results/page.html and $results/view/index.html. One seed and few steps are a look: nothing learned is ranked"
+say "Done: $results/page.html and $results/view/index.html. One seed and few transmitters are a look: nothing learned is ranked"
 say "The best method here, virtual-source, takes four minutes more: METHODS=virtual-source ./quickstart.sh"

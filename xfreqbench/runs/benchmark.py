@@ -48,19 +48,20 @@ _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
 TracingProgress = Callable[[str, int, int], None]
 RunProgress = Callable[[int, int, Job], None]
-_TRIVIAL_S = 5.0  # of a run that fits nothing
+_TRIVIAL_S = 8.0  # of a run that fits nothing
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
     "fixed-frequency-gs": 1e-4,
     "frequency-embedded-gs": 1e-4,
     "xfreq-gs": 1.5e-4,
-    "aperture-gs": 3.5e-4,
+    "aperture-gs": 4.5e-4,
     "wideband-3dgs": 7e-4,
     "virtual-source": 1e-3,
+    "swift-wrf": 1.2e-3,
     "wrf-gs-plus": 2.6e-3,
     "xfreq-gs-paper": 0.1,
 }
 _USUAL_SECONDS_A_MAP = 4e-4
-_MAPS_A_STEP = 128  # of most methods
+_MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from leaderboard_records import make_bench, make_followed, make_records, rows_of
 from stored_records import make_record
 
 from xfreqbench.errors import OutputExistsError
+from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.report import BEGIN, END, leaderboard_summary, write_report
 from xfreqbench.runs.records import RunRecord, append
 
@@ -80,6 +81,21 @@ def test_every_table_of_a_protocol_has_the_error_of_the_angle_and_says_what_it_i
         assert rows_of(text, "ours")[0]["AoA error (°)"] == "0.95"  # as `make_records` has it
         assert text.count("* **AoA error (°)**: ") == 1
     assert "AoA error (°)" not in leaderboard_summary(records_of("office"))  # of a terminal's width
+
+
+def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) -> None:
+    ssim = {
+        ("ours", "quick"): 0.90, ("ours", "converged"): 0.9012,
+        ("theirs", "quick"): 0.90, ("theirs", "converged"): 0.91, ("theirs", "minutes"): 0.95,
+        ("worse", "quick"): 0.90, ("worse", "converged"): 0.89,
+        ("hasty", "quick"): 0.90, ("hasty", "minutes"): 0.90,
+    }  # fmt: skip
+    for (method, lane), value in ssim.items():
+        append(tmp_path / "records.jsonl", with_job(make_record(method, value), budget=LANES[lane]))
+    write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
+    text = (tmp_path / "B.md").read_text("utf-8")
+    gains = {method: rows_of(text, method)[-1]["quick → converged"] for method, _ in ssim}
+    assert gains == {"ours": "+0.0012, flat", "theirs": "+0.0100", "worse": "-0.0100, flat", "hasty": "–"}
 
 
 def test_the_stability_suite_is_summed_up_by_area(results: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isnan
 
+from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
@@ -14,7 +15,7 @@ from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import figure_links
 from xfreqbench.report.leaderboard.legend import short_legend
-from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.runs.records import BenchRecord
 
@@ -25,6 +26,9 @@ _BRIEFLY = {  # measurements of which the first rows are shown
     "stress": "Stability",
 }
 _MOST_ROWS = 5
+_FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
+_GAIN = "quick → converged"
+_FLAT = 0.002  # of SSIM
 _ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers nor unseen places
 
 
@@ -104,21 +108,35 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
     splits = [
         split for split in _first_comparison(main).splits if all(split in row.by_split for _, row in fitted)
     ]
-    every = {
-        (row.short_label, lane.lane): number(row.average(splits, median_ssim), 4)
-        for lane, row in fitted
-        if splits
-    }
+    every = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
     num_lanes = Counter(label for label, _ in every)
     rows = {place: value for place, value in every.items() if num_lanes[place[0]] > 1}
     header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
     body = [
-        [label, *(rows.get((label, lane.lane), ABSENT) for lane in lanes)]
+        [label, *(_ssim_cell(rows.get((label, lane.lane))) for lane in lanes)]
         for label in sorted({label for label, _ in rows})
     ]
     words = heading(f"{main.scene} · {main.protocol}")
-    caption = f"{words}, average median SSIM on {', '.join(map(short_name, splits))}:"
-    return [f"{caption}\n\n{table(header, body)}"] if body else []
+    caption = f"{words}, average median SSIM on {', '.join(map(short_name, splits))}"
+    if {_FEW_MAPS, _MANY_MAPS} <= {lane.lane for lane in lanes}:
+        header.append(_GAIN)
+        for line in body:
+            line.append(_gain_cell(rows.get((line[0], _FEW_MAPS)), rows.get((line[0], _MANY_MAPS))))
+        caption += (
+            f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
+        )
+    return [f"{caption}:\n\n{table(header, body)}"] if body else []
+
+
+def _ssim_cell(ssim: float | None) -> str:
+    return ABSENT if ssim is None else number(ssim, 4)
+
+
+def _gain_cell(few: float | None, many: float | None) -> str:
+    """What more maps bring; each of the two fits let its learning rate fall to its own end."""
+    if few is None or many is None:
+        return ABSENT
+    return f"{many - few:+.4f}" + (", flat" if many - few < _FLAT else "")
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> str:

@@ -172,11 +172,12 @@ def _label(record: RunRecord) -> str:
         return f"{job.method} (external)"
     differences = sorted(job.overrides)
     if job.budget != Budget():
-        differences.append(_budget(job.budget))
+        differences.append(budget_text(job.budget))
     return f"{job.method} ({', '.join(differences)})" if differences else job.method
 
 
-def _budget(budget: Budget) -> str:
+def budget_text(budget: Budget) -> str:
+    """The limits of a budget: `≤ 64,000 maps`."""
     limits = {"steps": budget.max_steps, "s": budget.max_seconds, "maps": budget.max_maps}
     return ", ".join(
         f"≤ {limit:{',' if unit == 'maps' else 'g'}} {unit}"
@@ -187,10 +188,10 @@ def _budget(budget: Budget) -> str:
 
 def lane_of(record: RunRecord) -> str:
     """The budget as text; `NO_LANE` where there was none, and for trivial predictors and predictions made elsewhere."""
-    return NO_LANE if is_trivial(record) or record.external else _budget(record.job.budget)
+    return NO_LANE if is_trivial(record) or record.external else budget_text(record.job.budget)
 
 
-LANE_NAMES = {_budget(budget): name for name, budget in LANES.items()}
+LANE_NAMES = {budget_text(budget): name for name, budget in LANES.items()}
 
 
 def is_trivial(record: RunRecord) -> bool:
