@@ -28,4 +28,4 @@ say "Writing the leaderboard as Markdown and as a page; ten seconds"
 .venv/bin/xfreqbench report "$results" --output "$results/BENCHMARK.md" --html "$results/page.html"
 
 say "Done: $results/page.html and $results/view/index.html. One seed and few transmitters are a look: nothing learned is ranked"
-say "The best method here, virtual-source, takes four minutes more: METHODS=virtual-source ./quickstart.sh"
+say "The best method here, virtual-source, takes a minute more: METHODS=virtual-source ./quickstart.sh"
