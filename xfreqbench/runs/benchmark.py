@@ -54,10 +54,10 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "frequency-embedded-gs": 1e-4,
     "xfreq-gs": 1.5e-4,
     "aperture-gs": 4.5e-4,
-    "wideband-3dgs": 7e-4,
+    "wideband-3dgs": 8e-4,
     "virtual-source": 1e-3,
     "swift-wrf": 1.2e-3,
-    "wrf-gs-plus": 2.6e-3,
+    "wrf-gs-plus": 3.3e-3,
     "xfreq-gs-paper": 0.1,
 }
 _USUAL_SECONDS_A_MAP = 4e-4

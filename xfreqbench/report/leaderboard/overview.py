@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import isnan
+from math import isnan, nan
 
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
@@ -113,7 +113,7 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
     rows = {place: value for place, value in every.items() if num_lanes[place[0]] > 1}
     header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
     body = [
-        [label, *(_ssim_cell(rows.get((label, lane.lane))) for lane in lanes)]
+        [label, *(number(rows.get((label, lane.lane), nan), 4) for lane in lanes)]
         for label in sorted({label for label, _ in rows})
     ]
     words = heading(f"{main.scene} · {main.protocol}")
@@ -121,22 +121,19 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
     if {_FEW_MAPS, _MANY_MAPS} <= {lane.lane for lane in lanes}:
         header.append(_GAIN)
         for line in body:
-            line.append(_gain_cell(rows.get((line[0], _FEW_MAPS)), rows.get((line[0], _MANY_MAPS))))
+            few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
+            line.append(_gain_cell(many - few))
         caption += (
             f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
         )
     return [f"{caption}:\n\n{table(header, body)}"] if body else []
 
 
-def _ssim_cell(ssim: float | None) -> str:
-    return ABSENT if ssim is None else number(ssim, 4)
-
-
-def _gain_cell(few: float | None, many: float | None) -> str:
+def _gain_cell(gain: float) -> str:
     """What more maps bring; each of the two fits let its learning rate fall to its own end."""
-    if few is None or many is None:
+    if isnan(gain):
         return ABSENT
-    return f"{many - few:+.4f}" + (", flat" if many - few < _FLAT else "")
+    return f"{gain:+.4f}" + (", flat" if gain < _FLAT else "")
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> str:
