@@ -11,7 +11,14 @@ from synthetic import make_header
 
 from xfreqbench.bench import executors as scale_out
 from xfreqbench.bench.executors import WAYS, Took, bench_scale_out
-from xfreqbench.bench.planning import DriverCost, Expected, TracingCost, TransmitterCost
+from xfreqbench.bench.planning import (
+    DriverCost,
+    Expected,
+    TracingCost,
+    TransmitterCost,
+    _drive,
+    _Driving,
+)
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import open_dataset
@@ -77,6 +84,14 @@ def test_the_drivers_memory_grows_with_cores_and_hardly_with_transmitters() -> N
     assert many - few == pytest.approx(49 * (10**6 - 10**3))  # two positions and a flag each
     one = Expected(cost(), 10**3)
     assert one.driver_bytes(32) - one.driver_bytes(16) == 32 * BATCH * one.batch_bytes
+
+
+def test_a_driver_is_measured_on_channels_at_hand(tmp_path: Path) -> None:
+    """What is written proves its origin, as every data set does, and is gone afterwards."""
+    took = _drive(_Driving(num_carriers=2, num_tx=BATCH + 1, has_maps=True, folder=tmp_path))
+    assert min(took.plan_s, took.keep_s, took.write_s) > 0
+    assert took.peak_memory_mib > 100
+    assert not list(tmp_path.iterdir())
 
 
 def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:

@@ -154,20 +154,20 @@ class _Driving:
 
 
 class _AtHand(InThisProcess):
-    """Workers that need no time; each batch is the same noise."""
+    """Workers that need no time: the same noise for every transmitter, also where it is traced again."""
 
     def __init__(self, num_carriers: int, num_elements: int) -> None:
-        noise = np.random.default_rng(0).standard_normal((2, BATCH, num_carriers, num_elements))
-        self._channel = Channel(noise[0] + 1j * noise[1], np.ones(noise.shape[1:3], np.int32))
+        noise = np.random.default_rng(0).standard_normal((2, num_carriers, num_elements))
+        self._cfr = noise[0] + 1j * noise[1]
 
     def submit(self, call: Any, argument: Any) -> Future[Any]:
         """Noise for as many transmitters as the batch has."""
         _, tx_position_m = argument
-        return HERE.submit(self._first, len(tx_position_m))
+        return HERE.submit(self._of, len(tx_position_m))
 
-    def _first(self, number: int) -> Channel:
-        """The noise of the first transmitters."""
-        return Channel(self._channel.cfr[:number], self._channel.num_paths[:number])
+    def _of(self, number: int) -> Channel:
+        cfr = np.repeat(self._cfr[None], number, axis=0)
+        return Channel(cfr, np.ones(cfr.shape[:2], np.int32))
 
 
 def _drive(work: _Driving) -> DriverCost:
