@@ -160,6 +160,18 @@ def test_where_no_plane_is_found_xfreq_gs_learns_instead(dataset: PasDataset, tm
     assert resumed.config == model.config
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_two_planes_are_enough_to_begin_with(
+    number: int, dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planes = random_planes(dataset, 0, number)
+    monkeypatch.setattr(field_module, "find_planes", lambda *_: planes)
+    model, other = tiny(), XFreqGS()
+    losses = [trained(each, dataset, 1)[-1].loss for each in (model, other)]
+    assert (losses[0] == losses[1]) == (number == 1)
+    assert len(model.findings()["planes"]) == number
+
+
 def test_with_seconds_too_few_for_a_search_xfreq_gs_learns_instead(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:

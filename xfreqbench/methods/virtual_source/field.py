@@ -33,7 +33,7 @@ from xfreqbench.methods.virtual_source.search.range_profile import (
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-_FEWEST_PLANES = 3  # of a room
+_FEWEST_PLANES = 2  # of a room
 _MIN_STEPS_BETWEEN_LOOKS = 250
 _SEARCH_SHARE, _LOOK_SHARE = (
     0.75,

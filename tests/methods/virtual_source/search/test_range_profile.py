@@ -114,6 +114,17 @@ def test_what_is_not_explained_yet_is_found_along_known_normals(room: PasDataset
     assert tilt_rad(planes[0].normal, FACET) < 5e-4
 
 
+def test_a_wall_at_right_angles_to_the_only_one_known_is_found_too(
+    tmp_path: Path, found: list[Plane]
+) -> None:
+    corner = Wall(azimuth_deg=WALL.azimuth_deg - 90, elevation_deg=0.0, distance_m=3.4, reflection=0.3)
+    room = replace(ROOM, walls=(WALL, FLOOR, corner))
+    known = replace(ROOM, walls=(WALL, FLOOR)).cfr().reshape(-1, len(RECEIVER.element_position_wavelengths))
+    plane = find_more_planes(room.stored(tmp_path), [the_one(found, WALL)], lambda rows: known[rows][None])[0]
+    assert abs(plane.distance_m - corner.distance_m) < 2e-4
+    assert tilt_rad(plane.normal, corner) < 5e-4
+
+
 def test_transmitters_in_one_layer_make_no_floor_and_no_ceiling(tmp_path: Path) -> None:
     """A path from the floor is as long as one from a ceiling as far above the layer, and an array may hear both."""
     layer = replace(ROOM, walls=(WALL, SIDE, FLOOR), corners_m=((0.3, 0.3, 1.2), (6.2, 4.9, 1.2)))

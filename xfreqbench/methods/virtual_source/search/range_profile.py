@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.virtual_source.search.coarse import BEHIND_BOX_M
+from xfreqbench.methods.virtual_source.search.coarse import BEHIND_BOX_M, MAX_TILT
 from xfreqbench.methods.virtual_source.search.cross_terms import (
     Aligned,
     Explained,
@@ -199,8 +199,15 @@ def find_more_planes(
 
 
 def _directions(normals: Iterable[Float[FloatArray, "3"]]) -> list[Float[FloatArray, "3"]]:
-    """The normals, their opposites, up and down, without near duplicates."""
-    vertical = np.array([0.0, 0.0, 1.0])
+    """The normals, their opposites, up and down, without near duplicates.
+
+    Where all upright ones are of one direction, those at right angles to it are tried, too: most rooms have corners.
+    """
+    normals, vertical = list(normals), np.array([0.0, 0.0, 1.0])
+    across = [np.cross(vertical, each) for each in normals if abs(each @ vertical) < MAX_TILT]
+    across = [each / np.linalg.norm(each) for each in across]
+    if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:
+        normals.append(across[0])
     kept: list[Float[FloatArray, "3"]] = []
     for normal in [*normals, vertical]:
         for direction in (normal, -normal):
