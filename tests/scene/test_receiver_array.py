@@ -44,3 +44,18 @@ def test_rays_are_traced_to_no_upright_array() -> None:
     text = str(resources.files("xfreqbench.scenes").joinpath("empty.toml").read_text())
     with pytest.raises(SceneError, match="plane 'yz'"):
         parse_scene(text.replace("[receiver]", '[receiver]\nplane = "yz"'))
+
+
+@pytest.mark.parametrize("orientation", [None, (0.0, 0.0, 0.6, 0.8)])
+def test_an_array_in_another_plane_has_its_elements_where_one_in_plane_xy_has_them(
+    orientation: tuple[float, float, float, float] | None,
+) -> None:
+    """A method may trace to it, then, though a scene file may not ask for it."""
+    pole = (0.0, 0.0, 1.0) if orientation else (0.36, -0.48, -0.8)
+    upright = ReceiverArray(
+        position_m=(1.0, 2.0, 1.0), rows=2, cols=3, boresight=pole, plane="yz", orientation=orientation
+    )
+    level = upright.in_plane_xy
+    assert level.plane == "xy"
+    assert level.in_plane_xy == level
+    np.testing.assert_allclose(level.element_position_m(0.1), upright.element_position_m(0.1), atol=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.resources import files
 from math import prod
 from pathlib import Path
@@ -146,6 +147,15 @@ class ReceiverArray:
     def element_position_wavelengths(self) -> Float[FloatArray, "M 3"]:
         """Element positions about the array centre, in wavelengths, in the receiver's frame."""
         return planar_array(self.rows, self.cols, self.spacing_wavelengths, self.plane)
+
+    @property
+    def in_plane_xy(self) -> ReceiverArray:
+        """The array with the same elements at the same places of the world that lies in plane `xy` of its frame."""
+        if self.plane == "xy":
+            return self
+        rotation = self.rotation[:, [1, 2, 0]]
+        x, y, z = rotation[:, 2].tolist()
+        return replace(self, plane="xy", boresight=(x, y, z), orientation=rotation_quaternion(rotation))
 
     def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
         """Element positions in the world, in metres, at one wavelength."""

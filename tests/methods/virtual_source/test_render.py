@@ -21,7 +21,9 @@ from xfreqbench.methods.virtual_source.render import (
     SETTLE_AT,
     RoomRender,
 )
-from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING
+from xfreqbench.methods.virtual_source.told import StoredFindings
+from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, tracer_in
+from xfreqbench.scene.array import rotation_quaternion
 from xfreqbench.types import Maps
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -290,3 +292,17 @@ def test_a_map_stays_as_it_was_learned_where_no_path_is_traced(
     )
     learned = Known(dataset)(*asked(dataset))
     np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
+
+
+def test_rooms_are_traced_to_arrays_in_any_plane_of_their_frame(dataset: PasDataset) -> None:
+    """Published data have arrays in plane yz: here one that has its elements where the box's array has them."""
+    receiver = dataset.header.receiver
+    to_world = receiver.rotation[:, [2, 0, 1]]
+    pole = tuple(to_world[:, 2].tolist())
+    turned = replace(receiver, plane="yz", boresight=pole, orientation=rotation_quaternion(to_world))
+    refinement = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
+    assert refinement is not None
+    tx_m = dataset.tx_position_m[:: len(dataset) // 2]
+    own, other = (tracer_in(refinement.room, each, [2.4e9]).channel(tx_m).cfr for each in (receiver, turned))
+    assert abs(own).min() > 0
+    np.testing.assert_allclose(other, own, rtol=1e-9)

@@ -47,7 +47,7 @@ def tracer_in(
 ) -> ImageTracer | FurnishedTracer:
     """A tracer of a room, for an array and carriers."""
     at = receiver.position_m
-    scene = Scene("learned", receiver, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
+    scene = Scene("learned", receiver.in_plane_xy, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
     geometry = Geometry([surface.mesh for surface in room])
     return image_tracer(scene, carrier_hz, settings, savings, geometry)
 

@@ -11,18 +11,21 @@ import pytest
 from mirrored_room import RECEIVER, Room, Wall, tilt_rad
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.methods.virtual_source.search.cross_terms import LineOfSightReference
 from xfreqbench.methods.virtual_source.search.planes import Plane
 from xfreqbench.methods.virtual_source.search.range_profile import (
     find_more_planes,
     find_planes,
     random_planes,
 )
+from xfreqbench.methods.virtual_source.search.selection import mirrored_receivers_m
 
 CARRIER_HZ = np.array([1e9, 2.4e9, 5e9, 10e9, 24.25e9, 39e9, 60e9, 94e9])
 WALL = Wall(azimuth_deg=17.0, elevation_deg=0.0, distance_m=4.63)
 SIDE = Wall(azimuth_deg=-94.0, elevation_deg=0.0, distance_m=3.1, reflection=-0.4)
 FLOOR = Wall(azimuth_deg=0.0, elevation_deg=-90.0, distance_m=2.45, reflection=-0.5j)
 FACET = Wall(azimuth_deg=197.0, elevation_deg=0.0, distance_m=3.9, lit_beyond_y_m=3.4)
+CORNER = Wall(azimuth_deg=17.0 - 90, elevation_deg=0.0, distance_m=3.4, reflection=-0.4)  # with `WALL`
 WALLS = WALL, SIDE, FLOOR, FACET  # a third of the room sees the last
 ROOM = Room(WALLS, CARRIER_HZ, num_tx=280)
 
@@ -121,8 +124,8 @@ def test_a_wall_at_right_angles_to_the_only_one_known_is_found_too(
     room = replace(ROOM, walls=(WALL, FLOOR, corner))
     known = replace(ROOM, walls=(WALL, FLOOR)).cfr().reshape(-1, len(RECEIVER.element_position_wavelengths))
     plane = find_more_planes(room.stored(tmp_path), [the_one(found, WALL)], lambda rows: known[rows][None])[0]
-    assert abs(plane.distance_m - corner.distance_m) < 2e-4
-    assert tilt_rad(plane.normal, corner) < 5e-4
+    assert abs(plane.distance_m - CORNER.distance_m) < 2e-4
+    assert tilt_rad(plane.normal, CORNER) < 5e-4
 
 
 def test_transmitters_in_one_layer_make_no_floor_and_no_ceiling(tmp_path: Path) -> None:
@@ -149,3 +152,17 @@ def test_few_transmitters_tell_of_walls_that_all_of_them_see(tmp_path: Path) -> 
     for wall in few.walls:
         assert abs(the_one(planes, wall).distance_m - wall.distance_m) < 5e-4
     assert len(planes) == 3
+
+
+@pytest.mark.parametrize(("num_tx", "walls"), [(36, (WALL, CORNER, FLOOR)), (33, (CORNER, FLOOR))])
+def test_fewer_tell_of_more_walls_than_show_by_themselves(
+    num_tx: int, walls: Sequence[Wall], tmp_path: Path
+) -> None:
+    """Of 36 one wall shows, and what is at right angles to it; of 33 none does, but where it may be is guessed."""
+    room = replace(ROOM, walls=(WALL, CORNER, FLOOR), num_tx=num_tx).stored(tmp_path)
+    images_m = mirrored_receivers_m(LineOfSightReference.of(room), 0)
+    assert len(images_m) == len(walls) - 1
+    planes = find_planes(room, 0)
+    for wall in walls:
+        assert abs(the_one(planes, wall).distance_m - wall.distance_m) < 5e-4
+    assert len(planes) == len(walls)

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.virtual_source.search.coarse import BEHIND_BOX_M, MAX_TILT
+from xfreqbench.methods.virtual_source.search.coarse import BEHIND_BOX_M
 from xfreqbench.methods.virtual_source.search.cross_terms import (
     Aligned,
     Explained,
@@ -33,7 +33,7 @@ from xfreqbench.methods.virtual_source.search.cross_terms import (
     until_over,
 )
 from xfreqbench.methods.virtual_source.search.planes import Plane, plane_of
-from xfreqbench.methods.virtual_source.search.selection import mirrored_receivers_m
+from xfreqbench.methods.virtual_source.search.selection import is_upright, mirrored_receivers_m
 from xfreqbench.types import FloatArray
 
 _NEIGHBOURHOOD_M = 1.0  # side at least
@@ -177,7 +177,7 @@ def find_planes(train: PasDataset, seed: int, is_over: IsOver = never) -> list[P
     """
     try:
         reference = LineOfSightReference.of(train, is_over=is_over)
-        images_m = mirrored_receivers_m(reference, seed)
+        images_m = mirrored_receivers_m(reference, seed, guesses=True)
     except SearchOverError:
         return []
     normals = images_m / np.linalg.norm(images_m, axis=1, keepdims=True)
@@ -204,7 +204,7 @@ def _directions(normals: Iterable[Float[FloatArray, "3"]]) -> list[Float[FloatAr
     Where all upright ones are of one direction, those at right angles to it are tried, too: most rooms have corners.
     """
     normals, vertical = list(normals), np.array([0.0, 0.0, 1.0])
-    across = [np.cross(vertical, each) for each in normals if abs(each @ vertical) < MAX_TILT]
+    across = [np.cross(vertical, each) for each in normals if is_upright(each)]
     across = [each / np.linalg.norm(each) for each in across]
     if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:
         normals.append(across[0])

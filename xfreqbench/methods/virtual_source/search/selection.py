@@ -41,9 +41,12 @@ _FALSE_ALARM = 1e-3  # number of planes found in a room without any
 
 
 def mirrored_receivers_m(
-    reference: LineOfSightReference, generator: np.random.Generator | int
+    reference: LineOfSightReference, generator: np.random.Generator | int, *, guesses: bool = False
 ) -> Float[FloatArray, "P 3"]:
     """Mirror images of the receiver in the planes that the maps show, strongest first; there may be none.
+
+    Where no upright plane is among them, `guesses` adds the one that comes nearest to what is asked for, made
+    plumb: its direction is worth a closer look.
 
     Planes are upright ones of any azimuth, floors and ceilings, which may lean by a few degrees. `generator`
     chooses the transmitters of the coarse search where there are too many. Line-of-sight flags are not used.
@@ -58,7 +61,14 @@ def mirrored_receivers_m(
     found = accepted(reference, candidates)
     if more := missed(reference, found):
         found = accepted(reference, [*candidates, *more])
-    return np.array([candidate.place_m for candidate in found]).reshape(-1, 3)
+    chosen_m = [candidate.place_m for candidate in found]
+    if guesses and not any(map(is_upright, chosen_m)):
+        likely = [
+            each for each in candidates if is_upright(each.place_m) and _is_wanted(reference, each.place_m)
+        ]
+        likely.sort(key=lambda each: each.score)
+        chosen_m += [each.place_m * (1, 1, 0) for each in likely[-1:]]
+    return np.array(chosen_m).reshape(-1, 3)
 
 
 def accepted(reference: LineOfSightReference, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -194,6 +204,11 @@ def missed(reference: LineOfSightReference, planes: Sequence[Candidate]) -> list
             if score_of(aligned(reference, place_m).evidence) > enough:
                 found.append(settled(reference, place_m))
     return found
+
+
+def is_upright(place_m: Float[FloatArray, "3"]) -> bool:
+    """Whether the plane of a mirrored receiver is a wall, not a floor or a ceiling."""
+    return abs(float(place_m[2])) < MAX_TILT * float(np.linalg.norm(place_m))
 
 
 def _is_wanted(reference: LineOfSightReference, place_m: Float[FloatArray, "3"]) -> bool:
