@@ -97,6 +97,9 @@ def test_standard_deviations_cover_errors(found: list[Plane]) -> None:
     for wall in WALLS:
         plane = the_one(found, wall)
         assert abs(plane.distance_m - wall.distance_m) < 4 * plane.distance_std_m < 2e-3
+        assert (
+            plane.distance_std_m > 5e-5
+        )  # because of layers behind a surface, of which these walls have none
         assert tilt_rad(plane.normal, wall) < 4 * plane.tilt_std_rad
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
 
@@ -47,6 +47,7 @@ _LOBE_M, _LOBE_SHARE = 0.35, 0.1  # the latter of the distance
 _ECHO_M, _ECHO_SHARE = 1.0, 0.1
 _SAME_COSINE, _SAME_DIRECTION = 0.999, 0.9998
 _MIN_DEPTH_M = 0.05  # transmitters at one distance cannot tell a plane from one on the other side
+_LAYER_STD_M = 8e-5  # by which what lies behind a surface moves it, as measured in random rooms of slabs
 _TILT_STD_RAD = 5e-4  # standard deviation of the normals that are given
 _SIMPLEX_M, _SETTLED_M, _CURVATURE_STEP_M = 3e-4, 2e-6, 5e-5
 _SMALLEST_INFORMATION = 1e-6  # 1/m²
@@ -293,7 +294,8 @@ def _sharpened(reference: LineOfSightReference, profile: Profile, index: int) ->
     simplex = np.vstack([np.zeros(3), _SIMPLEX_M * np.eye(3)])
     options = {"initial_simplex": simplex, "xatol": _SETTLED_M, "fatol": 1e-3, "maxfev": 300}
     best = minimize(lambda step_m: -peak.value(step_m), np.zeros(3), method="Nelder-Mead", options=options)
-    return plane_of(peak.place_m + best.x, peak.covariance_m2(best.x), -float(best.fun))
+    plane = plane_of(peak.place_m + best.x, peak.covariance_m2(best.x), -float(best.fun))
+    return replace(plane, distance_std_m=math.hypot(plane.distance_std_m, _LAYER_STD_M))
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +339,8 @@ class _Peak:
 
         H is the curvature of `value`, g the slope of a neighbourhood's evidence. The covariance covers the
         disagreement among neighbourhoods. It does not cover their common errors, such as a layer behind the
-        surface, the centre of the array, or the given tilt. It is very large where there is no maximum.
+        surface (`_LAYER_STD_M`), the centre of the array, or the given tilt. It is very large where there is no
+        maximum.
         """
         information, axes = np.linalg.eigh(-_curvature(self.value, step_m))
         root = axes / np.sqrt(information.clip(_SMALLEST_INFORMATION))
