@@ -89,7 +89,8 @@ def test_the_drivers_memory_grows_with_cores_and_hardly_with_transmitters() -> N
 def test_a_driver_is_measured_on_channels_at_hand(tmp_path: Path) -> None:
     """What is written proves its origin, as every data set does, and is gone afterwards."""
     took = _drive(_Driving(num_carriers=2, num_tx=BATCH + 1, has_maps=True, folder=tmp_path))
-    assert min(took.plan_s, took.keep_s, took.write_s) > 0
+    assert min(took.plan_s, took.keep_s) > 0
+    assert took.write_s > 1e-4  # maps are made and written then
     assert took.peak_memory_mib > 100
     assert not list(tmp_path.iterdir())
 

@@ -176,17 +176,21 @@ def _drive(work: _Driving) -> DriverCost:
     start = time.perf_counter()
     plan = office_plan(work.num_tx, carriers, work.has_maps)
     planned = time.perf_counter()
-    kept = [planned]
+    reached = dict[int, float]()  # when so many transmitters were kept, for the first time
     path = work.folder / f"driven-{work.num_carriers}-{work.has_maps}.h5"
     at_hand = _AtHand(work.num_carriers, plan.header.receiver.num_elements)
-    generate_planned(plan, path, lambda done, total: kept.append(time.perf_counter()), workers=at_hand)
-    written = time.perf_counter()
+
+    def note(done: int, _: int) -> None:
+        reached.setdefault(done, time.perf_counter())
+
+    generate_planned(plan, path, note, workers=at_hand)
+    written, kept = time.perf_counter(), reached[work.num_tx]
     path.unlink()
     num_places = len(plan.scene.transmitters.lattice_m)  # all are looked at, whichever are chosen
     return DriverCost(
         (planned - start) / num_places,
-        (kept[-1] - planned) / work.num_tx,
-        (written - kept[-1]) / work.num_tx,
+        (kept - planned) / work.num_tx,
+        (written - kept) / work.num_tx,
         peak_memory_mib(),
     )
 
