@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from xfreqbench.cli import data, runs
-from xfreqbench.errors import OutputExistsError, UnknownNameError
+from xfreqbench.errors import OutputExistsError, StorageError, UnknownNameError
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
@@ -154,6 +154,17 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     again = planned.results.stored
     assert again.records[:5] == stored.records[:5]
     assert {record.id for record in again.records} == {record.id for record in stored.records}
+
+
+def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    with (
+        Benchmark("small", SMALL, tmp_path / "data", results).alone(),
+        pytest.raises(StorageError, match=r"results is being written by process \d+"),
+    ):
+        _run(tmp_path)
+    assert not (tmp_path / "data").exists()
+    assert not results.exists() or not list(results.iterdir())
 
 
 def _ended_with_1(command: list[str]) -> subprocess.CompletedProcess[bytes]:

@@ -268,18 +268,21 @@ def benchmark(
         say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:
         return
-    with (
-        progress_bars("transmitters", planned.scenes, quiet) as tracing,
-        open_workers(executor or "serial") as workers,
-    ):
-        by_scene = dict(zip(planned.scenes, tracing, strict=True))
-        benchmarks.generate_data(planned, lambda scene, done, total: by_scene[scene](done, total), workers)
-    with worker_bar(quiet) as finished:
-        failures = benchmarks.run_benchmark(planned, finished, executor)
-    for name in planned.missing_benches():
-        failures += benchmarks.measure(planned, name)
-    if not failures:
-        benchmarks.record_contents(planned)
+    with planned.alone():
+        with (
+            progress_bars("transmitters", planned.scenes, quiet) as tracing,
+            open_workers(executor or "serial") as workers,
+        ):
+            by_scene = dict(zip(planned.scenes, tracing, strict=True))
+            benchmarks.generate_data(
+                planned, lambda scene, done, total: by_scene[scene](done, total), workers
+            )
+        with worker_bar(quiet) as finished:
+            failures = benchmarks.run_benchmark(planned, finished, executor)
+        for name in planned.missing_benches():
+            failures += benchmarks.measure(planned, name)
+        if not failures:
+            benchmarks.record_contents(planned)
     folder = planned.results_dir
     report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
     _raise_failures(failures, "parts")

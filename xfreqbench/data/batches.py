@@ -92,8 +92,6 @@ def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
     """
     folder = batch_folder(output)
     _require_ours(folder)
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     with sole_worker(folder / _LOCK, output):
         _mark(folder, plan)
         yield BatchStore(folder, plan)

@@ -24,6 +24,7 @@ from xfreqbench.runs.outlook import OVERHEAD_S, in_hours
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.records import BenchRecord, Job, machine_and_time
 from xfreqbench.scene.model import load_scene
+from xfreqbench.system.files import sole_worker
 from xfreqbench.system.workers import (
     HERE,
     SERIAL,
@@ -116,6 +117,10 @@ class Benchmark:
         """The measurements that have no record yet."""
         known = {record.bench for record in self.results.stored.benches}
         return [name for name in self.preset.benches if name not in known]
+
+    def alone(self) -> AbstractContextManager[None]:
+        """Hold the folder of results; raises `StorageError` where another benchmark does, which would run the same."""
+        return sole_worker(self.results.lock_path, self.results_dir)
 
     @property
     def num_places(self) -> int:

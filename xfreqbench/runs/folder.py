@@ -4,6 +4,7 @@ records.jsonl            one line for each run and for each table of a measureme
 records_maps.jsonl       maps of a dozen samples, shown where predictions are not beside the records
 predictions/ID.h5        the predicted maps of the run whose record has that id
 predictions/ID.lock      exists while a process is at that run
+benchmark.lock           exists while a benchmark fills the folder
 checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
 """
 
@@ -71,6 +72,11 @@ class ResultsFolder:
         if (record.id, record.time_utc) not in known:
             self.append(record)
         self.checkpoints(record.id).remove()
+
+    @property
+    def lock_path(self) -> Path:
+        """What a benchmark that fills the folder holds, so that no second one does the same runs."""
+        return self.path / "benchmark.lock"
 
     @property
     def maps_path(self) -> Path:

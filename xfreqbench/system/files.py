@@ -198,9 +198,10 @@ def exclusive(lock: Path) -> Iterator[None]:
 def sole_worker(lock: Path, output: Path) -> Iterator[None]:
     """Hold a lock during the block, or raise `StorageError` at once, which names the process that works on `output`.
 
-    The system releases the lock of a process that is killed; the file stays, and may be removed during the block.
+    The system releases the lock of a process that is killed, whose file stays. It may be removed during the block.
     """
     with storage_errors(lock):
+        lock.parent.mkdir(parents=True, exist_ok=True)
         held = FileLock(lock)
         try:
             held.acquire(blocking=False)
@@ -214,6 +215,7 @@ def sole_worker(lock: Path, output: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        lock.unlink(missing_ok=True)
         held.release()
 
 

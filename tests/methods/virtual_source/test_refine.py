@@ -16,10 +16,11 @@ from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, p
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
 from xfreqbench.methods.virtual_source import changes, refine, traced
-from xfreqbench.methods.virtual_source.boxes import BoxFrame
+from xfreqbench.methods.virtual_source.boxes import BoxFrame, Faces
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
 from xfreqbench.methods.virtual_source.refine import Refinement
+from xfreqbench.methods.virtual_source.search.cross_terms import LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING
@@ -122,8 +123,14 @@ def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> 
     places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
     right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
     wrong = moved([right], RoomPart("board", 99), 0.06)[0]  # as far down
-    (there,) = told._at_its_height(told.room, wrong)
-    assert frame.box_of(there)[1, 2] == pytest.approx(0.73, abs=3e-3)
+    lags = LagAverages(told.train, never)
+
+    def tops_m(held: Faces | None) -> list[float]:
+        found = told._box_fit._where_lengths_agree(told.room, told.train, lags, held, wrong)
+        return [float(frame.box_of(box)[1, 2]) for box in found]
+
+    assert min(abs(top_m - 0.73) for top_m in tops_m(None)) < 3e-3
+    assert set(tops_m((1, 2))) <= {float(frame.box_of(wrong)[1, 2])}
 
 
 def wrong_room() -> dict[str, object]:

@@ -22,14 +22,14 @@ from xfreqbench.methods.virtual_source.render import (
     RoomRender,
 )
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, tracer_in
+from xfreqbench.methods.virtual_source.traced import DIFFRACTING, PREDICTING, tracer_in
 from xfreqbench.scene.array import rotation_quaternion
 from xfreqbench.types import Maps
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STEPS = Budget(max_steps=100)
 PAID = Budget(max_seconds=100.0), Budget(max_maps=10_000)  # that a refinement spends
-AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
+AS_DEEP = replace(SETTINGS, max_depth=PREDICTING.max_depth)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_traced_room_is_believed_where_the_learned_field_errs(dataset: PasDa
 def test_edges_diffract_in_the_room_where_they_do_in_the_data(
     mode: Any, dataset: PasDataset, diffracted: PasDataset, tmp_path: Path
 ) -> None:
-    for data, settings in ((dataset, COMPARING), (diffracted, DIFFRACTING)):
+    for data, settings in ((dataset, PREDICTING), (diffracted, DIFFRACTING)):
         learned = Known(data, everywhere)
         render = rendered(data, learned, mode)
         assert render.tracer is not None

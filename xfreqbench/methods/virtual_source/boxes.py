@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from typing import Literal
 
@@ -82,6 +82,14 @@ class BoxFrame:
         up = np.array([0.0, 0.0, 1.0])
         return cls(walls, np.stack([across, np.cross(up, across), up]))
 
+    @cached_property
+    def bounds(self) -> Box:
+        """The box about the walls; an infinite one without walls."""
+        if not self.walls:
+            return np.array([[-np.inf], [np.inf]]).repeat(3, axis=1)
+        corners_m = self.along(np.concatenate([each.corners_m for each in self.walls]))
+        return np.stack([corners_m.min(axis=0), corners_m.max(axis=0)])
+
     def along(self, point_m: Float[FloatArray, "*N 3"]) -> Float[FloatArray, "*N 3"]:
         """Points along the axes."""
         return point_m @ self.axes.T
@@ -132,8 +140,8 @@ class BoxFrame:
             for by_m in ways_m["in line"]
         ]
         of_slabs = partial(_of_slabs, slabs)
-        boards = [partial(self._as_board, steps_m) for steps_m in ways_m["board"]]
-        return [of_slabs, *moves, *boards, self._to_floor, of_slabs]
+        boards = [partial(self.as_board, steps_m) for steps_m in ways_m["board"]]
+        return [of_slabs, *moves, *boards, self.to_floor, of_slabs]
 
     def _moved(self, faces: Faces, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
         """A box with faces moved: the lower or upper one along one of the axes, or both."""
@@ -162,7 +170,7 @@ class BoxFrame:
                 if (box[1] - box[0] > _THINNEST_M).all():
                     yield self.surface(box, own.number, own.slab)
 
-    def _as_board(self, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
+    def as_board(self, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
         """The top of a box alone, as of a table, as high or at other heights."""
         top_m = float(self.box_of(own)[1, 2])
         for step_m in steps_m:
@@ -170,12 +178,10 @@ class BoxFrame:
             box[:, 2] = top_m + step_m - _BOARD_M, top_m + step_m
             yield self.surface(box, own.number, own.slab)
 
-    def _to_floor(self, own: RoomSurface) -> Iterator[RoomSurface]:
+    def to_floor(self, own: RoomSurface) -> Iterator[RoomSurface]:
         """A box that stands on the floor, as a cabinet does, whatever has been found of it."""
         box = self.box_of(own)
-        box[0, 2] = (
-            min(((each.corners_m @ self.axes[2]).min() for each in self.walls), default=box[0, 2]) + GAP_M
-        )
+        box[0, 2] = self.bounds[0, 2] + GAP_M if self.walls else box[0, 2]
         if box[1, 2] - box[0, 2] > MOST_BOARD_M:
             yield self.surface(box, own.number, own.slab)
 

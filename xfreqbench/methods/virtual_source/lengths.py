@@ -270,8 +270,11 @@ class ReflectedPaths:
         """By how many metres a part may have been found off, the likeliest first: rows agree better there than here."""
         likeness = self.likeness(part, _PLACES_M, carriers)
         here = likeness[np.abs(_PLACES_M) <= _HERE_M].max()
-        peaks = _peaks(_PLACES_M, likeness)
-        return [by_m for by_m, value in peaks if abs(by_m) > _HERE_M and value > here + LEAST_GAIN]
+        return [
+            by_m
+            for by_m, value in peaks(_PLACES_M, likeness)
+            if abs(by_m) > _HERE_M and value > here + LEAST_GAIN
+        ]
 
     def _turn(
         self, part: RoomPart, by_m: float, carriers: Int[IntArray, "K"]
@@ -323,7 +326,7 @@ def _slopes(
     return found
 
 
-def _peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
+def peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
     """Places where the likeness is higher than beside them, and that, the highest first."""
     order = np.argsort(places_m)
     places_m, likeness = places_m[order], likeness[order]

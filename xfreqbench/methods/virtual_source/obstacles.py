@@ -50,10 +50,10 @@ def obstacles(
     The search ends early, with fewer boxes, where its time is over.
     """
     frame = BoxFrame.of(room)
-    corners_m = frame.along(np.concatenate([each.corners_m for each in frame.walls] or [standing_m]))
-    bounds = np.stack([corners_m.min(axis=0) + GAP_M, corners_m.max(axis=0) - GAP_M])
     paths = DoubtfulPaths.of(room, train, frame, is_over)
     free_m, found = frame.along(standing_m), list[Box]()
+    around = frame.bounds if frame.walls else np.stack([free_m.min(axis=0), free_m.max(axis=0)])
+    bounds = around + np.array([[GAP_M], [-GAP_M]])
     begun = np.array([box for box in _begun(bounds) if not holds_any(box, free_m)]).reshape(-1, 2, 3)
     while len(begun) and len(found) < MOST_OBSTACLES and not is_over():
         first = np.argsort(-paths.promise(begun), kind="stable")[:_NUM_GROWN]

@@ -8,7 +8,7 @@ all parts are moved to where the lengths of paths agree. No tested row is looked
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -17,21 +17,13 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.virtual_source.boxes import (
-    GAP_M,
-    WAYS_M,
-    Box,
-    BoxFrame,
-    Faces,
-    Ways,
-    box_slabs,
-    holds_any,
-)
+from xfreqbench.methods.virtual_source.box_fit import BoxFit
+from xfreqbench.methods.virtual_source.boxes import GAP_M, WAYS_M, Box, BoxFrame, Faces, Ways, box_slabs
 from xfreqbench.methods.virtual_source.changes import NEARLY, OTHERWISE, Room, as_one, with_wall_at
-from xfreqbench.methods.virtual_source.lengths import LEAST_GAIN, ReflectedPaths, around, settled, sharpened
+from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, settled, sharpened
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames, likely_slabs
 from xfreqbench.methods.virtual_source.obstacles import MOST_OBSTACLES, obstacles
-from xfreqbench.methods.virtual_source.parts import RoomPart, moved, moves_with
+from xfreqbench.methods.virtual_source.parts import RoomPart, moves_with
 from xfreqbench.methods.virtual_source.search.cross_terms import IsOver, LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import (
     NO_PLANE,
@@ -54,12 +46,11 @@ from xfreqbench.methods.virtual_source.traced import (
 from xfreqbench.methods.virtual_source.trials import MIN_CHANGE, Trial, trials_of_face, trials_of_slabs
 from xfreqbench.types import FloatArray
 
-_MIN_GAIN = 1e-3  # of the mean SSIM, for which a room gets another box
+_MIN_GAIN, _SAME = 1e-3, 1e-6  # of the mean SSIM: for which a room gets another box, and that is nothing
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few
 _WITH_MORE = 10  # with which further changes are tried, on a few rows too
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
-_NUM_NEAR_TX = 16  # those that a box matters to most
-_HEIGHTS_M = around(0.002, 0.25)  # by which the top of a box is moved, as the lengths of paths tell
+_BESIDE_M = 0.3  # from a box, where a face is found that is one of its own, or its echo
 
 
 @dataclass(eq=False)
@@ -122,11 +113,6 @@ class Refinement:
     @cached_property
     def _frame(self) -> BoxFrame:
         return BoxFrame.of(self.found)
-
-    @cached_property
-    def _free_m(self) -> Float[FloatArray, "N 3"]:
-        """Along the axes of the room, the places where nothing stands."""
-        return self._frame.along(self._standing_m)
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
@@ -297,6 +283,17 @@ class Refinement:
             new = self._frame.surface(box, number, self._slabs[0])
             self._fit(new, WAYS_M, is_over, self._slabs)
             self._join(number, is_over)
+            faces = [each for each in self.room if each.plane != NO_PLANE and self._is_at(box, each)]
+            if faces:  # what was found of the thing, or its echo
+                own = self._numbered(number) or new
+                self._fit(own, WAYS_M, is_over, self._slabs, instead_of=faces)
+
+    def _is_at(self, box: Box, face: RoomSurface) -> bool:
+        """Whether a face that is no wall has its middle at a box, as seen from above."""
+        low_m, high_m = box
+        middle_m = self._frame.box_of(face).mean(axis=0)
+        is_there = (middle_m > low_m - _BESIDE_M) & (middle_m < high_m + _BESIDE_M)
+        return not face.is_wall and bool(is_there[:2].all())
 
     def _join(self, number: int, is_over: IsOver) -> None:
         """Try a box and each one that it overlaps as a single one, for two things are never in one place."""
@@ -308,7 +305,7 @@ class Refinement:
             if (low_m.max(axis=0) < high_m.min(axis=0) + GAP_M).all():
                 box = np.stack([low_m.min(axis=0), high_m.max(axis=0)])
                 whole = self._frame.surface(box, other.number, other.slab)
-                self._fit(whole, WAYS_M, is_over, [other.slab, own.slab], instead_of=own)
+                self._fit(whole, WAYS_M, is_over, [other.slab, own.slab], instead_of=[own])
 
     def _fit(
         self,
@@ -317,47 +314,20 @@ class Refinement:
         is_over: IsOver,
         slabs: Sequence[NamedSlab],
         held: Faces | None = None,
-        instead_of: RoomSurface | None = None,
+        instead_of: Sequence[RoomSurface] = (),
     ) -> None:
-        """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it.
-
-        Rooms are compared at the lowest carriers, for the transmitters that the box matters most to.
-        """
-        array_m = np.array(self.train.header.receiver.position_m)
-        others = [each for each in self.room if each.number != own.number and each is not instead_of]
+        """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it."""
+        gone = [*instead_of, *(each for each in self.room if each.number == own.number)]
+        others = [each for each in self.room if not any(each is other for other in gone)]
         is_new = not any(each is own for each in self.room)
-        for nth, ways in enumerate(ways_m):
-            near, best = self._at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
-            changes = self._frame.changes(self._frame.box_of(own), slabs, array_m, ways, held)
-            at_its_height = partial(self._at_its_height, others)
-            changes = changes[1:] if nth else [at_its_height, *changes]  # slabs were changed last
-            for change in changes:
-                candidates = [own, *(each for each in change(own) if self._fits(each))]
-                scores = mean_scores([near], [[*others, each] for each in candidates], is_over)
-                if scores.max() > best:
-                    own, best = candidates[int(scores.argmax())], float(scores.max())
-            if is_over() or (is_new and self._at_lowest([*others, own]) < self._at_lowest(others)):
-                return
-        room, least = [*others, own], self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
-        if self._at_lowest(room) > least:
-            self.room = room
+        box = self._box_fit.fitted(others, own, ways_m, slabs, is_over, held, is_new=is_new)
+        least = self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
+        if box is not None and self._at_lowest([*others, box]) > least - _SAME:
+            self.room = [*others, box]
 
-    def _fits(self, box: RoomSurface) -> bool:
-        """Whether a box stands where nothing else does."""
-        return not holds_any(self._frame.box_of(box), self._free_m) and is_clear(box, self._standing_m)
-
-    def _at_its_height(self, others: Room, own: RoomSurface) -> Iterator[RoomSurface]:
-        """A box with its top, or all of it if it is thin, where the lengths of the paths that it reflects agree."""
-        carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
-        paths = ReflectedPaths.of([*others, own], self.train, self._lags, carriers)
-        for part in (RoomPart("board", own.number), RoomPart("front", own.number)):
-            if part in paths.reflected:
-                likeness = paths.likeness(part, _HEIGHTS_M, np.arange(len(carriers)))
-                for best in np.argsort(-likeness)[: np.count_nonzero(likeness > likeness[0] + LEAST_GAIN)]:
-                    box = moved([own], part, float(_HEIGHTS_M[best]))[0]
-                    if box.depth_m > 0 and self._fits(box):
-                        yield box
-                        return
+    @cached_property
+    def _box_fit(self) -> BoxFit:
+        return BoxFit(self.train, self._at_lowest, self._frame, self._standing_m)
 
     @cached_property
     def _lags(self) -> LagAverages:

@@ -21,7 +21,7 @@ from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.search.cross_terms import IsOver
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json, surface_json
 from xfreqbench.methods.virtual_source.told import StoredFindings
-from xfreqbench.methods.virtual_source.traced import COMPARING, DIFFRACTING, MapCount, RoomTracer, evenly
+from xfreqbench.methods.virtual_source.traced import DIFFRACTING, PREDICTING, MapCount, RoomTracer, evenly
 from xfreqbench.methods.virtual_source.weights import LocalWeights
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.types import FloatArray, Maps
@@ -180,7 +180,7 @@ class RoomRender:
         if told := stored["tracer"]:
             receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
             room = [surface_from_json(each) for each in told["room"]]
-            settings = DIFFRACTING if told.get("diffracts") else COMPARING
+            settings = DIFFRACTING if told.get("diffracts") else PREDICTING
             render.tracer = RoomTracer(receiver, room, beam, kind, settings)
         if stored["weights"]:
             render.weights = LocalWeights.from_json(stored["weights"])

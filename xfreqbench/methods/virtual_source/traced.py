@@ -30,7 +30,8 @@ NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
-DIFFRACTING = replace(COMPARING, interactions=("specular", "refraction", "diffraction"))
+PREDICTING = replace(COMPARING, max_depth=5)  # of metal and at low carriers the fifth reflection still counts
+DIFFRACTING = replace(PREDICTING, interactions=("specular", "refraction", "diffraction"))
 # For what changes from one room to another.
 ROUGHLY, FEW = replace(COMPARING, rays=5_000), ImageSavings(max_reflections=2)
 UNHIDDEN = replace(COMPARING, max_depth=3)  # paths that something may hide
@@ -88,7 +89,7 @@ class RoomTracer:
         room: Sequence[RoomSurface],
         beam: BartlettBeam,
         kind: PasKind,
-        settings: TraceSettings = COMPARING,
+        settings: TraceSettings = PREDICTING,
     ) -> None:
         self.receiver, self.room, self.settings = receiver, list(room), settings
         self._beam, self._kind = beam, kind
@@ -97,7 +98,7 @@ class RoomTracer:
     @classmethod
     def of_each_kind(cls, train: PasDataset, room: Sequence[RoomSurface]) -> list[RoomTracer]:
         """Tracers of a room without diffraction, and with it where the solver takes it."""
-        kinds = [COMPARING]
+        kinds = [PREDICTING]
         if can_solve(Geometry([surface.mesh for surface in room]), DIFFRACTING):
             kinds.append(DIFFRACTING)
         header = train.header
