@@ -171,12 +171,13 @@ class VirtualSource(LearnedMethod):
     def findings(self) -> dict[str, Any]:
         """Planes with materials and uncertainties, and images, as `LearnedRoom.findings` describes them.
 
+        With them are the surfaces of the room that is traced for predictions, once it is weighed.
         Where `XFreqGS` learns instead, they are the few planes found, and its own findings.
         """
         if self._instead:
             return {**self._told, **self._instead.findings()}
         field = _field(self._trained())
-        return field.room.findings(field.array_m)
+        return {**field.room.findings(field.array_m), **self._render.findings()}
 
     def _rows_of(self, training: Training, targets: Targets) -> _TransmitterRows:
         """The training rows with traced paths, after another search for planes where it is time for one."""

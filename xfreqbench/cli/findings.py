@@ -52,7 +52,7 @@ def findings(
     refine: Annotated[
         bool,
         Parameter(
-            help="Change the room, within minutes, until what is traced in it is nearest to some training rows."
+            help="Show the room as the run refined it; for older records it is refined now, within minutes."
         ),
     ] = True,
     record: RecordChoice = NEWEST,
@@ -117,7 +117,8 @@ def _learned_room(
                 refinement.step()
                 progress(refinement.done, refinement.num_steps)
         rooms["traced in the room, refined"] = refinement.room
-    return ScoredRoom(refinement.room, HEADER, score_rows(score_rooms(results, compared, rooms)))
+    shown = refinement.room if refine else refinement.found
+    return ScoredRoom(shown, HEADER, score_rows(score_rooms(results, compared, rooms)))
 
 
 @app.command(group=RESULTS, help_epilogue=example("residual results --data office.h5 -o residual.md"))

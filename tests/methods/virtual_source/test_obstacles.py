@@ -103,8 +103,9 @@ def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
     assert Refinement.resumed(stored, dataset).as_json() == told.as_json()
 
 
-def test_a_box_takes_the_place_of_its_echo(dataset: PasDataset) -> None:
-    """What mirrors in an upright metal face within the crate mirrors in the crate."""
+def test_a_box_takes_the_place_of_its_echo(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is put to the floor and to where path lengths agree, and an upright face within it goes."""
+    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
     told = refinement(dataset)
     frame, (low_m, high_m) = BoxFrame.of(told.found), CRATE_M
     y_m = low_m[1] + 0.2

@@ -21,6 +21,7 @@ from xfreqbench.methods.virtual_source.render import (
     SETTLE_AT,
     RoomRender,
 )
+from xfreqbench.methods.virtual_source.surfaces import surface_json
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import DIFFRACTING, PREDICTING, tracer_in
 from xfreqbench.scene.array import rotation_quaternion
@@ -104,6 +105,7 @@ def test_edges_diffract_in_the_room_where_they_do_in_the_data(
         render = rendered(data, learned, mode)
         assert render.tracer is not None
         assert render.tracer.settings == settings
+        assert render.findings() == {"room": [surface_json(each) for each in render.tracer.room]}
         maps = render.maps(learned(*asked(data)), *asked(data))
         np.testing.assert_allclose(maps, data.pas(), atol=5e-3)
     render.save(tmp_path)
@@ -118,6 +120,7 @@ def test_the_learned_field_is_believed_where_it_is_right(dataset: PasDataset) ->
     learned = Known(dataset)(*asked(dataset))
     render = rendered(dataset, Known(dataset), findings=lambda: findings)
     assert render.tracer is not None
+    assert RoomRender("blended").findings() == {}
     np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
     traced = rendered(dataset, Known(dataset), "traced", findings=lambda: findings)
     assert np.abs(traced.maps(learned, *asked(dataset)) - learned).max() > 0.1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.methods.virtual_source.materials import SlabNames
+from xfreqbench.methods.virtual_source.surfaces import surface_json
 from xfreqbench.methods.virtual_source.told import FoundSlab
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.page import ScoredRoom
@@ -162,6 +165,28 @@ def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[s
     findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
     with pytest.raises(DataError, match="are no planes and images"):
         ComparedFindings.of(record_of(dataset, findings), dataset)
+
+
+def test_the_room_that_the_run_refined_is_shown_as_it_is(dataset: PasDataset, tmp_path: Path) -> None:
+    found = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
+    refined = [replace(each, slab=each.slab._replace(thickness_m=0.07)) for each in found[1:]]
+    told = {**found_room(), "room": [surface_json(each) for each in refined]}
+    refinement = refinement_of(ComparedFindings.of(record_of(dataset, json.loads(json.dumps(told))), dataset))
+    assert refinement.is_over
+    assert [surface_json(each) for each in refinement.room] == [surface_json(each) for each in refined]
+    assert len(refinement.found) == len(found)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"corners_m": [[0, 0, 0], [1, 0, 0]]}, {"depth_m": -1.0}, {"slab": ["wood", None, 0.0]}],
+    ids=str,
+)
+def test_a_room_that_is_none_is_refused(dataset: PasDataset, change: dict[str, object]) -> None:
+    (surface, *_) = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
+    told = {**found_room(), "room": [{**surface_json(surface), **change}]}
+    with pytest.raises(DataError, match="are no planes and images"):
+        ComparedFindings.of(record_of(dataset, told), dataset)
 
 
 def test_the_room_of_the_same_record_is_written_again_and_nothing_else(

@@ -83,6 +83,11 @@ class Refinement:
         known = {key: likely_slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
         return cls(found, known, train, found)
 
+    def take(self, room: Room) -> None:
+        """Take a room that was refined before; nothing is left to do then."""
+        self.room, self.boxes = room, []
+        self.done = self.num_steps
+
     def again(self) -> Refinement | None:
         """Another round in the room as it is now, from the search for boxes on; None where this one changed nothing."""
         stored = self.as_json()

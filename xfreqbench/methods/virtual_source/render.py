@@ -132,6 +132,10 @@ class RoomRender:
         self.tracer = tracers[best]
         self.weights = compared[best] if is_blended else None
 
+    def findings(self) -> dict[str, Any]:
+        """The surfaces of the room that is traced, as JSON holds them; empty where none is."""
+        return {"room": [surface_json(each) for each in self.tracer.room]} if self.tracer else {}
+
     def maps(
         self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Maps:

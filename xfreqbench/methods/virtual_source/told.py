@@ -77,6 +77,21 @@ class FoundImage(_Stored):
     power: Number
 
 
+class FoundSurface(_Stored):
+    """A surface of the room that a run refined and traced for its predictions, as `surfaces.surface_json` tells it."""
+
+    number: int
+    plane: int
+    found_slab: int
+    normal: Vector
+    corners_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+    slab: tuple[str, Number, Number]
+    seen: Number
+    is_wall: bool
+    depth_m: Annotated[Number, Field(ge=0)]
+    open_sides: tuple[int, ...]
+
+
 class StoredFindings(_Stored):
     """What a method with planes and images stores in its record; the strongest images come first."""
 
@@ -84,6 +99,7 @@ class StoredFindings(_Stored):
     receiver_m: Vector
     images: tuple[FoundImage, ...]
     faces: tuple[FoundFace, ...] = ()  # absent in records written before they were found
+    room: tuple[FoundSurface, ...] = ()  # absent where none was traced, and in older records
 
     @model_validator(mode="after")
     def _planes_and_images_exist(self) -> StoredFindings:
