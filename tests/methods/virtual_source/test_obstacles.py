@@ -84,7 +84,8 @@ def test_a_search_whose_time_is_over_finds_nothing(empty_room: PasDataset) -> No
 
 
 @pytest.mark.usefixtures("unsettled")
-def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
+def test_a_box_is_put_where_something_is(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refine, "WAYS_M", boxes.WAYS_M[:1])
     told = refinement(dataset)
     told.known, told.done = {}, len(told.steps)
     told.step()
@@ -105,7 +106,7 @@ def test_a_box_is_put_where_something_is(dataset: PasDataset) -> None:
 
 def test_a_box_takes_the_place_of_its_echo(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is put to the floor and to where path lengths agree, and an upright face within it goes."""
-    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
+    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),))
     told = refinement(dataset)
     frame, (low_m, high_m) = BoxFrame.of(told.found), CRATE_M
     y_m = low_m[1] + 0.2
@@ -183,7 +184,7 @@ def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pyt
     told.known, told.done = {}, len(told.steps) + 1
     told.boxes = [BoxFrame.of(told.found).along(CRATE_M)]
     told.boxes = [np.sort(box, axis=0) for box in told.boxes]
-    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),) * 2)
+    monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),))
     while not told.is_over:
         told.step()
     assert told.room is told.found
