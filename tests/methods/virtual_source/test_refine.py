@@ -20,7 +20,6 @@ from xfreqbench.methods.virtual_source.boxes import BoxFrame, Faces
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.parts import RoomPart, moved
 from xfreqbench.methods.virtual_source.refine import Refinement
-from xfreqbench.methods.virtual_source.search.cross_terms import LagAverages, never
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.methods.virtual_source.traced import COMPARING
@@ -123,10 +122,9 @@ def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> 
     places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
     right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
     wrong = moved([right], RoomPart("board", 99), 0.06)[0]  # as far down
-    lags = LagAverages(told.train, never)
 
     def tops_m(held: Faces | None) -> list[float]:
-        found = told._box_fit._where_lengths_agree(told.room, told.train, lags, held, wrong)
+        found = told._box_fit._where_lengths_agree(told.room, told.train, held, wrong)
         return [float(frame.box_of(box)[1, 2]) for box in found]
 
     assert min(abs(top_m - 0.73) for top_m in tops_m(None)) < 3e-3

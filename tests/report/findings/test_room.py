@@ -167,7 +167,7 @@ def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[s
         ComparedFindings.of(record_of(dataset, findings), dataset)
 
 
-def test_the_room_that_the_run_refined_is_shown_as_it_is(dataset: PasDataset, tmp_path: Path) -> None:
+def test_the_room_that_the_run_refined_is_shown_as_it_is(dataset: PasDataset) -> None:
     found = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
     refined = [replace(each, slab=each.slab._replace(thickness_m=0.07)) for each in found[1:]]
     told = {**found_room(), "room": [surface_json(each) for each in refined]}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -38,10 +38,14 @@ class BoxFit:
     Nothing is at `standing_m`.
     """
 
-    train: PasDataset
     at_lowest: RoomScore
     frame: BoxFrame
     standing_m: Float[FloatArray, "N 3"]
+
+    @cached_property
+    def _free_m(self) -> Float[FloatArray, "N 3"]:
+        """Along the axes of the room, the places where nothing stands."""
+        return self.frame.along(self.standing_m)
 
     def fitted(
         self,
@@ -58,11 +62,10 @@ class BoxFit:
 
         None for one that is new and no gain, or where there is no time.
         """
-        array_m = np.array(self.train.header.receiver.position_m)
+        array_m = np.array(self.at_lowest.samples.header.receiver.position_m)
         for nth, ways_m in enumerate(all_ways_m):
             near, best = self.at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
-            lags = LagAverages(near.samples, never)
-            agreeing = partial(self._where_lengths_agree, others, near.samples, lags, held)
+            agreeing = partial(self._where_lengths_agree, others, near.samples, held)
             of_slabs, *changes = self.frame.changes(self.frame.box_of(own), slabs, array_m, ways_m, held)
             steps: list[Change] = [agreeing, *changes, agreeing]
             if not nth:  # in the end slabs were changed
@@ -88,15 +91,14 @@ class BoxFit:
                 yield from (replace(each, slab=slab) for slab in among)
 
     def _where_lengths_agree(
-        self, others: Room, rows: PasDataset, lags: LagAverages, held: Faces | None, own: RoomSurface
+        self, others: Room, rows: PasDataset, held: Faces | None, own: RoomSurface
     ) -> Iterator[RoomSurface]:
         """A box with one of its faces, or all of a thin one, where the lengths of the paths that it reflects agree."""
-        carriers = np.unique(rows.carrier_hz)
-        paths = ReflectedPaths.of([*others, own], rows, lags)
+        paths = ReflectedPaths.of([*others, own], rows, LagAverages(rows, never))
         for part in paths.strongest_first:
             if part.kind in ("wall", "tilt") or part.number != own.number:
                 continue
-            likeness = paths.likeness(part, _FACES_M, np.arange(len(carriers)))
+            likeness = paths.likeness(part, _FACES_M, np.arange(len(paths.carrier_hz)))
             for by_m, value in peaks(_FACES_M, likeness)[:_MOST_PLACES]:
                 box = moved([own], part, by_m)[0]
                 if value > likeness[0] + _LEAST_GAIN and box.depth_m > 0 and self._holds(held, own, box):
@@ -112,5 +114,4 @@ class BoxFit:
         """Whether a box stands within the walls, where nothing else does."""
         place, (low_m, high_m) = self.frame.box_of(box), self.frame.bounds
         is_within = bool((place > low_m - _AT_WALL_M).all() and (place < high_m + _AT_WALL_M).all())
-        is_free = not holds_any(place, self.frame.along(self.standing_m))
-        return is_within and is_free and is_clear(box, self.standing_m)
+        return is_within and not holds_any(place, self._free_m) and is_clear(box, self.standing_m)

@@ -322,8 +322,8 @@ class Refinement:
         instead_of: Sequence[RoomSurface] = (),
     ) -> None:
         """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it."""
-        gone = [*instead_of, *(each for each in self.room if each.number == own.number)]
-        others = [each for each in self.room if not any(each is other for other in gone)]
+        replaced = {each.number for each in (own, *instead_of)}
+        others = [each for each in self.room if each.number not in replaced]
         is_new = not any(each is own for each in self.room)
         box = self._box_fit.fitted(others, own, ways_m, slabs, is_over, held, is_new=is_new)
         least = self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
@@ -332,7 +332,7 @@ class Refinement:
 
     @cached_property
     def _box_fit(self) -> BoxFit:
-        return BoxFit(self.train, self._at_lowest, self._frame, self._standing_m)
+        return BoxFit(self._at_lowest, self._frame, self._standing_m)
 
     @cached_property
     def _lags(self) -> LagAverages:
