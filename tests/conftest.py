@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
+from typechecking import calls, check_first_calls
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
@@ -34,7 +36,14 @@ MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__ini
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+jaxtyping.jaxtyped = check_first_calls
+jaxtyping.install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+# a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_runtest_setup() -> None:
+    calls.clear()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
