@@ -10,7 +10,8 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
-from typechecking import calls, check_first_calls
+
+from tests.support.typechecking import calls, check_first_calls
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
@@ -37,7 +38,9 @@ MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__ini
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 jaxtyping.jaxtyped = check_first_calls
-jaxtyping.install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+jaxtyping.install_import_hook(
+    [*sorted(MODULES), "xfreqbench.baselines"], "tests.support.typechecking.typechecker"
+)
 # a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from jaxtyping import TypeCheckError
-from typechecking import NUM_CHECKED
 
+from tests.support.typechecking import NUM_CHECKED
 from xfreqbench.units import ghz_to_hz
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write_dataset
 from xfreqbench.baselines.k_nearest import KINDS, KNearest
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 from scipy.special import sph_harm_y
-from synthetic import write_dataset
 from torch.nn.functional import normalize
-from training import DIVIDING, predicted, reloaded, trained
 from xfreqbench.baselines.gsrf import GSRF, FourierLegendre, GSRFField, regular_grid
 from xfreqbench.baselines.wideband_3dgs import Wideband3DGS, Wideband3DGSField
 from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus, WRFGSPlusField
 
+from tests.support.synthetic import write_dataset
+from tests.support.training import DIVIDING, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.encoding import Scaling

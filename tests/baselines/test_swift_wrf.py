@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from synthetic import write_dataset
-from training import predicted, reloaded, trained
 from xfreqbench.baselines.swift_wrf import SwiftWRF, SwiftWRFConfig, SwiftWRFField
 
+from tests.support.synthetic import write_dataset
+from tests.support.training import predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.runs.predictions import fault_of_maps

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write_dataset
 from xfreqbench.baselines.line_of_sight import LineOfSight
 from xfreqbench.baselines.log_frequency import LogFrequency
 from xfreqbench.baselines.mean_over_frequency import MeanOverFrequency, MeanOverFrequencyConfig
 from xfreqbench.baselines.mean_spectrum import MeanSpectrum
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
 from xfreqbench.methods.contract import Budget

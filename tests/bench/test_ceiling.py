@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import SCENE, SETTINGS
-from fuzzing import xfreqbench
-from synthetic import write_dataset
 
+from tests.support.found_box import SCENE, SETTINGS
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.synthetic import write_dataset
 from xfreqbench.bench import ceiling
 from xfreqbench.bench.ceiling import (
     PHASE_BLIND,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import make_header
 
+from tests.support.synthetic import make_header
 from xfreqbench.bench import executors as scale_out
 from xfreqbench.bench.executors import WAYS, Took, bench_scale_out
 from xfreqbench.bench.planning import (

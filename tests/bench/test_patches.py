@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from furnished_room import furnished_room
-from places import ROOT
 
+from tests.support.furnished_room import furnished_room
+from tests.support.places import ROOT
 from xfreqbench.bench.patches import FINEST, SIZES, PatchErrors, bench_patches, num_patches, plan_patches
 from xfreqbench.bench.tables import Bench
 from xfreqbench.cli import measure

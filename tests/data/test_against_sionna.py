@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sionna_scenes import ONE_ELEMENT, RECEIVER, simple_scenes
 
+from tests.support.sionna_scenes import ONE_ELEMENT, RECEIVER, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
 from xfreqbench.errors import DataError

@@ -8,8 +8,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from plans import small_plan
 
+from tests.support.plans import small_plan
 from xfreqbench.data import batches
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from synthetic import channel, make_header, transmitters, write_dataset
 
+from tests.support.synthetic import channel, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fuzzing import xfreqbench
-from places import ROOT
 
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.places import ROOT
 from xfreqbench.bench.fingerprints import NUM_TRANSMITTERS, make_fingerprint
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import (

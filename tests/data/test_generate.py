@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forked import command_line
-from plans import SETTINGS, small_plan
 
+from tests.support.forked import command_line
+from tests.support.plans import SETTINGS, small_plan
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate, generate_planned
 from xfreqbench.data.plan import plan_generation

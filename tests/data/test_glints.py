@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from furnished_room import GRID, RECEIVER, SHELL, write_meshes
-from fuzzing import xfreqbench
 
+from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
+from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.glints import glints

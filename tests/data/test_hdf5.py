@@ -5,9 +5,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from damage import data_offset, flip
-from synthetic import write_dataset
 
+from tests.support.damage import data_offset, flip
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.errors import DataError
 

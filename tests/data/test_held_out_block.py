@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write_dataset
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import (
     BLOCK_MARGIN_M,

@@ -9,10 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from fuzzed_hdf5 import hdf5_files, spoilt_file
-from fuzzing import fuzz, xfreqbench
-from plans import CARRIERS_HZ, SETTINGS, small_plan
 
+from tests.support.fuzzing.common import fuzz, xfreqbench
+from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_file
+from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import batches
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify

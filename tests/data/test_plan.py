@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import CARRIERS_HZ, SETTINGS, small_plan
 
+from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import plan as planning
 from xfreqbench.data import trace
 from xfreqbench.data.generate import generate_planned

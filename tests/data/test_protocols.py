@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import paper_dataset, write_dataset
 
+from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import (
     LOFO_TARGETS_HZ,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from furnished_room import GRID, RECEIVER, SHELL, write_meshes
-from places import ROOT
-from synthetic import append_all, make_header
 
+from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
+from tests.support.places import ROOT
+from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation

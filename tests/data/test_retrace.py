@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzzing import xfreqbench
-from plans import SETTINGS, small_plan
-from synthetic import append_all, make_header
 
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.plans import SETTINGS, small_plan
+from tests.support.synthetic import append_all, make_header
 from xfreqbench.data import retrace
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import append_all, make_header, transmitters, write_dataset
 
+from tests.support.synthetic import append_all, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter
 

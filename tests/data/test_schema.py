@@ -6,9 +6,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from places import ROOT
-from synthetic import append_all, make_header, write_dataset
 
+from tests.support.places import ROOT
+from tests.support.synthetic import append_all, make_header, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.hdf5 import text_attributes
 from xfreqbench.data.schema import DatasetHeader

@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 import pytest
-from places import SUPPORT
-from synthetic import append_all, make_header, write_dataset
 
+from tests.support.places import ROOT
+from tests.support.synthetic import append_all, make_header, write_dataset
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, StorageError
@@ -63,9 +63,9 @@ def test_an_error_of_the_caller_is_not_taken_for_one_of_the_disk(tmp_path: Path)
 
 _WRITER = """
 import sys
-sys.path.insert(0, {tests!r})
+sys.path.insert(0, {root!r})
 from pathlib import Path
-from synthetic import append_all, make_header
+from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.writer import PasWriter, SampleBlock
 {prelude}
 header = make_header()
@@ -76,7 +76,7 @@ with PasWriter(Path({path!r}), header) as writer:
 
 
 def _script(path: Path, prelude: str = "", before: str = "pass") -> list[str]:
-    text = _WRITER.format(tests=str(SUPPORT), path=str(path), prelude=prelude, before=before)
+    text = _WRITER.format(root=str(ROOT), path=str(path), prelude=prelude, before=before)
     return [sys.executable, "-c", text]
 
 

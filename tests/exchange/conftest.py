@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from prediction_files import hand_out, write_predictions
-from synthetic import paper_dataset
 
+from tests.support.prediction_files import hand_out, write_predictions
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 
 

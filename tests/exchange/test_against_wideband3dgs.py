@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import PUBLISHED
-from png_folders import imported
 
+from tests.support.places import PUBLISHED
+from tests.support.png_folders import imported
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzzing import xfreqbench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from places import ROOT
 from scipy.spatial.transform import Rotation
 
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.places import ROOT
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, MethodError, UnknownNameError
 from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_named

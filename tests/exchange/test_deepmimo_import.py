@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
-from fuzzing import xfreqbench
-from plans import small_plan
 
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.plans import small_plan
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError

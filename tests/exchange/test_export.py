@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import command_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from places import PUBLISHED
-from synthetic import RECEIVER, make_header, transmitters, write_dataset
 
+from tests.support.forked import command_line
+from tests.support.places import PUBLISHED
+from tests.support.synthetic import RECEIVER, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, OutputExistsError

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fuzzing import xfreqbench
-from sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
 from xfreqbench.exchange.deepmimo import export_deepmimo

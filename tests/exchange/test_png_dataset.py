@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import command_line
 from PIL import Image
-from png_folders import TRANSMITTERS, imported, levels, read, write_folder
-from synthetic import write_dataset
 
+from tests.support.forked import command_line
+from tests.support.png_folders import TRANSMITTERS, imported, levels, read, write_folder
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.exchange import png_dataset

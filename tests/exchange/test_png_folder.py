@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from png_folders import levels, read, write_folder
 
+from tests.support.png_folders import levels, read, write_folder
 from xfreqbench.errors import DataError
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from prediction_files import SPLITS, noisy_maps
-from synthetic import write_dataset
 
+from tests.support.prediction_files import SPLITS, noisy_maps
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange import prediction_file as external_file

@@ -7,8 +7,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predictions
 
+from tests.support.prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predictions
 from xfreqbench.cli import exchange
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import make_splits

@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from prediction_files import SPLITS, hand_out, killed
 
+from tests.support.prediction_files import SPLITS, hand_out, killed
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import verify_sealed
 from xfreqbench.data.protocols import make_splits

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from forked import command_line
 
+from tests.support.forked import command_line
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.methods.check import check_method
 from xfreqbench.methods.trivial import EVERY_TRIVIAL

@@ -5,7 +5,8 @@ import time
 
 import numpy as np
 import pytest
-from stub_methods import (
+
+from tests.support.stub_methods import (
     Delegating,
     Endless,
     EndlessConfig,
@@ -18,8 +19,7 @@ from stub_methods import (
     Told,
     Untidy,
 )
-from synthetic import write_dataset
-
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.methods.contract import Budget, Progress

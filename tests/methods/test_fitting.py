@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from leaderboard_records import leaderboard_markdown
-from stored_records import make_record
-from synthetic import paper_dataset
 
+from tests.support.leaderboard_records import leaderboard_markdown
+from tests.support.stored_records import make_record
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError, StorageError
 from xfreqbench.methods.contract import Budget

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write_dataset
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.methods.lookup import TrainingTransmitters

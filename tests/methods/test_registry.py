@@ -88,7 +88,7 @@ def test_a_method_is_described_with_its_options_and_no_other_is_imported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = [EntryPoint("absent", "no_such_module:Method", "xfreqbench.methods")]
-    found.append(EntryPoint("endless", "stub_methods:Endless", "xfreqbench.methods"))
+    found.append(EntryPoint("endless", "tests.support.stub_methods:Endless", "xfreqbench.methods"))
     monkeypatch.setattr("xfreqbench.methods.registry.entry_points", lambda group: found)
     assert method_summaries() == {"absent": "plug-in", "endless": "plug-in"}
     told, options = method_description("endless")
@@ -118,7 +118,7 @@ def test_a_method_that_ends_the_process_before_its_fit_is_an_error(
 ) -> None:
     if code.startswith("class Method:"):
         code += "\n    fit = predict = save = load = None"
-    (tmp_path / "leaving_method.py").write_text(f"from stub_methods import Short\n{code}\n")
+    (tmp_path / "leaving_method.py").write_text(f"from tests.support.stub_methods import Short\n{code}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "leaving_method", raising=False)
     with pytest.raises(MethodError, match=r"'leaving_method:Method' (cannot be|failed in num_parameters)"):
@@ -129,7 +129,7 @@ def test_a_configuration_that_ends_the_process_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "leaving_config.py").write_text(
-        "from dataclasses import dataclass\nfrom stub_methods import Short\n\n\n@dataclass(frozen=True)\n"
+        "from dataclasses import dataclass\nfrom tests.support.stub_methods import Short\n\n\n@dataclass(frozen=True)\n"
         "class Config:\n    width: int = 1\n\n    def __post_init__(self):\n        if self.width > 1:\n"
         "            raise SystemExit(0)\n\n\nclass Method(Short):\n    def __init__(self, config=Config()):\n"
         "        self.config = config\n"
@@ -150,27 +150,27 @@ def test_an_interruption_while_a_method_is_imported_stays_one(
 
 def test_a_class_that_lacks_part_of_the_contract_is_told_which() -> None:
     with pytest.raises(MethodError, match="lacks predict, save, load"):
-        resolve_method("stub_methods:Incomplete")
+        resolve_method("tests.support.stub_methods:Incomplete")
 
 
 def test_a_function_is_no_method() -> None:
     with pytest.raises(MethodError, match="must be a class"):
-        resolve_method("synthetic:write_dataset")
+        resolve_method("tests.support.synthetic:write_dataset")
 
 
 def test_a_method_without_configuration_is_told_so() -> None:
     with pytest.raises(MethodError, match="has no config"):
-        build_method("stub_methods:WithoutConfig")
+        build_method("tests.support.stub_methods:WithoutConfig")
 
 
 def test_a_constructor_without_a_default_configuration_is_told_so() -> None:
     with pytest.raises(MethodError, match=r"cannot be constructed without arguments.*with a default"):
-        build_method("stub_methods:WithoutDefault")
+        build_method("tests.support.stub_methods:WithoutDefault")
 
 
 def test_a_configuration_that_is_no_dataclass_is_told_so() -> None:
     with pytest.raises(MethodError, match="must be an instance of a frozen dataclass"):
-        build_method("stub_methods:ConfiguredByADict")
+        build_method("tests.support.stub_methods:ConfiguredByADict")
 
 
 def test_a_device_is_given_to_methods_that_have_the_choice() -> None:
@@ -207,7 +207,8 @@ def test_a_method_from_elsewhere_is_hashed_with_the_modules_that_it_imports(
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "beside_own.py").write_text("LEVEL = 1\n")
     (tmp_path / "own_method.py").write_text(
-        "from stub_methods import Short\n\n\nclass Own(Short):\n    def predict(self, tx_position_m, carrier_hz):\n"
+        "from tests.support.stub_methods import Short\n\n\n"
+        "class Own(Short):\n    def predict(self, tx_position_m, carrier_hz):\n"
         "        import beside_own\n\n        return beside_own.LEVEL\n"
     )
     method = build_method("own_method:Own")

@@ -7,8 +7,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
+from tests.support.places import ROOT
 from xfreqbench.cli.runs import new_method
 from xfreqbench.errors import MethodError, OutputExistsError
 from xfreqbench.methods.template import TEMPLATE, TEMPLATE_FILES, write_method_package

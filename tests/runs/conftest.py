@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from synthetic import paper_dataset
 
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 
 

@@ -12,7 +12,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from descent import (
+
+from tests.support.descent import (
     NUM_STEPS,
     Descent,
     DescentConfig,
@@ -22,9 +23,8 @@ from descent import (
     maps,
     wait_for_third,
 )
-from places import SUPPORT
-from synthetic import paper_dataset
-
+from tests.support.places import ROOT
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
 from xfreqbench.methods.fitting import Fit
@@ -64,8 +64,8 @@ def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(
 ) -> None:
     unbroken = run_job(make_job(dataset), tmp_path / "unbroken")
     results = tmp_path / "killed"
-    code = f"import descent; descent.fit_slowly({str(dataset.path)!r}, {str(results)!r})"
-    here = os.pathsep.join([str(SUPPORT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    code = f"from tests.support import descent; descent.fit_slowly({str(dataset.path)!r}, {str(results)!r})"
+    here = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here})
     wait_for_third(CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id), process)
     process.send_signal(signal.SIGKILL)
@@ -145,7 +145,7 @@ def test_a_fit_that_diverges_names_its_job_and_its_last_good_checkpoint(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, left: str
 ) -> None:
     monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", seconds)
-    words = rf"loss is not finite at step 3\. Method 'descent:Exploding' diverged on split .*{left}"
+    words = rf"loss is not finite at step 3\. Method 'tests\.support\.descent:Exploding' diverged on split .*{left}"
     with pytest.raises(DivergenceError, match=words) as raised:
         run_job(make_job(dataset, "Exploding"), tmp_path)
     assert (raised.value.step, raised.value.tensor) == (3, "loss")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stored_records import make_record
 
+from tests.support.stored_records import make_record
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.runs import folder as folder_module
 from xfreqbench.runs.folder import ResultsFolder, read_records

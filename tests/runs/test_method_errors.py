@@ -9,9 +9,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from stub_methods import lofo_job
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.stub_methods import lofo_job
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError, MethodError
@@ -78,7 +78,7 @@ class Faint(Nearest):
     ("name", "words"),
     [
         (
-            "stub_methods:FailsInFit",
+            "tests.support.stub_methods:FailsInFit",
             r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*stub_methods\.py",
         ),
         (

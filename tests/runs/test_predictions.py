@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import data_offset, flip
 
+from tests.support.damage import data_offset, flip
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.runs.predictions import read_predictions, write_predictions
 

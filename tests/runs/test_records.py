@@ -6,9 +6,9 @@ import multiprocessing
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_bench
-from stored_records import make_record, make_summary
 
+from tests.support.leaderboard_records import make_bench
+from tests.support.stored_records import make_record, make_summary
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunRecord, append, read

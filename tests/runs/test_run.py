@@ -10,9 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from stub_methods import lofo_job
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.stub_methods import lofo_job
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
@@ -198,7 +198,7 @@ def test_results_that_cannot_be_written_are_told_before_the_first_fit(
         results.mkdir()
     (results / name).write_text("")
     with pytest.raises(StorageError, match="results"):
-        run_jobs([lofo_job(dataset, "stub_methods:FailsInFit")], results)
+        run_jobs([lofo_job(dataset, "tests.support.stub_methods:FailsInFit")], results)
 
 
 def test_the_time_of_a_prediction_leaves_our_checks_out(

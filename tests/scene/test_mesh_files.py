@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, obj_text, scene_of_file
 
+from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, obj_text, scene_of_file
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported

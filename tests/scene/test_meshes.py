@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from sionna_scenes import GRID, RECEIVER, scene_of
 
+from tests.support.sionna_scenes import GRID, RECEIVER, scene_of
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import group_by_plane, planar_facets
 from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, shape_ids, surface_meshes, write_mitsuba

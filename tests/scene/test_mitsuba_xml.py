@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mesh_scenes import (
+
+from tests.support.mesh_scenes import (
     ROOM,
     TABLE,
     WOOD,
@@ -16,7 +17,6 @@ from mesh_scenes import (
     to_world,
     write_meshes,
 )
-
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene import imported
 from xfreqbench.scene.materials import ConstantMaterial, complex_permittivity

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from furnished_room import SHELL, furnished_room
 
+from tests.support.furnished_room import SHELL, furnished_room
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import PatchSize, Scene, parse_scene

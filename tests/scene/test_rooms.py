@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import mesh_scenes
 import numpy as np
 import pytest
 import trimesh
-from mesh_scenes import PLACES, WOOD, file_shape, scene_with, write_meshes
 
+from tests.support import mesh_scenes
+from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, write_meshes
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.meshes import surface_meshes

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mesh_scenes import PLACES, WOOD, file_shape, scene_of_file, scene_with, write_meshes
 
+from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_of_file, scene_with, write_meshes
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.materials import ConstantMaterial, Scattering

@@ -23,9 +23,10 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from forked import ONE_THREAD, command_line
 from markdown_it import MarkdownIt
-from places import ROOT
+
+from tests.support.forked import ONE_THREAD, command_line
+from tests.support.places import ROOT
 
 RUNNABLE = ("sh", "python", "toml", "output")
 NOT_RUN, RUN_SOMEWHERE = "not run by our tests", "run by our tests where"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from stored_records import SPLITS, make_record
 
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.methods.contract import Budget
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.report import report_markdown

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from places import ROOT
+from tests.support.places import ROOT
 
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stored_records import make_record
-from synthetic import paper_dataset
-
+from tests.support.stored_records import make_record
+from tests.support.synthetic import paper_dataset
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint, append, read
 from xfreqbench.runs.run import Job, run_jobs
 

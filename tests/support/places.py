@@ -3,5 +3,4 @@
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SUPPORT = Path(__file__).parent
 PUBLISHED = ROOT.parent / "shared" / "reference" / "wideband-example1"

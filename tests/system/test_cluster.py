@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from forked import command_line
-from places import ROOT, SUPPORT
-from synthetic import paper_dataset
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.forked import command_line
+from tests.support.places import ROOT
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
@@ -47,9 +47,7 @@ ALLOWED_FAILURES = 2
 ENVIRONMENT = {
     **os.environ,
     **ONE_THREAD,
-    "PYTHONPATH": os.pathsep.join(
-        [str(ROOT), str(SUPPORT), os.environ.get("PYTHONPATH", "")]
-    ),  # calls of this file
+    "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),  # calls of this file
     "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
 }
 

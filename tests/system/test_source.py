@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
+from tests.support.places import ROOT
 from xfreqbench.system import source
 from xfreqbench.system.source import package_sha256, reachable_sha256, reachable_sources
 

@@ -10,8 +10,8 @@ from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
+from tests.support.places import ROOT
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.system.workers import (
     MAX_DEATHS,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sionna_scenes import ONE_ELEMENT, simple_scenes
 
+from tests.support.sionna_scenes import ONE_ELEMENT, simple_scenes
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam

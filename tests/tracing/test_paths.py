@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from furnished_room import TX_M, furnished_room
-from screened_room import SCENE as SCREENED
 
+from tests.support.furnished_room import TX_M, furnished_room
+from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface, load_scene

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import numpy as np
-from found_box import SCENE, SETTINGS
 
+from tests.support.found_box import SCENE, SETTINGS
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.waves import spherical_waves
 

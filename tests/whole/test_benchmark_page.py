@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
 import xfreqbench as xb
+from tests.support.places import ROOT
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.report import write_report
 

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from synthetic import write_dataset
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.errors import ArgumentError, XFreqBenchError
 
 ANSWERED = {  # call: what is asked of its answer

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import chaotic
 import pytest
 
+from tests.support import chaotic
 from xfreqbench.bench.chaos import run as chaos
 from xfreqbench.bench.chaos.commands import COMMANDS
 from xfreqbench.bench.chaos.disturbances import DISTURBANCES

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from cyclopts import App
-from forked import command_line
 
+from tests.support.forked import command_line
 from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz

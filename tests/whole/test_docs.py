@@ -9,12 +9,12 @@ from pathlib import Path
 
 import h5py
 import pytest
-from documents import INTERPRETERS, ROOT, blocks, follow
 from markdown_it import MarkdownIt
-from plans import small_plan
-from synthetic import write_dataset
 
 import xfreqbench
+from tests.support.documents import INTERPRETERS, ROOT, blocks, follow
+from tests.support.plans import small_plan
+from tests.support.synthetic import write_dataset
 from tests.whole.test_tutorial import COMMANDS, FILES
 from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from fuzzing import NOISE
-from stored_records import make_record
 
+from tests.support.fuzzing.common import NOISE
+from tests.support.stored_records import make_record
 from xfreqbench.runs.records import append
 
 pytestmark = pytest.mark.slow

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 from cyclopts import App
-from fuzzed_commands import LINES, MEASURING, READ_NOTHING, READS, check_read, lines
-from fuzzed_damages import damages
-from fuzzing import NUM_INPUTS, fuzz
 from hypothesis import strategies as st
 
+from tests.support.fuzzing.commands import LINES, MEASURING, READ_NOTHING, READS, check_read, lines
+from tests.support.fuzzing.common import NUM_INPUTS, fuzz
+from tests.support.fuzzing.damages import damages
 from xfreqbench.cli.main import app
 from xfreqbench.maps import metrics
 

@@ -6,12 +6,20 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from fuzzed_base import DATA, sound_files
-from fuzzed_options import RUN_OPTIONS, option_texts
-from fuzzed_png import PNG_FOLDER, png, png_folders
-from fuzzing import NUM_INPUTS, check_clean, fuzz, refused, sentinel_folder, untouched, xfreqbench
 from hypothesis import strategies as st
 
+from tests.support.fuzzing.common import (
+    NUM_INPUTS,
+    check_clean,
+    fuzz,
+    refused,
+    sentinel_folder,
+    untouched,
+    xfreqbench,
+)
+from tests.support.fuzzing.options import RUN_OPTIONS, option_texts
+from tests.support.fuzzing.png import PNG_FOLDER, png, png_folders
+from tests.support.fuzzing.sound_files import DATA, sound_files
 from xfreqbench.maps import metrics
 
 

@@ -10,8 +10,21 @@ import re
 from typing import Any
 
 import pytest
-from fuzzed_options import GENERATE_OPTIONS
-from fuzzed_scenes import (
+from hypothesis import strategies as st
+
+from tests.support.fuzzing.common import (
+    NUM_INPUTS,
+    ODD_NUMBERS,
+    ODD_WORDS,
+    WORDS,
+    cut_or_flipped,
+    fuzz,
+    refused,
+    sentinel_folder,
+    spoilt_json,
+)
+from tests.support.fuzzing.options import GENERATE_OPTIONS
+from tests.support.fuzzing.scenes import (
     ASCII_PLY,
     EMPTY_SCENE,
     OBJ,
@@ -23,20 +36,8 @@ from fuzzed_scenes import (
     ply_files,
     toml_file,
 )
-from fuzzing import (
-    NUM_INPUTS,
-    ODD_NUMBERS,
-    ODD_WORDS,
-    WORDS,
-    cut_or_flipped,
-    fuzz,
-    refused,
-    sentinel_folder,
-    spoilt_json,
-)
-from hypothesis import strategies as st
-from mesh_scenes import glb_content, packed_glb
-from places import ROOT
+from tests.support.mesh_scenes import glb_content, packed_glb
+from tests.support.places import ROOT
 
 SCENES = ROOT / "scenes"
 pytestmark = pytest.mark.slow

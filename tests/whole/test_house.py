@@ -9,7 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from places import ROOT
+
+from tests.support.places import ROOT
 
 PACKAGE = ROOT / "xfreqbench"
 SOURCES = [path for folder in (PACKAGE, ROOT / "baselines", ROOT / "scenes") for path in folder.rglob("*.py")]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzzing import xfreqbench
 
+from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import fingerprint_path, read_fingerprint
 from xfreqbench.data.writer import PasWriter, SampleBlock

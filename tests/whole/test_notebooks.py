@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-from notebooks import NOTEBOOKS, execute, read, text_outputs, words_and_numbers
+
+from tests.support.notebooks import NOTEBOOKS, execute, read, text_outputs, words_and_numbers
 
 TRAINS = "a_method_of_your_own"  # other processors round in other ways, and so it ends at another step
 TOLERANCE = 0.02  # of numbers that are printed with two digits, and of draws that rounding may tip

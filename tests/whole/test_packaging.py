@@ -4,7 +4,8 @@ import tomllib
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from places import ROOT
+
+from tests.support.places import ROOT
 
 
 def test_every_package_is_in_the_wheel() -> None:

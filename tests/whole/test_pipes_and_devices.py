@@ -6,10 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
-from fuzzed_hdf5 import sound_dataset, sound_records
-from fuzzed_png import PNG_FOLDER, png
-from fuzzed_scenes import ASCII_PLY, REFERRING_SCENE, XML
-from fuzzing import check_clean, xfreqbench
+
+from tests.support.fuzzing.common import check_clean, xfreqbench
+from tests.support.fuzzing.hdf5 import sound_dataset, sound_records
+from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, XML
 
 IMPORT = "import maps -o x.h5 -q"
 COMMANDS = [

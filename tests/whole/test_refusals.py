@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import command_line
-from fuzzed_hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
-from fuzzed_png import PNG_FOLDER, png
-from fuzzed_scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
-from fuzzing import (
+
+from tests.support.forked import command_line
+from tests.support.fuzzing.common import (
     check_clean,
     check_refusal,
     refusal,
@@ -22,8 +20,10 @@ from fuzzing import (
     untouched,
     xfreqbench,
 )
-from stored_records import make_record
-
+from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
+from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
+from tests.support.stored_records import make_record
 from xfreqbench.cli.options import target_carriers_hz
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.runs.checkpoints import CheckpointFolder

@@ -8,8 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from places import ROOT
 
+from tests.support.places import ROOT
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.protocols import lofo
 from xfreqbench.data.writer import PasWriter, SampleBlock

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import ROOT, follow
-from synthetic import write_dataset
 
+from tests.support.documents import ROOT, follow
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import Fit, fit_within

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import command_line
-from places import ROOT
-from synthetic import paper_dataset
 
+from tests.support.forked import command_line
+from tests.support.places import ROOT
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.maps.metrics import psnr
 from xfreqbench.methods.contract import Budget

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from forked import command_line
 
+from tests.support.forked import command_line
 from xfreqbench.bench.stress import run as stress
 from xfreqbench.bench.stress.case import NothingToCompareError, StressCase, needing_two_threads
 from xfreqbench.errors import UnknownNameError

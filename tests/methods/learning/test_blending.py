@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from synthetic import write_dataset
-from training import TINY, predicted, reloaded, trained
 from xfreqbench.baselines.trivial import TRIVIAL
 from xfreqbench.baselines.xfreq_gs import XFreqGS, XFreqGSConfig
 
+from tests.support.synthetic import write_dataset
+from tests.support.training import TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.blending import KINDS, Blend, Choice, Holdout

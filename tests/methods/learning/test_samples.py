@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import make_header, transmitters, write_dataset
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
+from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.data import dataset as module
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from synthetic import append_all, make_header, write_dataset
 
+from tests.support.synthetic import append_all, make_header, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from descent import curve, maps, wait_for_third
-from places import SUPPORT
-from synthetic import write_dataset
-from training import DIVIDING, TINY, predicted, reloaded, trained
 from xfreqbench.baselines.aperture_gs import ApertureGS
 from xfreqbench.baselines.fixed_frequency_gs import FixedFrequencyGS
 from xfreqbench.baselines.frequency_embedded_gs import FrequencyEmbeddedGS
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
+from tests.support.descent import curve, maps, wait_for_third
+from tests.support.places import ROOT
+from tests.support.synthetic import write_dataset
+from tests.support.training import DIVIDING, TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.methods.contract import Budget
@@ -315,10 +315,9 @@ def test_a_fit_killed_in_the_middle_ends_in_the_predictions_of_an_unbroken_one(
 ) -> None:
     unbroken = run_job(killed_job(dataset.path), tmp_path / "unbroken")
     results = tmp_path / "killed"
-    code = f"import test_training; test_training.fit_slowly({str(dataset.path)!r}, {str(results)!r})"
-    here = os.pathsep.join(
-        [str(Path(__file__).parent), str(SUPPORT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    )
+    call = f"fit_slowly({str(dataset.path)!r}, {str(results)!r})"
+    code = f"from tests.methods.learning import test_training; test_training.{call}"
+    here = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here})
     folder = CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id)
     wait_for_third(folder, process)

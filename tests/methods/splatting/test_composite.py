@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import pytest
 import torch
-from reference import accumulate, continuous_factor
 from torch import Tensor
 
+from tests.support.reference import accumulate, continuous_factor
 from xfreqbench.methods.splatting.composite import Backend, PixelLists, composite
 
 pytestmark = pytest.mark.usefixtures("one_thread")

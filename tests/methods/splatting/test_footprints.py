@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import reference
 import torch
 from torch import Tensor
 
+from tests.support import reference
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.targets import GridView
 from xfreqbench.methods.splatting.composite import PixelLists, composite

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-import reference
 import torch
 from torch import Tensor
 
+from tests.support import reference
 from xfreqbench.methods.splatting.gaussians import covariance
 from xfreqbench.methods.splatting.projection import (
     MIN_RANGE_M,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from box_room import SIZE_M
 
+from tests.support.box_room import SIZE_M
 from xfreqbench.methods.virtual_source.faces import Cells, Face, best_rectangles, faces, walls
 from xfreqbench.methods.virtual_source.images import Mirrors
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from box_room import SIZE_M, plane
-from mirrored_room import Room as MirroredRoom
-from mirrored_room import Wall
-from synthetic import write_dataset
-from training import predicted, reloaded, trained
 from xfreqbench.baselines.virtual_source import VirtualSource, VirtualSourceConfig
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 
+from tests.support.box_room import SIZE_M, plane
+from tests.support.mirrored_room import Room as MirroredRoom
+from tests.support.mirrored_room import Wall
+from tests.support.synthetic import write_dataset
+from tests.support.training import predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.errors import MethodError

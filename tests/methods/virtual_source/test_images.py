@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from box_room import SIZE_M, plane
 
+from tests.support.box_room import SIZE_M, plane
 from xfreqbench.methods.virtual_source import room as room_module
 from xfreqbench.methods.virtual_source import slabs as slabs_module
 from xfreqbench.methods.virtual_source.config import SourceConfig

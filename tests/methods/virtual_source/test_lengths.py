@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from found_box import ARRAY_M, SETTINGS, found_room, generated
 
+from tests.support.found_box import ARRAY_M, SETTINGS, found_room, generated
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.virtual_source.boxes import BoxFrame
 from xfreqbench.methods.virtual_source.lengths import ReflectedPaths, around, settled, sharpened

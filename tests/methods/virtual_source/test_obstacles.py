@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from found_box import ARRAY_M, SCENE, found_room, generated
 
+from tests.support.found_box import ARRAY_M, SCENE, found_room, generated
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.methods.virtual_source import boxes, refine

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 
+from tests.support.found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
 from xfreqbench.methods.virtual_source import changes, refine, traced

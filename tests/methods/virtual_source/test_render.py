@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, SETTINGS, found_room, generated
 
+from tests.support.found_box import ALL_PLANES, SETTINGS, found_room, generated
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.virtual_source.refine import Refinement

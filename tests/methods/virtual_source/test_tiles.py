@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import SCENE, SETTINGS, SIZE_M, found_room, generated
 
+from tests.support.found_box import SCENE, SETTINGS, SIZE_M, found_room, generated
 from xfreqbench.methods.virtual_source.materials import NamedSlab
 from xfreqbench.methods.virtual_source.polygons import tidied
 from xfreqbench.methods.virtual_source.refine import Refinement

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from found_box import SCENE, SETTINGS
 
+from tests.support.found_box import SCENE, SETTINGS
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation

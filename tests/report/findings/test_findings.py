@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from reference import slab_coefficients
-from stored_records import make_record
-from synthetic import append_all, make_header
 
+from tests.support.reference import slab_coefficients
+from tests.support.stored_records import make_record
+from tests.support.synthetic import append_all, make_header
 from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter

@@ -6,10 +6,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import WIDTHS, canvas_pixels, check_screen, launched, needs_chromium, opened, set_screen
-from found_box import found_room
-from stored_records import make_record
 
+from tests.support.chromium import (
+    WIDTHS,
+    canvas_pixels,
+    check_screen,
+    launched,
+    needs_chromium,
+    opened,
+    set_screen,
+)
+from tests.support.found_box import found_room
+from tests.support.stored_records import make_record
 from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.runs.records import append

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import SCENE, found_room, slab
 from PIL import Image
-from reference import slab_coefficients
-from stored_records import make_record
 
+from tests.support.found_box import SCENE, found_room, slab
+from tests.support.reference import slab_coefficients
+from tests.support.stored_records import make_record
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.figures import plot_materials

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, SCENE, SETTINGS, WITHOUT_FLOOR
-from stored_records import make_record, make_summary
-from synthetic import append_all, make_header
 
+from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, WITHOUT_FLOOR
+from tests.support.stored_records import make_record, make_summary
+from tests.support.synthetic import append_all, make_header
 from xfreqbench.cli.findings import residual as residual_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned

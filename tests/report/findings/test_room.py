@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, SCENE, SETTINGS, SIZE_M, found_room, slab
-from stored_records import make_record
 
+from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, SIZE_M, found_room, slab
+from tests.support.stored_records import make_record
 from xfreqbench.cli.data import generate
 from xfreqbench.cli.findings import findings as findings_command
 from xfreqbench.data.dataset import PasDataset, open_dataset

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, findings_of, plane
 
+from tests.support.found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, findings_of, plane
 from xfreqbench.methods.virtual_source.told import StoredFindings
 from xfreqbench.report.findings.true_paths import HELD_MARGIN_M, PathKinds, path_kinds
 from xfreqbench.tracing.image.tracer import ImageTracer

@@ -3,8 +3,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from stored_records import SPLITS, external, make_record
 
+from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.methods.contract import LANES, Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_name

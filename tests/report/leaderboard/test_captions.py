@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from leaderboard_records import leaderboard_markdown, make_records, rows_of, with_job
-from stored_records import external, make_record
-
+from tests.support.leaderboard_records import leaderboard_markdown, make_records, rows_of, with_job
+from tests.support.stored_records import external, make_record
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 
 

@@ -8,9 +8,9 @@ from math import inf, isnan
 from pathlib import Path
 
 import pytest
-from leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
-from stored_records import SPLITS, external, make_record
 
+from tests.support.leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
+from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.columns import (

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stored_records import make_record, make_summary
 
+from tests.support.stored_records import make_record, make_summary
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.comparison import Comparison, Resampling, resampled_medians

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from synthetic import paper_dataset
 
 import xfreqbench as xb
+from tests.support.synthetic import paper_dataset
 from xfreqbench.cli.main import app
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.gallery import gallery

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from leaderboard_records import leaderboard_markdown, make_followed, make_records, rows_of
-from stored_records import SPLITS, make_record
 
+from tests.support.leaderboard_records import leaderboard_markdown, make_followed, make_records, rows_of
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
 
 

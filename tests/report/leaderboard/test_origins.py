@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from leaderboard_records import leaderboard_markdown, of_three_seeds, rows_of, with_job
-from places import ROOT
-from stored_records import SPLITS, external, make_record
 
+from tests.support.leaderboard_records import leaderboard_markdown, of_three_seeds, rows_of, with_job
+from tests.support.places import ROOT
+from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid

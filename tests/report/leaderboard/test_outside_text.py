@@ -11,10 +11,16 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from leaderboard_records import leaderboard_markdown, make_bench, make_followed, make_records, with_job
 from markdown_it import MarkdownIt
-from stored_records import external, make_record
 
+from tests.support.leaderboard_records import (
+    leaderboard_markdown,
+    make_bench,
+    make_followed,
+    make_records,
+    with_job,
+)
+from tests.support.stored_records import external, make_record
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord, append

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_bench, make_followed, make_records, rows_of, with_job
-from stored_records import make_record
 
+from tests.support.leaderboard_records import make_bench, make_followed, make_records, rows_of, with_job
+from tests.support.stored_records import make_record
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.report import BEGIN, END, leaderboard_summary, write_report

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from page_results import HOSTILE, METHODS, SPLITS, store_results, stored
 from PIL import Image
-from stored_records import external, make_record
 
+from tests.support.page_results import HOSTILE, METHODS, SPLITS, store_results, stored
+from tests.support.stored_records import external, make_record
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid

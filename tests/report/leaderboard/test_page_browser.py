@@ -10,11 +10,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
-from leaderboard_records import with_job
-from page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
-from stored_records import external, make_record
 
+from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
+from tests.support.leaderboard_records import with_job
+from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
+from tests.support.stored_records import external, make_record
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper_maps import ship_maps
 from xfreqbench.runs.records import append

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from stored_records import SPLITS, make_record
 
+from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
 from xfreqbench.report.leaderboard.paper import paper_markdown

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import pytest
-from leaderboard_records import leaderboard_markdown, make_records, rows_of
-from stored_records import SPLITS, external, make_record
 
+from tests.support.leaderboard_records import leaderboard_markdown, make_records, rows_of
+from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, sources_of
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_bench, make_followed, make_records
 
+from tests.support.leaderboard_records import make_bench, make_followed, make_records
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.runs.records import append

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from leaderboard_records import with_job
-from page_results import METHODS
-from stored_records import make_record
-from synthetic import paper_dataset
 
 import xfreqbench as xb
+from tests.support.leaderboard_records import with_job
+from tests.support.page_results import METHODS
+from tests.support.stored_records import make_record
+from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.report.leaderboard.page import write_page

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from stored_records import SPLITS, make_record
 
+from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.cli.runs import compare
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.side_by_side import compare_results, records_at

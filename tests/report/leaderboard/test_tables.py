@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from leaderboard_records import (
+
+from tests.support.leaderboard_records import (
     leaderboard_markdown,
     make_bench,
     make_records,
@@ -12,8 +13,7 @@ from leaderboard_records import (
     rows_of,
     with_job,
 )
-from stored_records import SPLITS, make_record, make_summary
-
+from tests.support.stored_records import SPLITS, make_record, make_summary
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget

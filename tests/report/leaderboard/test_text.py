@@ -7,10 +7,10 @@ from html import unescape
 from pathlib import Path
 
 import pytest
-from leaderboard_records import make_records, of_three_seeds
-from stored_records import SPLITS, make_record
 
 import xfreqbench as xb
+from tests.support.leaderboard_records import make_records, of_three_seeds
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.columns import TABLE, leaderboard_columns

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from screened_room import ONE_LIT_TX, SCENE, store
 
+from tests.support.screened_room import ONE_LIT_TX, SCENE, store
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.write import write_view

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from synthetic import write_dataset
-
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.generate import generate
 from xfreqbench.report.view.describe import describe
 from xfreqbench.scene.model import load_scene

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from screened_room import SCENE
 
+from tests.support.screened_room import SCENE
 from xfreqbench.report.view.figures import ray_colour
 from xfreqbench.report.view.orbit import orbit_scene
 from xfreqbench.report.view.plan import ViewPlan

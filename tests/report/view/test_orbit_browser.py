@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import canvas_pixels, launched, needs_chromium, opened, set_screen
 
+from tests.support.chromium import canvas_pixels, launched, needs_chromium, opened, set_screen
 from xfreqbench.report.drawing.document import Picture
 from xfreqbench.report.view.figures import ray_colour
 from xfreqbench.report.view.page import view_page

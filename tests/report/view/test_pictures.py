@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from png_folders import imported, write_folder
-from screened_room import CARRIERS_GHZ, ONE_LIT_TX, ONE_SHADOWED_TX
 
+from tests.support.png_folders import imported, write_folder
+from tests.support.screened_room import CARRIERS_GHZ, ONE_LIT_TX, ONE_SHADOWED_TX
 from xfreqbench.cli.data import plot
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from damage import data_offset, flip
-from synthetic import write_dataset
 
+from tests.support.damage import data_offset, flip
+from tests.support.synthetic import write_dataset
 from xfreqbench.errors import DataError
 from xfreqbench.report.view.plan import plan_view
 

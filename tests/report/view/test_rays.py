@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from screened_room import ONE_LIT_TX, ONE_SHADOWED_TX, SCENE, store
 
+from tests.support.screened_room import ONE_LIT_TX, ONE_SHADOWED_TX, SCENE, store
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, Ray

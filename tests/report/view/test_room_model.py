@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from screened_room import ONE_LIT_TX, SCENE, store
 
+from tests.support.screened_room import ONE_LIT_TX, SCENE, store
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.room import ShownRoom

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from screened_room import SCENE
-from synthetic import make_header, transmitters, write_dataset
 
+from tests.support.screened_room import SCENE
+from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.protocols import lofo

@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from synthetic import write_dataset
 
+from tests.support.synthetic import write_dataset
 from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
-from synthetic import make_header, transmitters, write_dataset
 
+from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
+from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.writer import PasWriter, SampleBlock

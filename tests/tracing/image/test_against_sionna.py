@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sionna_scenes import ONE_ELEMENT, scene_of
-from sionna_wedge import sionna_wedge
 
+from tests.support.sionna_scenes import ONE_ELEMENT, scene_of
+from tests.support.sionna_wedge import sionna_wedge
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import surface_meshes

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference import cfr_at_centre
 from scipy.special import erfc, jv, wofz
 
+from tests.support.reference import cfr_at_centre
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from furnished_room import GRID, RECEIVER, TX_M, furnished_room, write_meshes
 
+from tests.support.furnished_room import GRID, RECEIVER, TX_M, furnished_room, write_meshes
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from furnished_room import furnished_room
 
+from tests.support.furnished_room import furnished_room
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference import cfr_at_centre
 
+from tests.support.reference import cfr_at_centre
 from xfreqbench.errors import SceneError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid

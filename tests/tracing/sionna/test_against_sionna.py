@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sionna_scenes import CONCRETE_WALL, METAL_BOX, RECEIVER, scene_of, simple_scenes
 
+from tests.support.sionna_scenes import CONCRETE_WALL, METAL_BOX, RECEIVER, scene_of, simple_scenes
 from xfreqbench.scene.materials import materials_defined_at
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface

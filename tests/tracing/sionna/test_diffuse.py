@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sionna_scenes import GRID, ONE_ELEMENT, RECEIVER
 
+from tests.support.sionna_scenes import GRID, ONE_ELEMENT, RECEIVER
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes

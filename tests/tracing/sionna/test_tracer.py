@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from places import SUPPORT
-from reference import antenna_field, cfr_at_centre, over_one_slab, slab_coefficients
-from sionna_scenes import (
+
+from tests.support.places import ROOT
+from tests.support.reference import antenna_field, cfr_at_centre, over_one_slab, slab_coefficients
+from tests.support.sionna_scenes import (
     CONCRETE_WALL,
     GLASS_PANE,
     METAL_BOX,
@@ -18,7 +19,6 @@ from sionna_scenes import (
     RECEIVER,
     scene_of,
 )
-
 from xfreqbench.errors import MaterialBandError
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
@@ -165,8 +165,8 @@ def test_a_channel_does_not_depend_on_the_transmitters_asked_for_with_it() -> No
 def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
     program = f"""
 import hashlib, numpy as np, sys
-sys.path.insert(0, {str(SUPPORT)!r})
-from sionna_scenes import simple_scenes
+sys.path.insert(0, {str(ROOT)!r})
+from tests.support.sionna_scenes import simple_scenes
 from xfreqbench.tracing.sionna.tracer import SionnaTracer
 from xfreqbench.tracing.tracer import TraceSettings
 for interactions in ("specular", "refraction"), ("specular", "refraction", "diffraction"):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mirrored_room import RECEIVER, Room, Wall, tilt_rad
 
+from tests.support.mirrored_room import RECEIVER, Room, Wall, tilt_rad
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid

@@ -7,8 +7,9 @@ import re
 from typing import Any
 
 import trimesh
-from fuzzing import ODD_NUMBERS, ODD_WORDS, cut_or_flipped
 from hypothesis import strategies as st
+
+from tests.support.fuzzing.common import ODD_NUMBERS, ODD_WORDS, cut_or_flipped
 
 SMALL_SCENE: dict[str, Any] = {
     "name": "small",

@@ -6,10 +6,11 @@ import functools
 import io
 
 import numpy as np
-from fuzzed_scenes import edited
-from fuzzing import cut_or_flipped
 from hypothesis import strategies as st
 from PIL import Image
+
+from tests.support.fuzzing.common import cut_or_flipped
+from tests.support.fuzzing.scenes import edited
 
 
 @functools.cache

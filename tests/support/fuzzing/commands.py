@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzzed_base import DATA, FITTED, RECORDS, small_benchmark, sound_files
-from fuzzing import Outcome, check_clean, sentinel_folder, untouched, xfreqbench
 from hypothesis import strategies as st
+
+from tests.support.fuzzing.common import Outcome, check_clean, sentinel_folder, untouched, xfreqbench
+from tests.support.fuzzing.sound_files import DATA, FITTED, RECORDS, small_benchmark, sound_files
 
 RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")

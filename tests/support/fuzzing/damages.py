@@ -10,14 +10,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from fuzzed_base import DATA, MAPS, RECORDS, ROOM, sound_files
-from fuzzed_hdf5 import hdf5_files, spoilt_predictions
-from fuzzed_png import png_folders
-from fuzzed_scenes import edited, ply_files, toml_file
-from fuzzing import JSON_VALUES, ODD_NUMBERS, cut_or_flipped, odd_array, spoilt_json
 from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
+from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, cut_or_flipped, odd_array, spoilt_json
+from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_predictions
+from tests.support.fuzzing.png import png_folders
+from tests.support.fuzzing.scenes import edited, ply_files, toml_file
+from tests.support.fuzzing.sound_files import DATA, MAPS, RECORDS, ROOM, sound_files
 from xfreqbench.runs.sealed import SEAL, content_sha256
 
 Content = bytes | Callable[[], bytes] | None  # or what makes it; None where the file is gone

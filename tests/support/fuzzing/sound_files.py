@@ -13,11 +13,11 @@ from unittest import mock
 
 import h5py
 import numpy as np
-from found_box import ALL_PLANES, SCENE
-from fuzzed_png import PNG_FOLDER, png
-from fuzzed_scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
-from fuzzing import xfreqbench
 
+from tests.support.found_box import ALL_PLANES, SCENE
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints

@@ -14,11 +14,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from fuzzing import cut_or_flipped, odd_array, spoilt_json
 from hypothesis import strategies as st
-from stored_records import make_record
-from synthetic import write_dataset
 
+from tests.support.fuzzing.common import cut_or_flipped, odd_array, spoilt_json
+from tests.support.stored_records import make_record
+from tests.support.synthetic import write_dataset
 from xfreqbench.data import hdf5
 
 Spoil = Callable[[Any], None]  # changes an open HDF5 file

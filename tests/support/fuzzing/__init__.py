@@ -1,0 +1,1 @@
+"""Damaged inputs of every kind, and the command lines that read them."""
