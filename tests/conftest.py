@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support.typechecking import calls, check_first_calls
 
@@ -41,6 +42,9 @@ jaxtyping.jaxtyped = check_first_calls
 jaxtyping.install_import_hook(
     [*sorted(MODULES), "xfreqbench.baselines"], "tests.support.typechecking.typechecker"
 )
+# no case is decided by a clock: the machine may be busy, and first calls compile and import
+settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("unhurried")
 # a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

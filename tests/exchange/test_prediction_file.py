@@ -160,7 +160,6 @@ VALUES = st.one_of(
 
 @settings(
     max_examples=40,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
@@ -180,7 +179,6 @@ def test_whatever_an_attribute_holds_it_is_read_or_refused_in_words(
 
 @settings(
     max_examples=40,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from xfreqbench.baselines.nearest import Nearest
 
+from tests.support.clock import Clock, set_clock
 from tests.support.stub_methods import lofo_job
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
@@ -43,10 +44,10 @@ class DeviceConfig:
 
 
 class Stepwise(Nearest):
-    """Knows more maps at every step, and is slow to predict."""
+    """Knows more maps at every step, and sleeps for a second where it predicts."""
 
     Config = DeviceConfig
-    pause_s = 0.0
+    sleep: ClassVar[Callable[[float], None]] = staticmethod(lambda seconds: None)
 
     def fit(self, train, budget, seed):
         for step in range(1, 33):
@@ -54,20 +55,19 @@ class Stepwise(Nearest):
             yield from super().fit(train, budget, seed) if step == 1 else [Progress(step, 1 - self.level)]
 
     def predict(self, tx_position_m, carrier_hz):
-        time.sleep(self.pause_s)
+        type(self).sleep(1)
         return super().predict(tx_position_m, carrier_hz) ** np.float32(1 / self.level)
 
 
 class Compiling(Stepwise):
-    """Its first step in a process takes long, and more rows than a warm-up has are needed for `num_rows`."""
+    """Its first step in a process takes a minute, and more rows than a warm-up has are needed for `num_rows`."""
 
     compiled: ClassVar[bool] = False
     num_rows: ClassVar[int] = 0
-    compile_s: ClassVar[float] = 0.5
 
     def fit(self, train, budget, seed):
         if not type(self).compiled:
-            time.sleep(self.compile_s)
+            type(self).sleep(60)
         type(self).compiled = True
         if len(train) < self.num_rows:
             raise ValueError("too few rows")
@@ -204,8 +204,10 @@ def test_results_that_cannot_be_written_are_told_before_the_first_fit(
 def test_the_time_of_a_prediction_leaves_our_checks_out(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fitting, "_fault_of", lambda *_: time.sleep(1))
-    assert run_job(lofo_job(dataset), tmp_path).predict_ms_per_map < 200  # a check's second over five maps
+    clock = set_clock(monkeypatch, fitting)
+    monkeypatch.setattr(fitting, "_fault_of", lambda *_: clock.sleep(1))
+    assert run_job(lofo_job(dataset), tmp_path).predict_ms_per_map == 0
+    assert clock.now_s >= 1
 
 
 def run_stepwise(dataset: PasDataset, folder: Path, budget: Budget) -> records.RunRecord:
@@ -232,9 +234,11 @@ def test_a_step_that_crosses_several_shares_is_one_point(dataset: PasDataset, tm
 def test_a_learning_curve_is_not_charged(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Stepwise, "pause_s", 0.2)
+    clock = set_clock(monkeypatch, fitting)
+    monkeypatch.setattr(Stepwise, "sleep", clock.sleep)
     record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
-    assert record.fit_seconds < 0.2  # one of its four predictions
+    assert record.fit_seconds == 0
+    assert clock.now_s > 4  # points of the curve alone
 
 
 def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(
@@ -319,29 +323,35 @@ def test_what_a_first_step_compiles_is_not_on_the_clock(
     monkeypatch.setattr(watch, "_WARM_UP_TX", 1)
     monkeypatch.setattr(Compiling, "compiled", False)
     monkeypatch.setattr(Compiling, "num_rows", num_rows * len(split.train))  # then the warm-up itself fails
+    clock = set_clock(monkeypatch, fitting)
+    monkeypatch.setattr(Compiling, "sleep", clock.sleep)
     record = run_job(lofo_job(dataset, f"{__name__}:Compiling", budget=Budget(max_steps=3)), tmp_path)
     assert Compiling.compiled
+    assert clock.now_s >= 60
     assert record.step == 3
-    assert record.fit_seconds is not None
-    assert record.fit_seconds < Compiling.compile_s
+    assert record.fit_seconds == 0
 
 
 class Waiting(Stepwise):
-    """Waits for others for most of its fit."""
+    """Waits for others for half of its fit."""
+
+    clock: ClassVar[Clock]
 
     def fit(self, train, budget, seed):
         for progress in super().fit(train, budget, seed):
-            time.sleep(0.4)
+            self.clock.now_s += 2
+            self.clock.processor_s += 1
             yield progress
 
 
 def test_a_fit_that_got_little_of_a_core_is_told(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(Waiting, "clock", set_clock(monkeypatch, fitting), raising=False)
     options = {"data": dataset.path, "targets": "24.25", "budget": "3steps", "results": tmp_path}
     runs.run(method=f"{__name__}:Waiting", **options)
     (record,) = records.read(tmp_path / "records.jsonl").records
-    assert 0 < record.core_share < records.LEAST_CORE_SHARE
+    assert record.core_share == 0.5 < records.LEAST_CORE_SHARE
     said = capsys.readouterr()
     assert "1 of 1 fits had under 70% of a core" in said.err
     assert "Fitted beside busy programs" in said.out

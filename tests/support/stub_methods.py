@@ -59,6 +59,7 @@ class Told(Endless):
     def fit(self, train, budget, seed):
         self.shares = []
         for step in range(1, 9):
+            time.sleep(self.config.pause_s)
             self.shares.append((yield Progress(step, math.nan)))
 
 
@@ -96,7 +97,7 @@ class Untidy(Short):
         try:
             yield from super().fit(train, budget, seed)
         finally:
-            time.sleep(0.05)
+            time.sleep(self.config.pause_s)
 
 
 class Resumed(Endless):
@@ -106,6 +107,7 @@ class Resumed(Endless):
 
     def fit(self, train, budget, seed):
         while True:
+            time.sleep(self.config.pause_s)
             self.step += 1
             yield Progress(self.step, 1.0, {"gaussians": 10 * self.step})
 

@@ -51,7 +51,7 @@ def as_read(text: str) -> str:
     return plain(text).strip(" \t")
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(text=TEXTS)
 def test_a_paragraph_of_any_text_is_that_text(text: str) -> None:
     parts = shown(paragraph(text))
@@ -60,7 +60,7 @@ def test_a_paragraph_of_any_text_is_that_text(text: str) -> None:
     assert text_alone(parts).strip() == as_read(text).strip()
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(text=TEXTS)
 def test_a_heading_of_any_text_is_that_text(text: str) -> None:
     parts = shown(f"## {heading(text)}")
@@ -68,7 +68,7 @@ def test_a_heading_of_any_text_is_that_text(text: str) -> None:
     assert text_alone(parts).strip() == as_read(text).strip()
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(cells=st.lists(st.tuples(TEXTS, TEXTS, TEXTS), min_size=1, max_size=3))
 @example(cells=[(each, each, each) for each in HOSTILE])
 def test_a_table_has_the_rows_and_columns_that_it_was_given(cells: list[tuple[str, str, str]]) -> None:

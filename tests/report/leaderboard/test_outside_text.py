@@ -121,7 +121,7 @@ def plain_markup() -> Counter[tuple[str, str]]:
 CASES = st.fixed_dictionaries(dict.fromkeys(FIELDS, TEXTS))
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(texts=CASES)
 def test_no_text_of_a_record_is_markdown(texts: dict[str, str]) -> None:
     runs, benches = records_of(texts)
@@ -137,7 +137,6 @@ def test_every_hostile_text_makes_whole_tables(text: str) -> None:
 @pytest.mark.slow
 @settings(
     max_examples=1,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

@@ -220,7 +220,6 @@ def fuzz(num_inputs: int, inputs: st.SearchStrategy[Any], check: Callable[[Any],
     @settings(
         max_examples=num_inputs * max(1, FACTOR),
         derandomize=FACTOR == 0,
-        deadline=None,  # first calls compile and import
         database=None,
         phases=[Phase.generate, Phase.target, Phase.shrink],  # explaining takes longer than all of these
         suppress_health_check=[
