@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.bench import solvers as convergence
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import MapError, MeasuredSetting, PipelineCost, Rung, ladder
@@ -112,3 +113,13 @@ def test_pipelines_are_compared_with_the_plain_way_and_the_cheapest_that_meets_t
     assert "| image | 10 | 10 | 0.2 | 0.05 | 2.00 | 500 | 3 | 50 | 200 |" in said
     convergence._tabulate_pipelines(Bench("generate", "", said.append), "office", costs, plain[:-1])
     assert "| image | 10 | 10 | 0.2 | 0.05 | 2.00 | 500 | 3 | 50 | – |" in said
+
+
+def test_a_number_of_plain_transmitters_is_checked_before_anything_is_traced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(convergence, "_pipelines", lambda *_: 1 / 0)
+    for number in ("1", "25"):
+        outcome = xfreqbench("bench", "generate", "office", "--against-plain", "--plain-tx", number)
+        assert outcome.code == 2
+        assert f"--plain-tx is {number}; give 2 to" in outcome.stderr

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.furnished_room import GRID, RECEIVER, plate, write_meshes
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import plan as planning
 from xfreqbench.data import trace
@@ -68,6 +70,23 @@ def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
     counted(facets, "planar_facets")
     generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
     assert calls == {"surface_meshes": 1, "planar_facets": 1}
+
+
+def test_planning_a_scene_of_many_triangles_does_not_loop_over_them_in_python(tmp_path: Path) -> None:
+    def num_calls(pieces: int) -> int:
+        xml = write_meshes(tmp_path, {"plate": ("wood", plate(2.0, 0.5, pieces=pieces))})
+        scene = Scene("cut", RECEIVER, GRID, scene=xml, folder=tmp_path)
+        seen: list[str] = []
+        sys.setprofile(lambda frame, event, argument: seen.append(event))
+        try:
+            plan_generation(scene, [24.25e9], TraceSettings("image"))
+        finally:
+            sys.setprofile(None)
+        return len(seen)
+
+    num_calls(40)  # fills caches
+    few, many = num_calls(40), num_calls(80)
+    assert many < 1.1 * few  # of 3,200 and 12,800 triangles
 
 
 def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:

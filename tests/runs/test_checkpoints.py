@@ -103,6 +103,18 @@ def test_a_method_that_starts_anew_is_not_charged_twice(
 
 
 @pytest.mark.usefixtures("saves_every_step")
+def test_a_resumed_fit_is_warmed_up_before_its_clock_starts(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_clock(monkeypatch, fitting, descent)
+    monkeypatch.setattr(Descent, "pause_s", 1)
+    interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
+    resumed = run_job(make_job(dataset, max_steps=10), tmp_path)
+    assert Descent.num_steps_done == WARM_UP_STEPS + 10 - 5
+    assert resumed.fit_seconds == 10
+
+
+@pytest.mark.usefixtures("saves_every_step")
 def test_a_fit_whose_budget_was_spent_is_not_fitted_again(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

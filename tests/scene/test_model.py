@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import Scene, load_scene, parse_scene, scene_schema, shipped_scenes
 from xfreqbench.scene.placement import (
@@ -130,6 +132,14 @@ max_m = [2.0, 2.0, -0.1]
         check_overlaps(Geometry(surface_meshes(parse_scene(BOX + poster))))
     beside = poster.replace("[1.0, 1.0, -0.1]", "[4.0, 1.0, -0.1]").replace("[2.0, 2.0,", "[5.0, 2.0,")
     check_overlaps(Geometry(surface_meshes(parse_scene(BOX + beside))))
+
+
+def test_surfaces_that_scatter_otherwise_are_refused_where_they_overlap() -> None:
+    floor = surface_meshes(parse_scene(BOX))[-1]
+    check_overlaps(Geometry([floor, replace(floor, name="again")]))
+    rough = replace(floor, name="rough", scattering=Scattering(0.3))
+    with pytest.raises(SceneError, match=r"'floor' .* and 'rough' .* overlap in one plane"):
+        check_overlaps(Geometry([floor, rough]))
 
 
 def test_an_array_too_wide_for_its_place_is_refused_at_the_low_carrier_only() -> None:

@@ -45,6 +45,16 @@ def cushion(subdivisions: int) -> trimesh.Trimesh:
     return trimesh.Trimesh([2.4, 1.0, 0.6] + round_m * [0.6, 0.35, 0.15], ball.faces, process=False)
 
 
+def plate(edge_m: float, height_m: float, pieces: int = 1) -> trimesh.Trimesh:
+    """A square of 2·pieces² triangles, level, with a corner at the origin."""
+    steps = np.linspace(0, edge_m, pieces + 1)
+    x, y = np.meshgrid(steps, steps, indexing="ij")
+    vertices = np.stack([x, y, np.full_like(x, height_m)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(pieces)[:, None] * (pieces + 1) + np.arange(pieces)).reshape(-1)
+    quads = np.stack([corner, corner + pieces + 1, corner + pieces + 2, corner + 1], axis=1)
+    return trimesh.Trimesh(vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), process=False)
+
+
 def furnished_room(folder: Path, subdivisions: int = 3) -> Scene:
     """The room; its meshes are written to the folder, the cushion in 20·4ⁿ triangles."""
     meshes = {

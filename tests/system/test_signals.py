@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -37,3 +40,27 @@ def test_another_thread_runs_the_block_too() -> None:
     thread.start()
     thread.join()
     assert done == ["the work"]
+
+
+IMPORT_SIONNA = """
+import signal, sys
+from importlib.abc import MetaPathFinder
+
+class Interrupting(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == "sionna":
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["xfreqbench", *"generate empty --tx 1 --solver sionna -q -o out.h5".split()]
+from xfreqbench.cli.main import main
+main()
+"""
+
+
+@pytest.mark.sionna
+def test_ctrl_c_while_sionna_rt_is_imported_ends_in_one_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", IMPORT_SIONNA]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 130
+    assert ended.stderr.strip() == "xfreqbench: interrupted; the same command goes on where it stopped."

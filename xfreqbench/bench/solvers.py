@@ -336,7 +336,8 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
     """Print the full pipeline's rate as a ratio to the plain way, both measured now, with errors."""
     scene = load_scene(scene_name)
     reference = read_reference(scene)
-    if not 2 <= num_plain_tx <= (most := len(reference.tx_position_m)):
+    most = len(reference.tx_position_m)
+    if not 2 <= num_plain_tx <= most:
         raise XFreqBenchError(f"--plain-tx is {num_plain_tx}; give 2 to {most}, which the reference has.")
     bench.introduce()
     pipelines = dict(_pipelines(scene, num_tx))  # first, because the plain way leaves things in memory

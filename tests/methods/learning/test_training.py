@@ -97,6 +97,25 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
         assert before[-1].counts["gaussians"] != TINY["num_gaussians"] != losses[-1].counts["gaussians"]
 
 
+def test_the_mean_of_weights_begins_anew_where_gaussians_are_replaced_by_as_many_others(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def replaced(field: SplatField, optimizer: torch.optim.Adam, step: int, share: float) -> None:
+        if step == 3:
+            own = field.gaussians._parameters
+            own.update({name: torch.nn.Parameter(own[name].detach().clone()) for name in own})
+
+    monkeypatch.setattr(SplatField, "after_step", replaced)
+    model = tiny(XFreqGS, averaging=0.9)
+    num_averaged = []
+    for progress in model.fit(dataset, Budget(max_steps=4), 0):
+        assert model._training is not None and model._training.mean is not None
+        num_averaged.append(int(model._training.mean.n_averaged))
+        if progress.step == 4:
+            break
+    assert num_averaged == [1, 2, 1, 2]
+
+
 @pytest.mark.parametrize("method", SPLATTING)
 def test_a_fit_that_never_divides_its_gaussians_goes_on_too(
     method: type[LearnedMethod], dataset: PasDataset, tmp_path: Path

@@ -235,3 +235,19 @@ def test_rooms_are_scored_at_tested_rows(dataset: PasDataset, tmp_path: Path) ->
 
 def test_faces_of_old_records_are_none(dataset: PasDataset) -> None:
     assert ComparedFindings.of(record_of(dataset, ALL_PLANES), dataset).findings.faces == ()
+
+
+def test_a_scenes_name_of_any_letters_is_written_to_the_room(dataset: PasDataset, tmp_path: Path) -> None:
+    name = 'büro "名前" \\ 1'
+    scene_json = json.dumps({**json.loads(dataset.header.scene_json), "name": name})
+    named = replace(dataset, header=replace(dataset.header, scene_json=scene_json))
+    told = ComparedFindings.of(record_of(named, found_room()), named)
+    write_room(told, ScoredRoom(refinement_of(told).found, (), []), tmp_path)
+    assert load_scene(tmp_path / "room.toml").name == f"{name}-learned"
+
+
+def test_data_that_cannot_be_traced_in_a_room_are_refused_before_it_is_refined(dataset: PasDataset) -> None:
+    settings = {**dataset.header.settings, "interactions": ["specular", "diffuse"]}
+    scattered = replace(dataset, header=replace(dataset.header, settings=settings))
+    with pytest.raises(DataError, match="specular, diffuse, which the image method does not trace"):
+        refinement_of(ComparedFindings.of(record_of(scattered, found_room()), scattered))

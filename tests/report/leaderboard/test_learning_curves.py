@@ -52,6 +52,14 @@ def test_a_point_stands_at_the_share_that_was_spent_and_not_at_a_mean_over_steps
     assert after[2:5] == ["–", "0.5000 (0.10 s)", "–"]
 
 
+def test_fits_whose_batches_differ_in_size_have_points_at_different_shares() -> None:
+    followed = make_followed()
+    larger = [point.model_copy(update={"share": min(1.0, 4 * point.step / 64)}) for point in followed.curve]
+    other = make_followed(seed=1).model_copy(update={"curve": (*larger[1:-1], larger[-1])})
+    markdown = leaderboard_markdown([followed, other]).partition("### Error against time")[2]
+    assert list(rows_of(markdown, "ours (≤ 64 steps)")[0].values())[2:] == [*["–"] * 6, "0.7000 (6.4 s)", "–"]
+
+
 def test_learning_curves_are_means_over_seeds_and_times_their_medians() -> None:
     trivial = make_record("nearest", 0.68, SPLITS[0], ssim_by_tx=[(0.68,)] * 100)
     followed = [make_followed(seed=seed, end=end) for seed, end in enumerate((0.67, 0.70, 0.73))]

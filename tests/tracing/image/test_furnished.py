@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
-from tests.support.furnished_room import GRID, RECEIVER, TX_M, furnished_room, write_meshes
+from tests.support.furnished_room import GRID, RECEIVER, TX_M, furnished_room, plate, write_meshes
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
@@ -233,16 +232,6 @@ def test_auto_takes_the_image_method_where_few_patches_mirror(room: Scene) -> No
     assert resolve_solver(many, TraceSettings()).solver == "sionna"
     with pytest.raises(SceneError, match="mirrors = 'patches'"):
         image_tracer(facets, CARRIERS_HZ, SETTINGS, geometry=many)
-
-
-def plate(edge_m: float, height_m: float, pieces: int = 1) -> trimesh.Trimesh:
-    """A square of 2·pieces² triangles, level, with a corner at the origin."""
-    steps = np.linspace(0, edge_m, pieces + 1)
-    x, y = np.meshgrid(steps, steps, indexing="ij")
-    vertices = np.stack([x, y, np.full_like(x, height_m)], axis=-1).reshape(-1, 3)
-    corner = (np.arange(pieces)[:, None] * (pieces + 1) + np.arange(pieces)).reshape(-1)
-    quads = np.stack([corner, corner + pieces + 1, corner + pieces + 2, corner + 1], axis=1)
-    return trimesh.Trimesh(vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), process=False)
 
 
 def test_ten_thousand_triangles_in_a_plane_mirror_as_one_rectangle(tmp_path) -> None:
