@@ -11,14 +11,7 @@ import pytest
 from tests.support.synthetic import make_header
 from xfreqbench.bench import executors as scale_out
 from xfreqbench.bench.executors import WAYS, Took, bench_scale_out
-from xfreqbench.bench.planning import (
-    DriverCost,
-    Expected,
-    TracingCost,
-    TransmitterCost,
-    _drive,
-    _Driving,
-)
+from xfreqbench.bench.planning import DriverCost, Expected, TracingCost, TransmitterCost, _drive, _Driving
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import open_dataset

@@ -17,10 +17,7 @@ from tests.support.plans import SETTINGS, small_plan
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate, generate_planned
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.errors import (
-    OutputExistsError,
-    StorageError,
-)
+from xfreqbench.errors import OutputExistsError, StorageError
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.patches import mirror_patches

@@ -158,11 +158,7 @@ VALUES = st.one_of(
 )
 
 
-@settings(
-    max_examples=40,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=40, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(list(external_file.Declaration.model_fields)), value=VALUES)
 def test_whatever_an_attribute_holds_it_is_read_or_refused_in_words(
     dataset: PasDataset, noise: Path, tmp_path: Path, name: str, value
@@ -177,11 +173,7 @@ def test_whatever_an_attribute_holds_it_is_read_or_refused_in_words(
     assert [part.split.name for part in parts] == SPLITS
 
 
-@settings(
-    max_examples=40,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=40, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=st.lists(st.floats(width=32), min_size=1, max_size=20), kind=st.sampled_from(["<f4", "<f8"]))
 def test_maps_are_accepted_where_every_value_is_and_never_otherwise(values: list[float], kind: str) -> None:
     part = np.ones((1, 1, len(values) + 1), kind)

@@ -104,9 +104,7 @@ def test_the_paper_size_is_the_papers() -> None:
     assert parse_budget(block.budget).max_maps == 200_000
 
 
-def test_the_standard_preset_fits_in_three_hours_on_two_cores(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_standard_preset_fits_in_three_hours_on_two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmarks, "own_cores", lambda: [frozenset({0}), frozenset({1})])
     planned = plan_benchmark("standard", Path("nowhere"), Path("results"))
     assert benchmarks.seconds_needed(planned) <= 3 * 3600

@@ -285,10 +285,7 @@ def test_a_device_is_an_option_of_the_methods_that_have_one(dataset: PasDataset,
 
 
 def test_a_running_fit_is_shown(
-    dataset: PasDataset,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in ON_A_TERMINAL.items():
         monkeypatch.setenv(name, value)

@@ -3,11 +3,7 @@ from __future__ import annotations
 import pytest
 
 from xfreqbench.errors import MaterialBandError, UnknownNameError
-from xfreqbench.scene.materials import (
-    check_dispersion,
-    complex_permittivity,
-    materials_defined_at,
-)
+from xfreqbench.scene.materials import check_dispersion, complex_permittivity, materials_defined_at
 
 
 def test_concrete_at_10_ghz_has_the_permittivity_of_p2040() -> None:

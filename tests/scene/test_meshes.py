@@ -25,12 +25,7 @@ def imported(folder: Path, *elements: str, surface: tuple[Surface, ...] = ()) ->
     (folder / "scene.xml").write_text(f"<scene version='2.1.0'>{''.join(elements)}</scene>")
     trimesh.Trimesh(SQUARE_M, SQUARE, process=False).export(folder / "square.ply")
     return Scene(
-        name="test",
-        receiver=RECEIVER,
-        transmitters=GRID,
-        surface=surface,
-        scene="scene.xml",
-        folder=folder,
+        name="test", receiver=RECEIVER, transmitters=GRID, surface=surface, scene="scene.xml", folder=folder
     )
 
 

@@ -7,16 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.mesh_scenes import (
-    ROOM,
-    TABLE,
-    WOOD,
-    file_shape,
-    scene_with,
-    shape,
-    to_world,
-    write_meshes,
-)
+from tests.support.mesh_scenes import ROOM, TABLE, WOOD, file_shape, scene_with, shape, to_world, write_meshes
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene import imported
 from xfreqbench.scene.materials import ConstantMaterial, complex_permittivity

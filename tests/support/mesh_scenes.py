@@ -109,9 +109,7 @@ def packed_glb(content: Any, binary: bytes) -> bytes:
 
 
 def glb_bytes(
-    nodes: list[dict[str, Any]],
-    meshes: list[tuple[Any, Any, int, str]],
-    header: dict[str, Any] | None = None,
+    nodes: list[dict[str, Any]], meshes: list[tuple[Any, Any, int, str]], header: dict[str, Any] | None = None
 ) -> bytes:
     """A GLB of meshes, as `glb_content` takes them; what `header` holds replaces parts of its JSON."""
     content, binary = glb_content(nodes, meshes)

@@ -12,14 +12,7 @@ import numpy as np
 import pytest
 
 from tests.support.forked import command_line
-from tests.support.fuzzing.common import (
-    check_clean,
-    check_refusal,
-    refusal,
-    refused,
-    untouched,
-    xfreqbench,
-)
+from tests.support.fuzzing.common import check_clean, check_refusal, refusal, refused, untouched, xfreqbench
 from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
 from tests.support.fuzzing.png import PNG_FOLDER, png
 from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file

@@ -69,9 +69,7 @@ def test_at_first_all_carriers_have_the_same_signals_and_one_direct_wave(config:
 
 
 @pytest.mark.parametrize("trend", TRENDS)
-def test_signals_are_straight_lines_on_the_trends_axis(
-    trend: Trend,
-) -> None:
+def test_signals_are_straight_lines_on_the_trends_axis(trend: Trend) -> None:
     network = network_of(replace(SMALL, trend=trend))
     with torch.no_grad():
         for parameter in network.parameters():

@@ -174,11 +174,7 @@ def test_the_true_slab_reflects_as_the_recommendation_says(material: str) -> Non
     carrier_hz = np.geomspace(1e9, 94e9, 50)
     band = ITU_MATERIALS[material][0]
     slab = FoundSlab(
-        share=1.0,
-        permittivity=band.a,
-        conductivity_s_m=band.c,
-        conductivity_power=band.d,
-        thickness_m=0.03,
+        share=1.0, permittivity=band.a, conductivity_s_m=band.c, conductivity_power=band.d, thickness_m=0.03
     )
     shown = reflection([slab], {(material, 0.03): 1.0}, carrier_hz)
     assert shown.difference.max() < 1e-12  # the same arithmetic twice

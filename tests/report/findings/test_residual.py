@@ -44,11 +44,7 @@ def stored_run(
     """A record whose predictions are the truth, turned by two degrees for other methods."""
     split = find_split(dataset, "lofo", "lofo-24.25GHz")
     record = make_record(
-        method,
-        dataset_sha256=dataset.sha256,
-        split_sha256=split.sha256,
-        findings=findings,
-        **changes,
+        method, dataset_sha256=dataset.sha256, split_sha256=split.sha256, findings=findings, **changes
     )
     maps = np.roll(dataset.pas(split.test), 0 if findings else 2, axis=2)
     write_predictions(

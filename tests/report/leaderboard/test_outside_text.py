@@ -135,11 +135,7 @@ def test_every_hostile_text_makes_whole_tables(text: str) -> None:
 
 
 @pytest.mark.slow
-@settings(
-    max_examples=1,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=1, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(texts=CASES)
 @example(texts=dict.fromkeys(FIELDS, "$\\frac{1}$"))
 @example(texts=dict.fromkeys(FIELDS, f"_\n{END}\x00名</script>" + "x" * 500))

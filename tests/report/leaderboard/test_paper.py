@@ -93,10 +93,7 @@ def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is
 
 
 def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> None:
-    apart = [
-        make_record("xfreq-gs", 0.7, SPLITS[0], config=TOLD),
-        make_record("wrf-gs-plus", 0.6, SPLITS[1]),
-    ]
+    apart = [make_record("xfreq-gs", 0.7, SPLITS[0], config=TOLD), make_record("wrf-gs-plus", 0.6, SPLITS[1])]
     ranked = boards(apart)
     assert paper_figures(ranked) == {}
     assert not [row for row in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in row]

@@ -106,10 +106,7 @@ def test_other_options_and_data_sets_are_other_rows_and_other_seeds_are_not() ->
     job = {"job": seeded.job.__class__(**{**vars(seeded.job), "seed": 2, "overrides": ("a=1",)})}
     again = with_job(make_record("ours", 0.6), seed=2)
     grouped = boards([*records, seeded.model_copy(update=job), again])
-    assert [[row.label for row in board.rows] for board in grouped] == [
-        ["ours", "ours (a=1)"],
-        ["ours"],
-    ]
+    assert [[row.label for row in board.rows] for board in grouped] == [["ours", "ours (a=1)"], ["ours"]]
 
 
 @pytest.mark.parametrize("field", ["protocol_version", "metrics_version"])

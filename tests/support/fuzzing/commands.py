@@ -129,10 +129,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "benchmark": (_BENCHMARK,),
     },
     "maps to show": {"report": (_REPORT,)},
-    "checkpoint": {
-        "run": (f"run --data {DATA} --results results {_FIT}",),
-        "benchmark": (_BENCHMARK,),
-    },
+    "checkpoint": {"run": (f"run --data {DATA} --results results {_FIT}",), "benchmark": (_BENCHMARK,)},
     "records": {
         "run": (f"run --data {DATA} --results results {_NEAREST}",),
         "score": (f"{_SCORE} results",),

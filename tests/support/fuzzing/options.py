@@ -34,16 +34,7 @@ GENERATE_OPTIONS = {
     "--pas-kind": ["", "Power", "phase"],
     "--materials": ["", "ignore", "extrapolate"],
     "--maps": ["", "maybe"],
-    "--output": [
-        "",
-        ".",
-        "/",
-        "x" * 400,
-        "taken.h5/x.h5",
-        "taken.h5",
-        "/proc/x.h5",
-        "notes.txt",
-    ],
+    "--output": ["", ".", "/", "x" * 400, "taken.h5/x.h5", "taken.h5", "/proc/x.h5", "notes.txt"],
     "--no-such": [""],
 }
 

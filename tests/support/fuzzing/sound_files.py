@@ -114,10 +114,7 @@ def _kill_a_fit() -> None:
             raise KeyboardInterrupt
 
     jobs = protocol_jobs(DATA, {"aperture-gs": FITTED}, "lofo", [10e9], [0], parse_budget("3steps"))
-    with (
-        mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0),
-        contextlib.suppress(KeyboardInterrupt),
-    ):
+    with mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0), contextlib.suppress(KeyboardInterrupt):
         run_jobs(jobs, Path("results"), fitting=kill)
 
 

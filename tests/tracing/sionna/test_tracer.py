@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from tests.support.places import ROOT
 from tests.support.reference import antenna_field, cfr_at_centre, over_one_slab, slab_coefficients
-from tests.support.sionna_scenes import (
-    CONCRETE_WALL,
-    GLASS_PANE,
-    METAL_BOX,
-    ONE_ELEMENT,
-    RECEIVER,
-    scene_of,
-)
+from tests.support.sionna_scenes import CONCRETE_WALL, GLASS_PANE, METAL_BOX, ONE_ELEMENT, RECEIVER, scene_of
 from xfreqbench.errors import MaterialBandError
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
