@@ -25,10 +25,6 @@ from xfreqbench.methods.splatting.composite import composite
 from xfreqbench.methods.splatting.field import GaussianField
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
 from xfreqbench.methods.splatting.projection import angular_centre
-from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
-from xfreqbench.report.leaderboard.tables import ranking_table
-from xfreqbench.runs.run import Job, run_job
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -272,16 +268,3 @@ def test_a_gaussian_twice_as_far_sends_half(dataset: PasDataset) -> None:
         field.attributes(transmitters(dataset, 1), torch.ones(1).double(), everyone).signal[0].detach()
     )
     torch.testing.assert_close(near, 2 * far)
-
-
-def test_a_table_says_what_is_reduced_of_the_systems_it_names(dataset: PasDataset, tmp_path: Path) -> None:
-    overrides = tuple(f"{name}={value}" for name, value in SMALL.items())
-    jobs = [
-        Job(str(dataset.path), method, "lofo", "lofo-10GHz", overrides=options, budget=Budget(max_steps=1))
-        for method, options in (("gsrf", overrides), ("nearest", ()))
-    ]
-    (board,) = boards([run_job(job, tmp_path) for job in jobs])
-    text = ranking_table(Comparison(board, board.splits, Resampling()))
-    assert "not the authors' programs" in text
-    assert "gsrf for GSRF: " in text
-    assert "wrf-gs-plus" not in text

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,20 +14,16 @@ from xfreqbench.bench import ceiling
 from xfreqbench.bench.ceiling import (
     PHASE_BLIND,
     CeilingScores,
-    bench_ceiling,
     compute_ceiling,
     has_order,
     order_limited_maps,
     plan_ceiling,
 )
-from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.metrics import ssim
-from xfreqbench.report.leaderboard.report import write_report
-from xfreqbench.runs.records import read
 from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.waves import spherical_waves
@@ -167,25 +162,3 @@ def test_what_cannot_be_scored_is_refused(box: PasDataset, tmp_path: Path) -> No
     assert outcome.code == 2
     assert "does not say which scene it was traced in" in outcome.stderr
     assert outcome.stderr.count("\n") <= 3
-
-
-def test_the_report_shows_the_table_as_one_of_no_methods(
-    box: PasDataset, scores: CeilingScores, tmp_path: Path
-) -> None:
-    said: list[str] = []
-    bench = Bench("ceiling", "xfreqbench bench ceiling box.h5", said.append, tmp_path / "records.jsonl")
-    bench_ceiling(bench, plan_ceiling(box, None, 3, 0), scores)
-    (record,) = read(tmp_path / "records.jsonl").benches
-    names = [row[0] for row in record.rows]
-    assert names[0] == "ceiling (phases unknown)"
-    assert names[-1] == "ceiling (paths of order ≤ 3)"
-    assert record.columns[1:] == ("2.4 GHz median", "2.4 GHz mean", "24.25 GHz median", "24.25 GHz mean")
-    for row, of_row in zip(record.rows, np.moveaxis(scores.ssim, 2, 0), strict=True):
-        for cells, values in zip(np.reshape(row[1:], (2, 2)), of_row.T, strict=True):
-            for cell, value in zip(cells, (np.median(values), values.mean()), strict=True):
-                shown, low, high = map(float, re.findall(r"[\d.]+", cell))
-                assert shown == pytest.approx(value, abs=1e-4)
-                assert values.min() - 1e-4 <= low <= shown <= high <= values.max() + 1e-4
-    write_report(tmp_path, tmp_path / "BENCHMARK.md")
-    _, section = (tmp_path / "BENCHMARK.md").read_text().split("\n## No methods: what is left for whom\n")
-    assert "| ceiling (paths of order ≤ 3)" in section

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.support.furnished_room import furnished_room
-from tests.support.places import ROOT
 from xfreqbench.bench.patches import FINEST, SIZES, PatchErrors, bench_patches, num_patches, plan_patches
 from xfreqbench.bench.tables import Bench
 from xfreqbench.cli import measure
@@ -48,23 +47,8 @@ def test_each_row_compares_channels_that_are_traced_with_its_own_least_patch(tmp
     assert rows["0.2 m², 0.2 m"][0] == "4" and rows["1 m², 0.5 m"][0] == "0"
 
 
-def test_a_row_states_the_median_and_the_worst_transmitters_in_decibels() -> None:
-    error = np.array([[0.1], [0.01], [0.001]])
-    assert PatchErrors(FINEST, 7, error).cells == ("0.005 m², 0.02 m", "7", "40.0 / 20.0")
-    assert PatchErrors(FINEST, 7, np.zeros((3, 1))).cells[2] == "inf / inf"
-
-
 def test_a_scene_without_meshes_is_refused_before_anything_is_traced() -> None:
     with pytest.raises(SceneError, match=r"Scene 'empty' has no meshes.*such as lounge"):
         measure.bench_patches("empty")
     plan = plan_patches(load_scene("lounge"), CARRIERS_HZ, 1)
     assert num_patches(plan.geometry) > 100
-
-
-def test_the_document_has_a_row_for_each_size_and_marks_the_default() -> None:
-    table = (ROOT / "docs" / "physics.md").read_text().partition("\n| at least | patches |")[2]
-    rows = [line.split(" | ")[0].removeprefix("| ") for line in table.partition("\n\n")[0].splitlines()[2:]]
-    names = [PatchErrors(size, 0, np.ones((1, 1))).cells[0] for size in SIZES]
-    assert rows == [
-        f"**{name}**" if size == PatchSize() else name for name, size in zip(names, SIZES, strict=True)
-    ]

@@ -66,33 +66,6 @@ def test_the_splatting_table_has_a_row_for_each_size_and_small_errors_beside_its
     assert all(row[7].endswith("(1/25)") for row in rows)
 
 
-def test_steps_of_methods_are_told_as_ratios_to_one_setting(
-    train: PasDataset, bench: Bench, said: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = next(fit for fit in rendering.FITS if fit[0] == "xfreq-gs as in version 0.1")
-    small = ("num_gaussians=20", "batch_size=2", "width=8", "layers=1")
-    fits = [(first[0], "xfreq-gs", (*first[2], *small)), ("twice", "xfreq-gs", (*small, "batch_size=4"))]
-    monkeypatch.setattr(rendering, "FITS", fits)
-    monkeypatch.setattr(rendering, "loop_s", lambda train, method, settings: 0.5)
-    rendering.tabulate_fits(bench, train)
-    assert cells(said, columns=5) == [
-        [first[0], "2", "500.0", "4", "1.00"],
-        ["twice", "4", "500.0", "8", "2.00"],
-    ]
-
-
-def test_every_bench_names_its_machine_and_threads(bench: Bench, said: list[str]) -> None:
-    rendering.bench_render(bench, [], [], False)
-    assert re.search(r"\d+ cores, ", said[0])
-    assert "numba and torch on 1 threads" in said[1]
-
-
-def test_footprints_hold_as_many_directions_as_the_table_says() -> None:
-    (cost,) = benchmark.splat_costs([100], [1])
-    clipped = 0.8  # footprints at the first and the last row are cut
-    assert clipped <= cost.num_pairs / 100 / benchmark.DIRECTIONS_PER_GAUSSIAN <= 1.05  # pixels of an ellipse
-
-
 def test_dense_accumulation_lets_nothing_through_an_opaque_gaussian() -> None:
     near_and_far = torch.ones(2, 1), torch.tensor([[1.0], [5.0]]).to(torch.complex64)
     opaque = torch.zeros(2, 1, dtype=torch.complex64)
@@ -112,16 +85,6 @@ def test_the_parts_of_a_step_render_and_learn_what_the_method_does(train: PasDat
     for one, other, old in zip(taken_apart.field.parameters(), whole.field.parameters(), before, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=ROUNDING)
         assert not torch.equal(one, old)
-
-
-def test_the_step_table_adds_its_parts_up(train: PasDataset, bench: Bench, said: list[str]) -> None:
-    rendering.tabulate_step(bench, train, TINY)
-    *parts, total, whole = [row[:2] for row in cells(said, columns=3)]
-    shown = 0.006 * len(parts)  # each is rounded to a hundredth
-    assert sum(float(milliseconds) for _, milliseconds in parts) == pytest.approx(float(total[1]), abs=shown)
-    assert {"network, forward", "composite, backward", "optimiser"} <= {name for name, _ in parts}
-    assert whole[0].startswith("whole step")
-    assert "samples/s allow 10.0 ms" in said[0]
 
 
 def numbers(saving: Saving) -> list[float]:

@@ -3,7 +3,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,10 @@ import pytest
 
 from xfreqbench.bench import savings as efficiency
 from xfreqbench.bench.learning_savings import Saving
-from xfreqbench.bench.savings import Workload, channel_change, saving_cells
+from xfreqbench.bench.savings import Workload, channel_change
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, StorageError
-from xfreqbench.report.leaderboard.plots import plot_cost
 from xfreqbench.runs.records import BenchFigure, BenchPoint, read
-from xfreqbench.tracing.image.tracer import ImageSavings
 
 ROUNDING = 1e-12  # the same paths in another order of the candidates, in double precision
 MAP_ROUNDING = 1e-5  # products in single precision
@@ -50,25 +47,6 @@ def test_each_saving_of_the_image_method_leaves_the_maps_where_they_were(work: W
     assert {name for name in exact for saving in savings if name in saving.name} == exact
 
 
-def test_each_row_takes_one_saving_away(work: Workload, monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[ImageSavings] = []
-    monkeypatch.setattr(efficiency, "ImageTracer", lambda *asked: made.append(asked[-1]))
-    monkeypatch.setattr(Workload, "saving", lambda self, name, *timed: name)
-    names = [str(name) for name in islice(efficiency.image_savings(work), 4)]
-    for name, without, with_it in zip(names, made[::2], made[1::2], strict=True):
-        differing = [field for field, value in vars(with_it).items() if vars(without)[field] != value]
-        assert len(differing) == (3 if "together" in name else 1), name
-    assert len({*made[::2]}) == 4
-
-
-def test_a_time_is_the_least_of_warm_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([10.0, 13.0, 20.0, 22.0])  # the first run, which compiles, reads no clock
-    monkeypatch.setattr(efficiency.time, "perf_counter", lambda: next(clock))
-    runs: list[None] = []
-    assert efficiency.timed_s(lambda: runs.append(None)) == (2.0, None)
-    assert len(runs) == 3
-
-
 def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
     kept, together = efficiency.map_savings(work.few(2, 1))
     for saving in (kept, together):
@@ -95,13 +73,6 @@ def test_a_change_of_channels_is_relative_to_the_samples_own_norm(work: Workload
     doubled[0, 0] *= 2
     expected = "channels: 1e+00; maps: worst inf dB, median inf dB"  # a map's peak is 1 whatever the scale
     assert channel_change(work.scene, doubled, cfr) == expected
-
-
-def test_a_saving_is_shown_with_its_ratio() -> None:
-    saving = Saving("renderer", "kept", "maps", 3.0, 1.5, "none")
-    cells = dict(zip(efficiency.COLUMNS, saving_cells(saving), strict=True))
-    assert cells["off / on"] == "2.00"
-    assert cells["part"] == "renderer"
 
 
 def printed_rows(said: list[str]) -> list[tuple[str, ...]]:
@@ -182,21 +153,6 @@ def points(*places: tuple[float, float]) -> tuple[BenchPoint, ...]:
         BenchPoint(series=f"series {index % 2}", label=f"{x:g} ms", x=x, y=y)
         for index, (x, y) in enumerate(places)
     )
-
-
-def test_equal_costs_are_drawn_in_equal_bytes(tmp_path: Path) -> None:
-    figure = BenchFigure(
-        x_label="ms", y_label="dB", log_x=True, points=points((1.0, 40.0), (10.0, 60.0), (10.5, 60.0))
-    )
-    for name in ("one.svg", "two.svg"):
-        plot_cost(figure, tmp_path / name)
-    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
-    drawn = (tmp_path / "one.svg").read_text()
-    for text in ("series 0", "series 1", "10.5 ms", "dB"):
-        assert text in drawn
-    other = figure.model_copy(update={"points": figure.points[:2]})
-    plot_cost(other, tmp_path / "one.svg")
-    assert "10.5 ms" not in (tmp_path / "one.svg").read_text()
 
 
 def test_labels_of_points_close_together_do_not_lie_on_each_other() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,13 +13,11 @@ import numpy as np
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
-from tests.support.places import ROOT
 from xfreqbench.bench.fingerprints import NUM_TRANSMITTERS, make_fingerprint
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import (
     MIN_TRANSMITTERS,
     TOLERANCE,
-    TOLERANCE_SIONNA,
     compare_fingerprint,
     field_differences,
     fingerprint_path,
@@ -248,13 +245,3 @@ def test_anyone_can_make_a_fingerprint_and_nothing_is_overwritten(tmp_path: Path
     path.write_bytes(before[:1000])
     with pytest.raises(DataError, match="no fingerprint that can be read"):
         read_fingerprint(path)
-
-
-def test_the_document_states_the_tolerances_of_the_code_and_the_bounds_of_these_tests() -> None:
-    document = (
-        (ROOT / "docs" / "data-format.md").read_text().partition("**fingerprint**")[2].partition("\n### ")[0]
-    )
-    stated = [float(each) for each in re.findall(r"\d+e-\d+", document)]
-    assert stated == [TOLERANCE, TOLERANCE_SIONNA, BY_PROCESSOR, BY_SOLVER, BY_MILLIMETRE]
-    assert f"channels of {NUM_TRANSMITTERS} transmitters" in document
-    assert MIN_TRANSMITTERS == 4 and "less than four transmitters" in document

@@ -88,24 +88,6 @@ def test_what_is_not_there_is_an_index_error_that_says_what_is(
         dataset[rows]  # type: ignore[call-overload]
 
 
-def test_a_data_set_is_shown_in_few_lines(dataset: PasDataset) -> None:
-    assert repr(dataset).splitlines() == [
-        f"PasDataset '{dataset.path}'",
-        "scene     'synthetic', 4 transmitters × 3 carriers",
-        "carriers  1, 10, 37 GHz",
-        "maps      power, 90 elevations × 360 azimuths",
-        "channels  4 elements",
-    ]
-    assert repr(dataset[1:6]).splitlines()[5:] == ["subset    5 of the 12 samples"]
-
-
-def test_many_carriers_still_take_one_line(tmp_path: Path) -> None:
-    carriers_ghz = tuple(range(1, 41))
-    shown = repr(write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=carriers_ghz, maps=False)[:1])
-    assert len(shown.splitlines()) == 6
-    assert "11, 12 GHz and 28 more" in shown
-
-
 def test_a_notebook_shows_names_as_they_are(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>\n"
     header = replace(make_header(), scene_name=hostile)

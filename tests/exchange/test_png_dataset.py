@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support.forked import command_line
 from tests.support.png_folders import TRANSMITTERS, imported, levels, read, write_folder
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import open_dataset, verify
@@ -90,20 +88,6 @@ def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"00004\.png"):
         import_png_folder(read(folder), tmp_path / "data.h5")
     assert [entry.name for entry in tmp_path.iterdir()] == ["small"]
-
-
-def test_the_command_says_what_it_ignores_and_what_it_wrote(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "small")
-    (folder / "test_index.txt").write_text("00001")
-    command = [command_line(), "import", str(folder), "-o", str(tmp_path / "data.h5")]
-    first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
-    assert "test_index.txt ignored" in first.stdout
-    assert "wrote" in first.stdout
-    assert "already holds" in second.stdout
-    (folder / "freq.txt").unlink()
-    failed = subprocess.run(command, capture_output=True, text=True)
-    assert failed.returncode == 2
-    assert "freq.txt" in failed.stderr
 
 
 def test_a_map_that_is_nowhere_white_has_peak_1_and_its_own_peak_power(tmp_path: Path) -> None:

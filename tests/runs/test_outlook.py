@@ -10,7 +10,7 @@ from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.outlook import OVERHEAD_S, Outlook, in_hours, may_be_long, outlook
+from xfreqbench.runs.outlook import OVERHEAD_S, Outlook, in_hours, outlook
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
 
@@ -68,14 +68,6 @@ def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
     assert Outlook(1, (trivial,)).seconds == Outlook(1, (steps,)).seconds == OVERHEAD_S
     assert "2 fits without a budget in seconds come on top" in str(Outlook(3, (*fits, steps)))
     assert "of run time, shared by the workers of the cluster" in str(Outlook(1, (fits[0],), None))
-
-
-def test_ten_minutes_are_long(dataset: PasDataset) -> None:
-    short, long = (job(dataset, "aperture-gs", Budget(max_seconds=seconds)) for seconds in (580.0, 590.0))
-    assert not may_be_long([short])
-    assert may_be_long([long])
-    assert may_be_long([short] * 3)
-    assert not may_be_long([short] * 3, "3")
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(0, "1 min"), (420, "7 min"), (7500, "2 h 05 min")])

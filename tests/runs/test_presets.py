@@ -7,7 +7,6 @@ import pytest
 
 from xfreqbench.cli import data, runs
 from xfreqbench.errors import OutputExistsError, StorageError, UnknownNameError
-from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs import benchmark as benchmarks
@@ -74,40 +73,6 @@ def test_what_is_ranked_has_three_seeds_and_leak_free_protocols_are_run(name: st
             "held-out-tx",
             "lofo-unseen-tx",
         }
-
-
-def test_the_standard_preset_holds_out_regions_of_the_office() -> None:
-    (trivial, fitted) = [block for block in PRESETS["standard"].blocks if block.protocol == "held-out-block"]
-    assert trivial.settings == TRIVIAL_SETTINGS
-    assert {setting.method for setting in fitted.settings} == {"xfreq-gs", "aperture-gs", "virtual-source"}
-    assert (fitted.scene, fitted.budget, len(fitted.seeds)) == ("office", "quick", 3)
-
-
-def test_the_preset_of_the_paper_has_its_carriers_trainings_ablations_and_its_codes_samples() -> None:
-    blocks = [block for block in PRESETS["paper"].blocks if block.budget]
-    systems = {"xfreq-gs", "gsrf", "wrf-gs-plus", "wideband-3dgs"}
-    assert [{each.method for each in block.settings} for block in blocks if len(block.settings) == 4] == [
-        systems,
-        {"xfreq-gs"},
-        systems,
-    ]
-    carriers_ghz = {2.4, 24.25, 77.0}.union(*(block.targets_ghz or () for block in blocks))
-    assert len(carriers_ghz) == 5
-    assert {block.protocol for block in blocks} == {"lofo", "sparse", "random-samples"}
-
-
-def test_the_paper_size_is_the_papers() -> None:
-    (block,) = [block for block in PRESETS["paper-size"].blocks if block.budget]
-    (setting,) = block.settings
-    config = build_method(setting.method, setting.overrides).config
-    assert (config.width, config.layers, config.batch_size) == (256, 6, 1)
-    assert parse_budget(block.budget).max_maps == 200_000
-
-
-def test_the_standard_preset_fits_in_three_hours_on_two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(benchmarks, "own_cores", lambda: [frozenset({0}), frozenset({1})])
-    planned = plan_benchmark("standard", Path("nowhere"), Path("results"))
-    assert benchmarks.seconds_needed(planned) <= 3 * 3600
 
 
 def test_ablations_change_the_setting_that_they_name() -> None:

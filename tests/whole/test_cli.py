@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 import shlex
 import subprocess
@@ -17,8 +16,6 @@ from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.exchange.png_images import MAX_PIXELS
-from xfreqbench.tracing.tracer import MAX_DEPTH, MAX_RAYS
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
 
@@ -138,13 +135,6 @@ def test_a_dry_run_checks_the_executor_without_starting_any(tmp_path: Path) -> N
     assert xfreqbench(*words, "dask://nowhere:8786").returncode == 0
 
 
-def test_limits_are_in_the_help() -> None:
-    for command, limits in (("generate", (MAX_DEPTH, MAX_RAYS)), ("import", (MAX_PIXELS,))):
-        helped = " ".join(xfreqbench(command, "--help").stdout.split())
-        for limit in limits:
-            assert f"{limit:,}" in helped
-
-
 @pytest.mark.parametrize("words", ["--gaussians 1000001", "--batch 8,1001"])
 def test_measurements_that_would_fill_the_memory_are_refused(words: str) -> None:
     refused = xfreqbench("bench", "render", *words.split())
@@ -157,12 +147,6 @@ def test_carriers_are_read_in_gigahertz() -> None:
     assert len(parse_carriers_hz("paper")) == 10
     with pytest.raises(XFreqBenchError, match="GHz"):
         parse_carriers_hz("one")
-
-
-def test_the_lists_name_scenes_and_methods() -> None:
-    assert "office" in xfreqbench("scenes").stdout
-    assert "surface" in json.loads(xfreqbench("scenes", "--schema").stdout)["properties"]
-    assert "mean-over-frequency" in xfreqbench("methods").stdout
 
 
 def command_names(commands: App, *before: str) -> list[tuple[str, ...]]:
@@ -187,17 +171,6 @@ def test_the_help_of_every_command_ends_with_an_example_that_can_be_given(names:
     words = shlex.split(told.removeprefix("Example: xfreqbench "))
     command, _, _ = app.parse_args(words, exit_on_error=False, print_error=False, help_on_error=False)
     assert command is command_named(names).default_command
-
-
-def test_help_shows_commands_in_groups() -> None:
-    groups = {group.name: group.sort_key for name in app for group in app[name].group}
-    assert sorted(groups, key=groups.get) == [  # type: ignore[arg-type]
-        *("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Options")
-    ]
-    shown = xfreqbench("--help").stdout
-    assert (
-        shown.index("Data") < shown.index("generate") < shown.index("Run methods") < shown.index("Advanced")
-    )
 
 
 @pytest.mark.parametrize("columns", ["0", "1", "2", "-1", "²", "9" * 5000, "1000000000"])

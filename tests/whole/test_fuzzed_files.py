@@ -78,7 +78,3 @@ def test_no_option_text_of_split_ends_in_a_traceback() -> None:
             refused(folder, "split", "-q", *(f"{name}={text}" for name, text in given.items()))
 
     fuzz(NUM_INPUTS["option texts of split"], option_texts(texts, st.nothing()), handed_out)
-
-
-def test_thousands_of_inputs_are_tried() -> None:
-    assert sum(NUM_INPUTS.values()) >= 2000

@@ -13,10 +13,6 @@ TRAINS = "a_method_of_your_own"  # other processors round in other ways, and so 
 TOLERANCE = 0.02  # of numbers that are printed with two digits, and of draws that rounding may tip
 
 
-def test_there_are_three_notebooks() -> None:
-    assert len(NOTEBOOKS) == 3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_prints_what_is_stored_in_it(path: Path, tmp_path: Path) -> None:

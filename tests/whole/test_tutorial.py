@@ -106,8 +106,3 @@ def test_the_package_learns(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert np.median(psnr(predicted, dataset.pas(), dataset.grid)) > 3 + np.median(
         psnr(blind, dataset.pas(), dataset.grid)
     )
-
-
-def test_the_package_takes_forty_lines() -> None:
-    lines = FILES[f"{PACKAGE}/{PACKAGE}.py"].splitlines()
-    assert sum(1 for line in lines if line.strip()) <= 40

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
-from PIL import Image
 
 from tests.support.found_box import SCENE, found_room, slab
 from tests.support.reference import slab_coefficients
 from tests.support.stored_records import make_record
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.findings.compared import ComparedFindings
-from xfreqbench.report.findings.figures import plot_materials
 from xfreqbench.report.findings.materials import (
     ShownMaterial,
     material_rows,
@@ -86,12 +81,3 @@ def test_rows_say_what_paths_tell_of(box: PasDataset) -> None:
         row[header.index("seen")]
         for row in material_rows(shown_materials(compared(box, without_faces)), 1e9)[1]
     } == {"–"}
-
-
-@pytest.mark.parametrize("num_materials", [0, 4])
-def test_the_figure_is_as_wide_as_a_page(box: PasDataset, tmp_path: Path, num_materials: int) -> None:
-    materials = shown_materials(compared(box, found_room()))[:num_materials]
-    plot_materials(materials, [2.4e9, 24.25e9], tmp_path / "reflection.png", "png")
-    with Image.open(tmp_path / "reflection.png") as picture:
-        assert 800 < picture.width < 1300
-        assert picture.height > 300 * num_materials

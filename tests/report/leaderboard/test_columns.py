@@ -7,8 +7,6 @@ from html import unescape
 from math import inf, isnan
 from pathlib import Path
 
-import pytest
-
 from tests.support.leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
 from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.maps.metrics import METRICS
@@ -50,14 +48,6 @@ def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_pat
     for title in shared:
         text = ours[title].replace("<small>", " ").replace("</small>", "").replace("−", "-")
         assert text == written[title], title
-
-
-@pytest.mark.parametrize("names", [RANKING, ONE_SPLIT, PAGE])
-def test_every_column_has_a_hint_and_a_number_to_sort_by_or_words(names: tuple[str, ...]) -> None:
-    columns, rows = columns_of(make_records(), names)
-    for column in columns.values():
-        assert column.hint and all(column.text(row) for row in rows.values())
-    assert [title for title, column in columns.items() if column.value is None] == ["method"]
 
 
 def test_scores_are_sorted_with_the_best_first_and_costs_with_the_least() -> None:

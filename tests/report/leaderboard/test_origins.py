@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.leaderboard_records import leaderboard_markdown, of_three_seeds, rows_of, with_job
 from tests.support.places import ROOT
-from tests.support.stored_records import SPLITS, external, make_record
+from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
@@ -71,12 +71,6 @@ def test_each_row_says_which_machine_and_code_made_it_where_there_are_several() 
     assert "origin" not in alone.partition("## What the columns say")[0]
 
 
-def test_predictions_made_elsewhere_are_of_no_machine() -> None:
-    markdown = leaderboard_markdown([ours(), theirs("third"), external(recipe=RECIPE)])
-    assert "predicted elsewhere, data aaaaaaaa: m1 (commit ?)" in markdown
-    assert rows_of(markdown, "theirs (external)")[0]["origin"] == "m1"  # the labels follow times and ids
-
-
 def test_the_same_method_on_two_machines_is_two_rows_and_a_trivial_predictor_one() -> None:
     seeds = [with_job(ours(ssim=0.9), seed=seed) for seed in range(3)]
     again = [with_job(theirs(ssim=0.7, git_commit=None), seed=seed) for seed in range(3)]
@@ -106,12 +100,6 @@ def test_records_that_test_other_samples_are_refused_and_named() -> None:
     fewer = theirs("third", split_sha256="d" * 64, num_test=99)
     with pytest.raises(DataError, match=r"of office@1-3f9c2ab1 test other samples .* \(100 and 99\)"):
         boards([ours(), fewer])
-
-
-def test_both_solvers_of_a_board_are_named() -> None:
-    traced = {"solver": "sionna", "interactions": ["specular"], "max_depth": 1}
-    markdown = leaderboard_markdown([ours(), theirs("third", settings=traced)])
-    assert "Data set `office@1-3f9c2ab1`: power maps, image and sionna solver, specular, depth 1." in markdown
 
 
 def stored(folder: Path, *records) -> Path:

@@ -11,7 +11,7 @@ from tests.support.leaderboard_records import make_bench, make_followed, make_re
 from tests.support.stored_records import make_record
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.methods.contract import LANES
-from xfreqbench.report.leaderboard.report import BEGIN, END, leaderboard_summary, write_report
+from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.runs.records import RunRecord, append
 
 ABLATION = "ours (rank=2)"
@@ -70,17 +70,6 @@ def test_the_matrix_of_skill_has_the_skill_of_each_board(results: Path, tmp_path
     write_report(results, tmp_path / "B.md", tmp_path / "all")
     matrix = rows_of((tmp_path / "B.md").read_text("utf-8"), "ours")[-1]
     assert matrix == {"method": "ours", "corridor, lofo": "–", "office, lofo": "0.500"}
-
-
-def test_every_table_of_a_protocol_has_the_error_of_the_angle_and_says_what_it_is(
-    results: Path, tmp_path: Path
-) -> None:
-    write_report(results, tmp_path / "B.md", tmp_path / "all")
-    short, scene = (path.read_text("utf-8") for path in (tmp_path / "B.md", tmp_path / "all" / "office.md"))
-    for text in (short, scene):
-        assert rows_of(text, "ours")[0]["AoA error (°)"] == "0.95"  # as `make_records` has it
-        assert text.count("* **AoA error (°)**: ") == 1
-    assert "AoA error (°)" not in leaderboard_summary(records_of("office"))  # of a terminal's width
 
 
 def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) -> None:

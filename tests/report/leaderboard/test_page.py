@@ -19,7 +19,6 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import map_png
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.rows import median_ssim
 from xfreqbench.runs.records import append
@@ -208,51 +207,9 @@ def test_a_picture_is_small_and_a_palette_of_its_colours() -> None:
     }
 
 
-def test_methods_without_predictions_are_named_with_the_command_that_makes_them(html: str) -> None:
-    missing = content_of(html)["boards"][0]["gallery"]["missing"]
-    assert all(name in missing for name in (HOSTILE, "quick"))
-    assert "xfreqbench run --data" in missing and "nearest" not in missing
-
-
-def test_without_the_data_set_the_gallery_says_what_makes_it(tmp_path: Path) -> None:
-    append(tmp_path / "records.jsonl", make_record())
-    html = write_page(tmp_path / "records.jsonl", tmp_path / "page.html").read_text()
-    assert "xfreqbench generate office -o data.h5" in content_of(html)["boards"][0]["gallery"]["missing"]
-
-
-def test_the_caption_says_whether_tested_transmitters_were_trained_on(tmp_path: Path) -> None:
-    apart = make_record(protocol="held-out-tx", shares_transmitters=False, nearest_trained_m=0.5)
-    for record in (make_record(), apart):
-        append(tmp_path / "records.jsonl", record)
-    html = write_page(tmp_path / "records.jsonl", tmp_path / "page.html").read_text()
-    for board in boards([make_record(), apart]):
-        assert leak_statement(board) in html
-
-
-def test_a_measurement_stands_as_it_was_printed(html: str) -> None:
-    table = Tables(html).tables[-1]
-    assert [[text for text, _ in row] for row in table] == [
-        ["rays", "error"],
-        ["10", "1"],
-        ["100", "0.5"],
-        ["1000", "0.333"],
-    ]
-    assert "Error of the maps &lt;against&gt; time" in html
-
-
 def test_a_page_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="holds no records"):
         write_page(tmp_path, tmp_path / "page.html")
-
-
-def test_an_ablation_of_one_carrier_has_its_place_on_the_page(tmp_path: Path) -> None:
-    splits = ("lofo-2.4GHz", "lofo-24.25GHz")
-    ablation = make_record("ours", 0.7, splits[1])
-    for record in (*(make_record("nearest", 0.8, split) for split in splits), ablation):
-        append(tmp_path / "records.jsonl", record)
-    html = write_page(tmp_path / "records.jsonl", tmp_path / "page.html").read_text()
-    assert 'data-label="ours"' in html
-    assert "ours" in content_of(html)["boards"][0]["sets"][1]["rows"]
 
 
 def test_an_external_row_is_a_family_of_its_own_whose_unknown_costs_are_no_numbers(tmp_path: Path) -> None:

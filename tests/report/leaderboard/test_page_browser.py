@@ -78,12 +78,6 @@ def test_a_click_sorts_by_the_numbers_and_a_second_one_turns_the_order(page) -> 
     assert column(page, "fit s") == seconds[::-1]
 
 
-def test_scores_are_first_sorted_with_the_best_on_top(page) -> None:
-    head(page, "24.25GHz").locator("button").click()
-    scores = column(page, "24.25GHz")
-    assert scores == sorted(scores, reverse=True)
-
-
 def test_the_keyboard_sorts_too(page) -> None:
     head(page, "method").locator("button").focus()
     page.keyboard.press("Enter")
@@ -152,12 +146,6 @@ def test_the_metric_of_the_distributions_can_be_chosen(page) -> None:
     page.select_option("#metric", "aoa_error")
     assert page.locator("#cdfs svg").first.inner_html() != before
     assert "AoA error (°)" in page.locator("#cdfs svg").first.inner_html()
-
-
-def test_a_focused_point_tells_its_numbers(page) -> None:
-    page.locator('#pareto .point[data-row="quick"]').focus()
-    tip = page.locator("#tip").inner_text()
-    assert tip.startswith("quick\naverage median SSIM 0.7500 [") and "4 s of fitting" in tip
 
 
 def test_a_hostile_name_is_shown_as_it_is(page) -> None:

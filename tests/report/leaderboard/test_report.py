@@ -30,23 +30,6 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_the_report_links_its_figures(tmp_path: Path) -> None:
-    store_all(tmp_path)
-    output, *figures = write_report(tmp_path, tmp_path / "BENCHMARK.md").paths
-    assert [path.name for path in figures] == [
-        "office-lofo-aaaaaaaa-cdf.svg",
-        "office-lofo-aaaaaaaa-64steps-cdf.svg",
-        "office-lofo-aaaaaaaa-64steps-time.svg",
-        "bench-generate-error-against-run-time.svg",
-    ]
-    for figure in figures:
-        assert f"](figures/{figure.name})" in output.read_text()
-    cdf, _, time, bench = (figure.read_text() for figure in figures)
-    assert "mean-over-frequency" in cdf
-    assert "ours (≤ 64 steps)" in time
-    assert "ms a sample" in bench
-
-
 def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_path: Path) -> None:
     store_all(tmp_path)
     output = tmp_path / "BENCHMARK.md"
@@ -56,12 +39,6 @@ def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_p
         file.write('{"id": "cut o')
     assert write_report(tmp_path, output).num_truncated == 1
     assert output.read_bytes() == whole
-
-
-def test_a_report_is_made_from_one_file_of_records_too(tmp_path: Path) -> None:
-    store_all(tmp_path / "results")
-    path = tmp_path / "results" / "records.jsonl"
-    assert write_report(path, tmp_path / "out" / "BENCHMARK.md").paths[0].exists()
 
 
 def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import SPLITS, make_record
-from xfreqbench.cli.runs import compare
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.side_by_side import compare_results, records_at
 from xfreqbench.runs.records import RunRecord, append
@@ -95,13 +94,6 @@ def test_the_only_rows_of_both_are_compared_whatever_they_are(tmp_path: Path) ->
     assert rows_of(compare_results(a, b), "ours and theirs")
 
 
-def test_few_seeds_are_said_to_be_few(tmp_path: Path) -> None:
-    several = of_three_seeds("ours", 0.0, 1)
-    a, b = stored(tmp_path / "a", several[:1]), stored(tmp_path / "b", several)
-    assert "Of fewer than 3 seeds: ours." in compare_results(a, b)
-    assert "fewer than" not in compare_results(b, b)
-
-
 def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
     folder = stored(tmp_path / "results", make_records())
     assert {record.job.method for record in records_at(folder / "ours")} == {"ours"}
@@ -145,11 +137,3 @@ def test_other_samples_of_one_recipe_are_not_paired(tmp_path: Path) -> None:
     b = stored(tmp_path / "b", [make_record("ours", **of_recipe, **others)])
     with pytest.raises(DataError, match="test other samples on the split"):
         compare_results(a, b)
-
-
-def test_the_command_prints_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    a = stored(tmp_path / "a", [make_record("ours")])
-    compare(a, a / "records.jsonl")
-    printed = capsys.readouterr().out
-    assert printed.startswith(f"A: {a}, B: {a / 'records.jsonl'}")
-    assert "office · lofo" in printed

@@ -74,17 +74,6 @@ def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
     assert rows_of(of_splits[0], "lucky")
 
 
-def test_the_order_in_which_splits_were_run_makes_no_table_of_its_own() -> None:
-    later = [
-        make_record("ours", 0.95, split).model_copy(update={"time_utc": f"2026-01-02T00:00:0{second}+00:00"})
-        for second, split in enumerate(SPLITS[::-1])
-    ]
-    assert (
-        leaderboard_markdown([*make_records()[:4], *make_records()[5:], *later]).count("best average first")
-        == 1
-    )
-
-
 def test_targets_stand_in_order_of_frequency() -> None:
     assert boards(make_records()[::-1])[0].splits == SPLITS
 
@@ -127,20 +116,6 @@ def test_a_trivial_predictor_with_other_options_sets_no_skill() -> None:
     markdown = leaderboard_markdown([*make_records()[:4], tuned, make_record("ours", 0.95, SPLITS[0])])
     assert rows_of(markdown, "ours")[0]["skill"] == "0.500"
     assert rows_of(markdown, "mean-over-frequency (num_nearest=3)")[0]["skill"] == "0.900"
-
-
-def test_sets_of_different_kinds_of_map_have_different_headings() -> None:
-    records = [make_record(), make_record(pas_kind="amplitude", dataset_sha256="c" * 64)]
-    markdown = leaderboard_markdown(records)
-    assert "## office · lofo · power maps\n" in markdown
-    assert "## office · lofo · amplitude maps\n" in markdown
-
-
-def test_the_summary_for_a_terminal_is_a_table_for_each_board() -> None:
-    records = [make_record(), make_record(pas_kind="amplitude", dataset_sha256="c" * 64)]
-    summary = leaderboard_summary(records)
-    assert summary.count("| method") == 2
-    assert "office · lofo · amplitude maps. Tested" in summary
 
 
 def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
@@ -213,10 +188,6 @@ def test_of_trivial_predictors_only_the_best_is_paired_with_methods() -> None:
     assert "| 2 line-of-sight " in leaderboard_markdown(trivial).partition("× 1000")[2]
 
 
-def test_one_ranked_row_has_nothing_to_be_paired_with() -> None:
-    assert "× 1000" not in leaderboard_markdown(of_three_seeds("ours", 0.0, 10))
-
-
 def test_samples_give_the_score_and_the_skill_an_interval() -> None:
     row = rows_of(
         leaderboard_markdown(
@@ -254,36 +225,6 @@ def test_splits_on_which_fewer_methods_were_run_are_folded() -> None:
     assert "### 77GHz" in opened
     assert "### 94GHz" in folded.partition("</details>")[0]
     assert "<details>" not in leaderboard_markdown(make_records())
-
-
-def test_measurements_stand_under_their_headings_with_command_machine_and_date() -> None:
-    benches = [
-        make_bench(name, f"table of {name}")
-        for name in ("odd", "stress", "savings", "render", "plain", "generate")
-    ]
-    markdown = leaderboard_markdown(make_records(), benches)
-    headings = [line[3:] for line in markdown.splitlines() if line.startswith("## ")]
-    assert headings[1:-1] == [
-        "Generator",
-        "Rendering and training",
-        "Savings",
-        "Stress",
-        "Other measurements",
-    ]
-    assert (
-        "### table of render\n\n    xfreqbench bench render\n\nTwo columns.\n\n"
-        "| setting |  ms |\n| ------- | --: |\n| image   | 1.5 |\n\n"
-        "AMD EPYC, 2 cores; commit 0123456; 2026-01-01." in markdown
-    )
-
-
-def test_what_was_run_comes_first() -> None:
-    markdown = leaderboard_markdown(
-        make_records(), [make_bench("benchmark", "What was run", note="Left out: none.")]
-    )
-    assert markdown.startswith(
-        "## What was run\n\n    xfreqbench bench benchmark\n\nLeft out: none.\n\n| setting"
-    )
 
 
 def test_of_a_measurement_taken_twice_the_later_counts() -> None:

@@ -52,17 +52,6 @@ def brightness(colour: Any) -> float:
     return float(np.dot(colour[:3], (0.299, 0.587, 0.114)))
 
 
-def test_maps_say_which_transmitter_it_is_where_it_stands_and_of_which_data(
-    dataset: PasDataset, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    for tx, sight in ((ONE_LIT_TX, "in sight"), (ONE_SHADOWED_TX, "in shadow")):
-        plot(dataset.path, output=tmp_path / "maps.png", tx=tx)
-        x, y, z = dataset.tables["tx_position_m"][tx]
-        title = f"room.h5, scene screened\ntransmitter {tx} at ({x:.2f}, {y:.2f}, {z:.2f}) m, {sight}"
-        assert drawn[-1].get_suptitle() == title
-        assert [axis.get_title() for axis in panels(drawn[-1])] == ["2.4 GHz", "24.25 GHz", "77 GHz"]
-
-
 def test_chosen_carriers_are_drawn_in_their_order_with_their_own_maps(
     dataset: PasDataset, tmp_path: Path, drawn: list[Figure]
 ) -> None:

@@ -11,7 +11,6 @@ import trimesh
 from tests.support.screened_room import ONE_LIT_TX, SCENE, store
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.view.plan import ViewPlan, plan_view
-from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.report.view.write import room_model
 from xfreqbench.scene.meshes import surface_meshes, write_mitsuba
 
@@ -71,15 +70,6 @@ def test_a_group_without_a_member_is_no_node(view: ViewPlan, tmp_path: Path) -> 
     room_model(replace(view.room, in_sight=lit)).write(tmp_path / "lit.glb")
     nodes = set(trimesh.load_scene(tmp_path / "lit.glb").graph.nodes_geometry)
     assert "transmitters in sight" in nodes and "transmitters in shadow" not in nodes
-
-
-def test_a_room_groups_its_transmitters_by_sight(view: ViewPlan) -> None:
-    room: ShownRoom = view.room
-    assert {name: len(members) for name, members in room.groups().items()} == {
-        "transmitters in sight": int(np.sum(room.in_sight)),
-        "transmitters in shadow": int(np.sum(~np.asarray(room.in_sight))),
-    }
-    assert list(replace(room, in_sight=None).groups()) == ["transmitters"]
 
 
 def test_meshes_beside_the_data_are_drawn_and_others_are_not(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from tests.support.screened_room import SCENE
 from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import lofo
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.document import Picture, is_of_subject
@@ -60,19 +59,6 @@ def test_equal_data_give_equal_files(folder: Path, view: ViewPlan, tmp_path: Pat
 def page_text(folder: Path) -> str:
     """What a reader sees."""
     return unescape(re.sub(r"<[^>]+>", " ", (folder / "index.html").read_text().partition("<body")[2]))
-
-
-def test_the_page_tells_what_the_data_set_holds(folder: Path, dataset: PasDataset) -> None:
-    text = page_text(folder)
-    lit = int(dataset.tables["line_of_sight"].sum())
-    assert f"{lit} in sight of the receiver, {dataset.header.num_tx - lit} in shadow" in text
-    assert dataset.sha256 in text and dataset.header.scene_sha256 in text
-    assert "image solver, specular, refraction, depth 2, 20,000 rays, seed 1" in text
-    assert SCENE.description in text
-    assert "reflected by ceiling" in text
-    for split in lofo(dataset):
-        assert re.search(rf"{split.name}\s+{len(split.train):,}\s+{len(split.test):,}\s", text)
-    assert "Protocol 'sparse' needs 1, 10, 37, 60, 94 GHz" in text
 
 
 def test_the_page_s_lines_of_python_load_the_data(
