@@ -141,11 +141,6 @@ def test_attributes_of_the_root_hold_for_groups_that_say_nothing_else(
     assert [record.job.seed for record in records] == [5, 5, 6]
 
 
-def test_a_name_can_be_given_anew(dataset: PasDataset, predictions: Path, tmp_path: Path) -> None:
-    records = score_file(predictions, dataset.path, tmp_path / "results", method="yours").records
-    assert {record.job.method for record in records} == {"yours"}
-
-
 def test_predictions_named_as_a_built_in_method_stay_a_row_of_their_own_and_count_as_no_baseline(
     dataset: PasDataset, predictions: Path, tmp_path: Path
 ) -> None:

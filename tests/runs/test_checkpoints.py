@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,11 +17,10 @@ from tests.support.descent import (
     DescentConfig,
     Forgetful,
     curve,
+    killed_after_three_checkpoints,
     make_job,
     maps,
-    wait_for_third,
 )
-from tests.support.places import ROOT
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
@@ -67,15 +62,9 @@ def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(
 ) -> None:
     unbroken = run_job(make_job(dataset), tmp_path / "unbroken")
     results = tmp_path / "killed"
-    code = f"from tests.support import descent; descent.fit_slowly({str(dataset.path)!r}, {str(results)!r})"
-    here = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here})
+    code = f"from tests.support import descent; descent.fit_half({str(dataset.path)!r}, {str(results)!r})"
     folder = CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id)
-    wait_for_third(folder, process)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    saved = folder.read()
-    assert saved is not None
+    saved = killed_after_three_checkpoints(code, folder)
     assert not (results / "records.jsonl").exists()
 
     Descent.num_steps_done = 0

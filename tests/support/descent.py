@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import subprocess
+import sys
 import time
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -13,10 +16,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from tests.support.places import ROOT
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import checkpoints
-from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.checkpoints import Checkpoint, CheckpointFolder
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.run import Job, RunRecord, run_job
 
@@ -35,6 +39,7 @@ class Descent:
     num_steps_done: ClassVar[int] = 0
     pause_s: ClassVar[float] = 0.0
     interrupt_at: ClassVar[int | None] = None
+    waits_at: ClassVar[int | None] = None
 
     def __init__(self, config=DescentConfig()):
         self.config = config
@@ -62,7 +67,7 @@ class Descent:
         return float((gradient**2).mean())
 
     def _interrupt(self):
-        time.sleep(self.pause_s)
+        time.sleep(3600 if self.step == self.waits_at else self.pause_s)
         if self.step == self.interrupt_at:
             raise KeyboardInterrupt
 
@@ -105,19 +110,26 @@ def make_job(dataset: PasDataset, name: str = "Descent", max_steps: int = NUM_ST
     return Job(str(dataset.path), method, "lofo", "lofo-24.25GHz", budget=Budget(max_steps), **options)
 
 
-def fit_slowly(path: str, results: str) -> None:
-    """What the process that is killed runs: two seconds of fitting, saved twenty times a second."""
+def fit_half(path: str, results: str) -> None:
+    """What the process that is killed runs: half of the steps, saved every 0.05 s, and then it waits for its end."""
     checkpoints.CHECKPOINT_SECONDS = 0.05
     Descent.pause_s = 0.01
+    Descent.waits_at = NUM_STEPS // 2
     run_job(make_job(open_dataset(Path(path))), Path(results))
 
 
-def wait_for_third(folder: CheckpointFolder, process: subprocess.Popen[bytes]) -> None:
-    ends_s = time.monotonic() + 60  # it takes three
+def killed_after_three_checkpoints(code: str, folder: CheckpointFolder) -> Checkpoint:
+    """What the newest checkpoint of a fit holds that is made by some code in a process of its own, and killed."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([sys.executable, "-c", code], env=environment)
     while (newest := folder.newest()) is None or int(newest.name) < 3:
         assert process.poll() is None, "the fit ended before it could be killed"
-        assert time.monotonic() < ends_s, f"{folder} has no third checkpoint"
         time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    saved = folder.read()
+    assert saved is not None
+    return saved
 
 
 def maps(results: Path, record: RunRecord) -> bytes:

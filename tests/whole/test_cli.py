@@ -40,12 +40,6 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
     assert done.stdout.rstrip().endswith("loaded []")
 
 
-def test_every_option_of_generate_states_its_unit_or_choices() -> None:
-    text = xfreqbench("generate", "--help").stdout
-    for word in ("GHz", "metres", "power, amplitude or phase-only", "specular, refraction, diffraction"):
-        assert word in " ".join(text.replace("│", " ").split())
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -186,9 +180,7 @@ for command in {command_names(app)!r}:
         assert not end.code, (command, end.code)
 """
     environment = {**os.environ, "COLUMNS": columns}
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60
-    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr[-2000:]
     assert max(map(len, done.stdout.splitlines())) <= 1000
 
@@ -200,7 +192,7 @@ def test_an_interruption_in_a_callback_of_the_garbage_collector_counts() -> None
 
     with pytest.raises(KeyboardInterrupt), interruptions_kept():
         Interrupted()
-        for _ in range(1000):  # until the interpreter looks for signals
+        while True:  # until the interpreter looks for signals
             time.sleep(0.001)
 
 

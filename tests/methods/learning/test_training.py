@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +17,7 @@ from xfreqbench.baselines.frequency_embedded_gs import FrequencyEmbeddedGS
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
-from tests.support.descent import curve, maps, wait_for_third
-from tests.support.places import ROOT
+from tests.support.descent import curve, killed_after_three_checkpoints, maps
 from tests.support.synthetic import write_dataset
 from tests.support.training import DIVIDING, TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
@@ -320,12 +316,15 @@ def killed_job(path: Path) -> Job:
     )
 
 
-def fit_slowly(path: str, results: str) -> None:
-    """What the process that is killed runs: at least two seconds of fitting, saved at every step."""
+def fit_half(path: str, results: str) -> None:
+    """What the process that is killed runs: half of the steps, saved at each, and then it waits for its end."""
     torch.set_num_threads(1)
     checkpoints.CHECKPOINT_SECONDS = 0.0
-    compute = learned.map_loss
-    learned.map_loss = lambda *args: (time.sleep(0.015), compute(*args))[1]
+    compute, steps = learned.map_loss, count(1)
+    learned.map_loss = lambda *args: (
+        time.sleep(3600) if next(steps) > NUM_KILLED_STEPS / 2 else None,
+        compute(*args),
+    )[1]
     run_job(killed_job(Path(path)), Path(results))
 
 
@@ -334,16 +333,10 @@ def test_a_fit_killed_in_the_middle_ends_in_the_predictions_of_an_unbroken_one(
 ) -> None:
     unbroken = run_job(killed_job(dataset.path), tmp_path / "unbroken")
     results = tmp_path / "killed"
-    call = f"fit_slowly({str(dataset.path)!r}, {str(results)!r})"
+    call = f"fit_half({str(dataset.path)!r}, {str(results)!r})"
     code = f"from tests.methods.learning import test_training; test_training.{call}"
-    here = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here})
     folder = CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id)
-    wait_for_third(folder, process)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    saved = folder.read()
-    assert saved is not None
+    saved = killed_after_three_checkpoints(code, folder)
     assert 3 <= saved.step < NUM_KILLED_STEPS
 
     resumed = run_job(killed_job(dataset.path), results)

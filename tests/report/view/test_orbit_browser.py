@@ -73,7 +73,7 @@ def test_the_wheel_scrolls_the_page_until_the_viewer_is_clicked(browser, folder:
         box = page.locator("#orbit canvas").bounding_box()
         page.mouse.move(box["x"] + 50, box["y"] + 50)
         page.mouse.wheel(0, 300)
-        page.wait_for_timeout(500)
+        page.evaluate("new Promise(done => scrollY > 0 ? done() : addEventListener('scroll', () => done()))")
         assert page.evaluate("scrollY") > 0
 
 
