@@ -6,15 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.leaderboard_records import leaderboard_markdown
-from tests.support.stored_records import make_record
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import MethodError, StorageError
-from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.trivial import NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.runs.run import Job, run_job, run_jobs
+from xfreqbench.runs.run import Job, run_job
 
 METHOD = """
 from dataclasses import dataclass, field
@@ -66,44 +60,3 @@ def test_an_edited_method_is_run_again_and_sees_no_test_channel(
     method_file.write_text(method_file.read_text().replace("0.25", "0.75"))
     job = Job(str(dataset.path), "flat_one:Flat", "lofo", "lofo-24.25GHz")
     assert run_job(job, tmp_path / "results").id != records[0].id
-
-
-def test_a_method_that_fails_is_named_with_what_it_raised(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    method = own_method(tmp_path, "broken", METHOD, monkeypatch)  # LEVEL is not defined
-    with pytest.raises(MethodError, match=r"broken:Flat.*NameError"):
-        run_job(Job(str(dataset.path), method, "lofo", "lofo-24.25GHz"), tmp_path / "results")
-
-
-def test_a_results_folder_that_cannot_be_is_refused_before_the_fit(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
-    (tmp_path / "results").write_text("a file")
-    with pytest.raises(StorageError):
-        run_jobs([Job(str(dataset.path), "nearest", "lofo", "lofo-24.25GHz")], tmp_path / "results")
-    assert [path.name for path in tmp_path.iterdir()] == ["results"]
-
-
-def test_skill_and_labels_of_trivial_predictors_ignore_budget_and_seed() -> None:
-    hurried = [
-        make_record(name, 0.8, "lofo-2.4GHz").model_copy(
-            update={
-                "job": Job("data.h5", name, "lofo", "lofo-2.4GHz", seed=3, budget=Budget(max_seconds=300))
-            }
-        )
-        for name in NEEDED_TRIVIAL
-    ]
-    (board,) = boards(hurried)
-    assert [row.label for row in board.rows] == sorted(NEEDED_TRIVIAL)
-    assert board.skill(make_record("ours", 0.9, "lofo-2.4GHz")) == pytest.approx(0.5)
-
-
-def test_every_board_says_kind_settings_and_machine() -> None:
-    markdown = leaderboard_markdown([make_record("nearest", 0.8, "lofo-2.4GHz")])
-    for word in ("power", "image", "specular"):
-        assert word in markdown
-    other = make_record("nearest", 0.8, "lofo-2.4GHz").model_copy(
-        update={"pas_kind": "amplitude", "dataset_sha256": "b" * 64}
-    )
-    assert "amplitude" in leaderboard_markdown([other])

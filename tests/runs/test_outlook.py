@@ -10,7 +10,7 @@ from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.outlook import OVERHEAD_S, Outlook, in_hours, outlook
+from xfreqbench.runs.outlook import in_hours, outlook
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
 
@@ -59,15 +59,6 @@ def test_finished_runs_take_no_time(dataset: PasDataset, tmp_path: Path) -> None
     assert str(ahead) == "2 runs, 1 of them finished before: 1 to run, up to 1 min, one at a time"
     run_jobs(jobs, tmp_path)
     assert str(outlook(jobs, tmp_path)) == "2 runs, 2 of them finished before: nothing is left to run"
-
-
-def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
-    fits = [job(dataset, "aperture-gs", Budget(max_seconds=300.0)), job(dataset, "aperture-gs")]
-    steps, trivial = job(dataset, "aperture-gs", Budget(max_steps=9)), job(dataset, "nearest", fits[0].budget)
-    assert Outlook(1, (fits[0],)).seconds == 300 + OVERHEAD_S
-    assert Outlook(1, (trivial,)).seconds == Outlook(1, (steps,)).seconds == OVERHEAD_S
-    assert "2 fits without a budget in seconds come on top" in str(Outlook(3, (*fits, steps)))
-    assert "of run time, shared by the workers of the cluster" in str(Outlook(1, (fits[0],), None))
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(0, "1 min"), (420, "7 min"), (7500, "2 h 05 min")])

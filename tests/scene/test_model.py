@@ -10,7 +10,7 @@ from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry, check_overlaps
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
-from xfreqbench.scene.model import Scene, load_scene, parse_scene, scene_schema, shipped_scenes
+from xfreqbench.scene.model import Scene, load_scene, parse_scene, shipped_scenes
 from xfreqbench.scene.placement import (
     check_receiver,
     check_transmitters,
@@ -237,7 +237,3 @@ def test_the_digest_follows_geometry_and_material() -> None:
     assert digest(parse_scene(BOX)) == digest(parse_scene(BOX))
     assert digest(parse_scene(BOX)) != digest(parse_scene(BOX.replace("0.2\n", "0.3\n")))
     assert digest(parse_scene(BOX)) != digest(parse_scene(BOX.replace('"concrete"', '"glass"')))
-
-
-def test_a_scene_file_has_a_schema_for_editors() -> None:
-    assert "surface" in scene_schema()["properties"]

@@ -11,7 +11,7 @@ from tests.support.leaderboard_records import make_bench, make_followed, make_re
 from tests.support.stored_records import make_record
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.methods.contract import LANES
-from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
+from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.runs.records import RunRecord, append
 
 ABLATION = "ours (rank=2)"
@@ -92,17 +92,6 @@ def test_the_stability_suite_is_summed_up_by_area(results: Path, tmp_path: Path)
     assert rows_of((tmp_path / "B.md").read_text("utf-8"), "phase") == [
         {"area": "phase", "cases": "9", "failed": "1"}
     ]
-
-
-def test_what_stands_around_the_generated_part_of_a_page_is_kept(results: Path, tmp_path: Path) -> None:
-    page = tmp_path / "all" / "office.md"
-    page.parent.mkdir()
-    page.write_text(f"# The office\n\nMine.\n\n{BEGIN}\n{END}\n\nMine too.\n", encoding="utf-8")
-    write_report(results, tmp_path / "B.md", tmp_path / "all")
-    text = page.read_text("utf-8")
-    assert text.startswith("# The office\n\nMine.\n")
-    assert text.endswith("\nMine too.\n")
-    assert rows_of(text, "ours")
 
 
 def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:

@@ -76,15 +76,6 @@ def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
     assert "\nold\n" not in text
 
 
-def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
-    store_all(tmp_path)
-    output = tmp_path / "NOTES.md"
-    output.write_text("mine")
-    with pytest.raises(OutputExistsError, match="no generated part"):
-        write_report(tmp_path, output)
-    assert output.read_text() == "mine"
-
-
 def test_a_report_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="holds no records"):
         write_report(tmp_path, tmp_path / "BENCHMARK.md")
