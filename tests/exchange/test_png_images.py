@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,10 @@ from xfreqbench.exchange.png_images import MAX_PIXELS, read_levels, shape_of, wr
 @pytest.mark.parametrize("side", [1001, 12_000, 20_000])  # Pillow warns of the second, and refuses the third
 def test_a_map_of_too_many_pixels_is_refused_before_it_takes_memory(tmp_path: Path, side: int) -> None:
     path = tmp_path / "00001.png"
-    Image.new("L", (side, side)).save(path)
+    Image.new("L", (1, 1)).save(path)
+    header = b"IHDR" + struct.pack(">II", side, side) + b"\x08\x00\x00\x00\x00"  # as of so many pixels
+    content = path.read_bytes()
+    path.write_bytes(content[:12] + header + struct.pack(">I", zlib.crc32(header)) + content[33:])
     for read in (shape_of, read_levels):
         with pytest.raises(DataError, match=f"00001\\.png has more than {MAX_PIXELS:,} pixels"):
             read(path)

@@ -114,8 +114,8 @@ def test_a_plane_left_out_is_missed_in_the_found_planes_alone(
 def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path: Path) -> None:
     """Behind the screen there is little else, and with its edges the true paths give the true map again."""
     settings = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, num_transmitters=NUM_TX)
-    diffracted = residual_of(open_dataset(generate_planned(plan, tmp_path / "box.h5")), tmp_path)
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, num_transmitters=4)
+    diffracted = residual_of(open_dataset(generate_planned(plan, tmp_path / "box.h5")), tmp_path, num_tx=4)
     edges, none = ssim_of(diffracted, EVERYTHING), ssim_of(diffracted, Selection())
     assert edges.min() > 0.95
     assert np.median(edges) > np.median(none)
