@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.support.furnished_room import furnished_room
-from xfreqbench.bench.patches import FINEST, SIZES, PatchErrors, bench_patches, num_patches, plan_patches
+from xfreqbench.bench import patches
+from xfreqbench.bench.patches import FINEST, PatchErrors, bench_patches, num_patches, plan_patches
 from xfreqbench.bench.tables import Bench
 from xfreqbench.cli import measure
 from xfreqbench.errors import SceneError
@@ -19,9 +20,13 @@ from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.types import ignore_progress
 
 CARRIERS_HZ = [2.4e9, 24.25e9]
+SIZES = PatchSize(0.005, 0.1), PatchSize(0.2, 0.2), PatchSize(1.0, 0.5)
 
 
-def test_each_row_compares_channels_that_are_traced_with_its_own_least_patch(tmp_path: Path) -> None:
+def test_each_row_compares_channels_that_are_traced_with_its_own_least_patch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(patches, "SIZES", SIZES)
     scene = furnished_room(tmp_path, subdivisions=1)
     plan = plan_patches(scene, CARRIERS_HZ, 1)
     said: list[str] = []
