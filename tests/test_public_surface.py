@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from importlib import import_module
@@ -34,8 +33,7 @@ PUBLIC = [
     "metrics",
     "errors",
 ]
-MAX_IMPORT_MS = 50
-HEAVY = ("numpy", "torch", "h5py", "pydantic", "xfreqbench.data")
+HEAVY = ("numpy", "torch", "h5py", "pydantic")
 
 
 def test_the_public_names_are_these() -> None:
@@ -60,14 +58,9 @@ def test_a_name_that_there_is_not_is_an_attribute_error() -> None:
         _ = xb.no_such_name  # type: ignore[attr-defined]
 
 
-def test_the_import_is_quick_and_brings_nothing_heavy() -> None:
-    program = f"import sys, xfreqbench; print([name for name in {HEAVY} if name in sys.modules])"
-    times_ms = []
-    for _ in range(3):  # another process may be in the way of one of them
-        done = subprocess.run(
-            [sys.executable, "-X", "importtime", "-c", program], capture_output=True, text=True
-        )
-        assert done.stdout.strip() == "[]"
-        (total_us,) = re.findall(r"\| +(\d+) \| xfreqbench$", done.stderr, re.MULTILINE)
-        times_ms.append(int(total_us) / 1000)
-    assert min(times_ms) < MAX_IMPORT_MS
+def test_the_import_brings_no_module_of_ours_and_nothing_heavy() -> None:
+    program = "import sys, xfreqbench; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert not set(HEAVY) & set(loaded)
+    assert [name for name in loaded if name.startswith("xfreqbench")] == ["xfreqbench"]
