@@ -25,9 +25,9 @@ def records_of(scene: str) -> list[RunRecord]:
     ]
 
 
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    folder = tmp_path / "results"
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
     stress = make_bench(
         "stress",
         "Numerical stability",
@@ -40,35 +40,32 @@ def results(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_short_report_leaves_ablations_to_the_pages_of_scenes(results: Path, tmp_path: Path) -> None:
-    short, *pages = (
-        path
-        for path in write_report(results, tmp_path / "B.md", tmp_path / "all").paths
-        if path.suffix == ".md"
-    )
-    assert [page.relative_to(tmp_path).as_posix() for page in pages] == [
-        "all/corridor.md",
-        "all/office.md",
-        "all/measurements.md",
-    ]
-    texts = {page.stem: page.read_text("utf-8") for page in (short, *pages)}
+@pytest.fixture(scope="module")
+def written(results: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    """The pages of a short report, `B.md` the first."""
+    folder = tmp_path_factory.mktemp("report")
+    paths = write_report(results, folder / "B.md", folder / "docs" / "all").paths
+    return tuple(path for path in paths if path.suffix == ".md")
+
+
+def test_a_short_report_leaves_ablations_to_the_pages_of_scenes(written: tuple[Path, ...]) -> None:
+    texts = {page.stem: page.read_text("utf-8") for page in written}
+    assert list(texts) == ["B", "corridor", "office", "measurements"]
     assert rows_of(texts["office"], ABLATION)
     assert not rows_of(texts["B"], ABLATION)
     assert len(texts["B"].splitlines()) < len(texts["office"].splitlines())
     assert "Error against run time" in texts["measurements"]
 
 
-def test_every_link_of_a_short_report_leads_to_a_file(results: Path, tmp_path: Path) -> None:
-    for page in write_report(results, tmp_path / "B.md", tmp_path / "docs" / "all").paths:
-        if page.suffix == ".md":
-            links = re.findall(r"\]\(([^)]+)\)", page.read_text("utf-8"))
-            assert links or page.stem == "corridor"
-            assert all((page.parent / link).is_file() for link in links), links
+def test_every_link_of_a_short_report_leads_to_a_file(written: tuple[Path, ...]) -> None:
+    for page in written:
+        links = re.findall(r"\]\(([^)]+)\)", page.read_text("utf-8"))
+        assert links or page.stem == "corridor"
+        assert all((page.parent / link).is_file() for link in links), links
 
 
-def test_the_matrix_of_skill_has_the_skill_of_each_board(results: Path, tmp_path: Path) -> None:
-    write_report(results, tmp_path / "B.md", tmp_path / "all")
-    matrix = rows_of((tmp_path / "B.md").read_text("utf-8"), "ours")[-1]
+def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ...]) -> None:
+    matrix = rows_of(written[0].read_text("utf-8"), "ours")[-1]
     assert matrix == {"method": "ours", "corridor, lofo": "–", "office, lofo": "0.500"}
 
 
@@ -87,11 +84,8 @@ def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) 
     assert gains == {"ours": "+0.0012, flat", "theirs": "+0.0100", "worse": "-0.0100, flat", "hasty": "–"}
 
 
-def test_the_stability_suite_is_summed_up_by_area(results: Path, tmp_path: Path) -> None:
-    write_report(results, tmp_path / "B.md", tmp_path / "all")
-    assert rows_of((tmp_path / "B.md").read_text("utf-8"), "phase") == [
-        {"area": "phase", "cases": "9", "failed": "1"}
-    ]
+def test_the_stability_suite_is_summed_up_by_area(written: tuple[Path, ...]) -> None:
+    assert rows_of(written[0].read_text("utf-8"), "phase") == [{"area": "phase", "cases": "9", "failed": "1"}]
 
 
 def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:
