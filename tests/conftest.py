@@ -16,17 +16,6 @@ from tests.support.typechecking import calls, check_first_calls
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
-    "xfreqbench.tracing.image.box_tree_kernels",
-    "xfreqbench.tracing.image.bundle_kernels",
-    "xfreqbench.tracing.image.diffraction_kernels",
-    "xfreqbench.tracing.image.edge_field_kernels",
-    "xfreqbench.tracing.image.edge_path_kernels",
-    "xfreqbench.tracing.image.edge_side_kernels",
-    "xfreqbench.tracing.image.furnished_kernels",
-    "xfreqbench.tracing.image.growing_kernels",
-    "xfreqbench.tracing.image.kernels",
-    "xfreqbench.tracing.image.trie_kernels",
-    "xfreqbench.tracing.image.wedge_kernels",
     "xfreqbench.methods.learning.loss_kernels",
     "xfreqbench.methods.virtual_source.obstacle_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
@@ -34,7 +23,10 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
 }
 PACKAGE = Path(__file__).parents[1] / "xfreqbench"
 SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]
-MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__init__"} - UNCHECKED
+KERNELS = {source for source in SOURCES if source.parent.name == "kernels"}
+MODULES = {
+    ".".join(source.parts) for source in set(SOURCES) - KERNELS if source.name != "__init__"
+} - UNCHECKED
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import wofz
 
 from xfreqbench.tracing.image.edges import Edge
-from xfreqbench.tracing.image.kernels import slab_coefficients
+from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 
 Vector = NDArray[np.float64]
 

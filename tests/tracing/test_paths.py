@@ -14,7 +14,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface, load_scene
 from xfreqbench.scene.visibility import distance_to_surfaces
-from xfreqbench.tracing.image.furnished import FurnishedTracer
+from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import (
     DIFFRACTION,
     NO_INTERACTION,
@@ -69,7 +69,7 @@ def test_a_path_meets_the_surfaces_that_it_names(solver: SolverName, settings: T
 def test_a_path_among_meshes_meets_the_surfaces_that_it_names(tmp_path: Path) -> None:
     room = furnished_room(tmp_path, subdivisions=1)
     tracer = make_tracer(room, CARRIERS_HZ, replace(SETTINGS, solver="image"))
-    assert isinstance(tracer, FurnishedTracer)
+    assert isinstance(tracer, ImageTracer)
     for tx in TX_M:
         require_on_named_surfaces(room, tracer, tx)
 

@@ -14,7 +14,7 @@ from xfreqbench.methods.virtual_source.surfaces import fan_of
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
-from xfreqbench.tracing.image.furnished import image_tracer
+from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import ghz_to_hz
@@ -69,7 +69,7 @@ class RandomRoom:
     def traced(self, path: Path) -> PasDataset:
         """The channels of all transmitters at `CARRIERS_HZ`, stored in a new file."""
         scene = Scene("random room", self.receiver, TransmitterGrid((0, 0, 1), (0, 0, 1), (1, 1, 1)))
-        tracer = image_tracer(scene, CARRIERS_HZ, _SETTINGS, geometry=Geometry(self.walls))
+        tracer = ImageTracer(scene, CARRIERS_HZ, _SETTINGS, geometry=Geometry(self.walls))
         cfr = tracer.channel(self.tx_position_m).cfr
         carriers_hz = np.array(CARRIERS_HZ)
         return stored_channels(path, self.receiver, carriers_hz, self.tx_position_m, cfr, maps=False)

@@ -123,9 +123,9 @@ def make_tracer(
         settings = resolve_solver(geometry, settings)
     _check_diffuse(geometry, settings)
     if settings.solver == "image":
-        from xfreqbench.tracing.image.furnished import image_tracer
+        from xfreqbench.tracing.image.tracer import ImageTracer
 
-        return image_tracer(scene, carrier_hz, settings, geometry=geometry)
+        return ImageTracer(scene, carrier_hz, settings, geometry=geometry)
     from xfreqbench.tracing.sionna.tracer import SionnaTracer
 
     return SionnaTracer(scene, carrier_hz, settings, geometry)

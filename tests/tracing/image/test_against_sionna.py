@@ -94,7 +94,7 @@ def test_gains_differ_from_the_public_ones_by_sionnas_coefficients_alone() -> No
     num_compared, apart = 0, []
     for surface in (METAL_BOX, WOODEN_BOX):
         scene = scene_of(surface, receiver=ONE_ELEMENT)
-        edges = find_edges(Geometry(surface_meshes(scene)))
+        edges = find_edges(Geometry(surface_meshes(scene)).facets, np.zeros((0, 3, 3)), np.zeros(0, np.int64))
         wavelength_m = SPEED_OF_LIGHT_M_S / CARRIER_HZ
         slab = (
             complex_permittivity(surface.material, CARRIER_HZ),

@@ -15,14 +15,15 @@ from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.tracing.image.edges import find_edges
+from xfreqbench.tracing.image.kernels.wedges import diffract, transition
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
-from xfreqbench.tracing.image.wedge_kernels import diffract, transition
 from xfreqbench.tracing.paths import DIFFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.tracer import Interaction, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
 ALL: tuple[Interaction, ...] = ("specular", "refraction", "diffraction")
+NO_TRIANGLES = np.zeros((0, 3, 3)), np.zeros(0, np.int64)
 EXACT = ImageSavings(diffraction_floor=0.0)
 METAL_BOX = Surface("metal box", "metal", 0.002, (1.0, 1.0, 0.0), (2.0, 2.2, 1.3))
 WOODEN_BOX = Surface("wooden box", "wood", 0.02, (3.1, 2.0, 0.1), (4.0, 3.0, 1.0))
@@ -48,7 +49,7 @@ def tracer(
 
 def num_edges(*surfaces: Surface) -> dict[float, int]:
     """How many edges there are, by the angle that they leave free in half turns."""
-    edges = find_edges(Geometry(surface_meshes(scene_of(*surfaces))))
+    edges = find_edges(Geometry(surface_meshes(scene_of(*surfaces))).facets, *NO_TRIANGLES)
     angles = [round(edge.angle_rad / np.pi, 6) for edge in edges]
     return {angle: angles.count(angle) for angle in sorted(set(angles))}
 
@@ -77,7 +78,7 @@ def test_an_edge_that_a_box_hides_in_part_diffracts_where_it_is_free() -> None:
     box = Surface(
         "box", "metal", 0.01, (0.0, 1.0, 1.0), (1.0, 2.0, 2.0)
     )  # its top is level with the wall's rim
-    edges = find_edges(Geometry(surface_meshes(scene_of(wall, box))))
+    edges = find_edges(Geometry(surface_meshes(scene_of(wall, box))).facets, *NO_TRIANGLES)
     top = [
         edge for edge in edges if abs(edge.along[1]) > 0.9 and np.allclose(edge.start_m[[0, 2]], [0.0, 2.0])
     ]

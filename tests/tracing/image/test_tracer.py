@@ -275,8 +275,8 @@ def test_the_same_seed_gives_the_same_bytes_in_every_process() -> None:
     program = """
 import hashlib, sys
 import numba
-from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.scene.model import load_scene
+from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 import numpy as np
 numba.set_num_threads(int(sys.argv[1]))

@@ -15,7 +15,7 @@ from xfreqbench.bench.stress.geometry import fresnel_slab, largest_error, ray
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import PatchSize, ReceiverArray
-from xfreqbench.tracing.image.furnished import image_tracer
+from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import ghz_to_hz
@@ -50,7 +50,7 @@ def _channels(
     meshes: list[SurfaceMesh], receiver: ReceiverArray, tx_m: tuple[float, ...]
 ) -> Complex[NDArray[np.complex128], "F M"]:
     """Channel of one transmitter at three carriers, by the tracer that suits the number of facets."""
-    tracer = image_tracer(free_space(receiver), _CARRIERS_HZ, _SETTINGS, geometry=Geometry(meshes))
+    tracer = ImageTracer(free_space(receiver), _CARRIERS_HZ, _SETTINGS, geometry=Geometry(meshes))
     return tracer.channel(np.array([tx_m])).cfr[0]
 
 

@@ -13,7 +13,7 @@ from xfreqbench.bench.stress.channels import CARRIERS_GHZ, RECEIVER, free_space,
 from xfreqbench.methods.splatting.composite_kernels import use_threads
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Surface
-from xfreqbench.tracing.image.kernels import slab_coefficients
+from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.tracer import TraceSettings

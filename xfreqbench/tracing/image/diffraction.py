@@ -7,21 +7,25 @@ sees the edges is found once, how a transmitter does for each.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 
-from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
-from xfreqbench.tracing.image import diffraction_kernels, kernels
-from xfreqbench.tracing.image.diffraction_kernels import Limits
-from xfreqbench.tracing.image.edge_field_kernels import Room
-from xfreqbench.tracing.image.edge_side_kernels import Reflectors, Sides
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.edges import Edge, find_edges
-from xfreqbench.tracing.image.wedge_kernels import Wedges
+from xfreqbench.tracing.image.kernels import edge_channels
+from xfreqbench.tracing.image.kernels.arrays import Aperture, Facets, Media, Sums
+from xfreqbench.tracing.image.kernels.edge_channels import Limits
+from xfreqbench.tracing.image.kernels.edge_paths import Room
+from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, find_sides
+from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
+from xfreqbench.tracing.image.kernels.wedges import Wedges
+from xfreqbench.tracing.image.surfaces import MirrorPlanes
 from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
-from xfreqbench.tracing.tracer import Channel, TraceSettings
+from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 
 COSINES = 65  # at which reflection is tabulated
@@ -38,65 +42,62 @@ class PathsToCentre:
     surfaces: Int[NDArray[np.int64], "P D"]
     vertices_m: Float[FloatArray, "P D 3"]
 
-    def merged(self, other: PathsToCentre) -> PathsToCentre:
+    def merged(self, *others: PathsToCentre) -> PathsToCentre:
         """These paths and others, the shortest first."""
-        fields = zip(astuple(self), astuple(other), strict=True)
-        order = np.argsort(np.concatenate([self.distance_m, other.distance_m]), kind="stable")
-        return PathsToCentre(*(np.concatenate(pair)[order] for pair in fields))
-
-
-class Shortcuts(NamedTuple):
-    """What is skipped to be faster.
-
-    `share` decides at the array's corners which paths reach its elements. On either side of an edge are at most
-    `max_planes` reflections, which may be 3. A path that a bound shows to be weaker than `floor` times the strongest
-    element of a transmitter's channel without edges is skipped at that carrier before it is traced.
-    """
-
-    share: bool
-    max_planes: int
-    floor: float
+        fields = [np.concatenate(parts) for parts in zip(*map(astuple, (self, *others)), strict=True)]
+        order = np.argsort(fields[1], kind="stable")
+        return PathsToCentre(*(field[order] for field in fields))
 
 
 class Diffraction:
-    """Edges of one scene and how its receiver sees them, ready for any transmitter."""
+    """Edges of one scene and how its receiver sees them, ready for any transmitter.
+
+    `kind` is the slab of each mesh, `surface` and `corners_m` are the mesh and the corners of the
+    kernels' facets. `points_m` are the array's
+    centre and corners. `limits` are those of `Limits`, but for the depth.
+    """
 
     def __init__(
         self,
         geometry: Geometry,
+        mirrors: MirrorPlanes,
         kind: Int[IntArray, "S"],
-        facets: kernels.Facets,
-        media: kernels.Media,
-        aperture: kernels.Aperture,
-        receiver_m: Float[FloatArray, "3"],
+        facets: Facets,
+        surface: Int[IntArray, "Q"],
+        corners_m: Float[FloatArray, "Q 4 3"],
+        media: Media,
+        aperture: Aperture,
+        points_m: Float[FloatArray, "O 3"],
         settings: TraceSettings,
-        shortcuts: Shortcuts,
+        limits: tuple[int, bool, float],
     ) -> None:
-        edges = find_edges(geometry)
-        self._surface = geometry.surfaces_by_plane
-        self._edge_surface = np.array([geometry.facets[edge.faces[0]].surface for edge in edges], np.int64)
-        wedges = _wedges(edges, geometry, kind, facets)
-        self.room = Room(facets, media, wedges, _mirrors(geometry, facets, media), aperture)
-        self._max_depth, self._shortcuts = settings.max_depth, shortcuts
+        mesh = np.repeat(np.arange(len(geometry.meshes)), [len(mesh.triangles) for mesh in geometry.meshes])
+        blocks = ~geometry.mirrors
+        edges = find_edges(mirrors.facets, triangle_corners_m(geometry.meshes)[blocks], mesh[blocks])
+        faces = np.array([edge.surfaces for edge in edges], np.int64).reshape(-1, 2)
+        self._surface, self._edge_surface = surface, faces[:, 0]
+        is_opaque = np.zeros(len(geometry.meshes), bool)
+        is_opaque[surface] = facets.is_opaque
+        reflectors = _reflectors(len(mirrors.planes), facets, corners_m, media)
+        wedges = _wedges(edges, kind[faces], is_opaque[faces].any(axis=1))
+        self.room = Room(facets, media, wedges, reflectors, aperture)
         can_reflect = "specular" in settings.interactions
-        self._max_planes = min(shortcuts.max_planes, settings.max_depth - 1) if can_reflect else 0
-        points_m = receiver_m + np.vstack([np.zeros(3), aperture.corner_m[0]])
-        self._sides = diffraction_kernels.sides(facets, self.room.mirrors, wedges, points_m, self._max_planes)
+        max_planes, share, floor = limits
+        max_planes = min(max_planes, settings.max_depth - 1) if can_reflect else 0
+        self._limits = Limits(settings.max_depth, max_planes, share, floor)
+        self._sides = find_sides(facets, self.room.mirrors, wedges, points_m, max_planes)
 
-    def channel(self, tx_position_m: Float[FloatArray, "T 3"], without: Channel) -> Channel:
-        """Channel (T, F, M) over edges alone, carriers ascending; `without` is that of all other paths."""
-        wavelength_m = self.room.aperture.wavelength_m
-        amplitude = np.abs(without.cfr).max(axis=2, initial=0.0) / wavelength_m
-        limits = self._limits(self._shortcuts.floor * amplitude)
-        real, imag, num_paths = diffraction_kernels.channels(*self.room, self._sides, limits, tx_position_m)
-        return Channel(real + 1j * imag, num_paths)
+    def add_channel(
+        self, tx_position_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]
+    ) -> None:
+        """Add the channel (F, M) over edges to that of all other paths of a transmitter, carriers ascending."""
+        tx = tx_position_m[None]
+        edge_channels.add_over_edges(self.room, self._sides, self._limits, tx, sums, num_paths)
 
     def paths(self, tx_position_m: Float[FloatArray, "3"]) -> PathsToCentre:
         """All paths of one transmitter over edges to the array centre, none of them skipped."""
-        limits = self._limits(np.zeros((1, len(self.room.aperture.wavelength_m))))
-        near = self._seen_from(tx_position_m[None])
-        gain, distance_m, arrival, code, met, point_m = diffraction_kernels.paths(
-            self.room, near, self._sides, limits
+        gain, distance_m, arrival, code, met, point_m = edge_channels.paths_over_edges(
+            self.room, self._sides, self._limits, tx_position_m[None]
         )
         surface = np.full(met.shape, -1)
         at_edge, at_facet = code == DIFFRACTION, (code != NO_INTERACTION) & (code != DIFFRACTION)
@@ -104,57 +105,38 @@ class Diffraction:
         surface[at_facet] = self._surface[met[at_facet]]
         return PathsToCentre(gain, distance_m, arrival, code, surface, point_m)
 
-    def _seen_from(self, points_m: Float[FloatArray, "O 3"]) -> Sides:
-        """How points that are close together see the edges."""
-        room = self.room
-        return diffraction_kernels.sides(
-            room.facets, room.mirrors, room.wedges, np.ascontiguousarray(points_m), self._max_planes
-        )
 
-    def _limits(self, floor: Float[FloatArray, "T F"]) -> Limits:
-        return Limits(self._max_depth, self._max_planes, self._shortcuts.share, floor)
-
-
-def _wedges(
-    edges: list[Edge], geometry: Geometry, kind: Int[IntArray, "S"], facets: kernels.Facets
-) -> Wedges:
-    """Edges as the kernels take them; `facets` are those of the kernels, which are sorted by plane."""
-    start_m, along = (np.array([edge[i] for edge in edges]).reshape(-1, 3) for i in (0, 1))
-    length_m = np.array([edge.length_m for edge in edges])
-    end_m = start_m + length_m[:, None] * along
-    gap_m = np.abs(np.stack([start_m, end_m]) @ facets.normal - facets.offset).max(axis=0)
-    faces = np.array([edge.faces for edge in edges], dtype=np.int64).reshape(-1, 2)
-    by_plane = np.argsort(geometry.planes[1], kind="stable")
-    is_opaque = np.zeros(len(by_plane), dtype=bool)
-    is_opaque[by_plane] = facets.is_opaque
+def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArray[np.bool_], "E"]) -> Wedges:
+    """Edges as the kernels take them."""
     angle_rad = np.array([edge.angle_rad for edge in edges])
-    tangent, normal = (np.array([edge[i] for edge in edges]).reshape(-1, 3) for i in (2, 3))
+    start_m, along, tangent, normal = (np.array([edge[i] for edge in edges]).reshape(-1, 3) for i in range(4))
     return Wedges(
         start_m,
         along,
         tangent,
         normal,
         np.sin(angle_rad)[:, None] * tangent - np.cos(angle_rad)[:, None] * normal,
-        length_m,
+        np.array([edge.length_m for edge in edges]),
         angle_rad,
-        kind[np.array([facet.surface for facet in geometry.facets], dtype=np.int64)[faces]],
-        np.asarray(is_opaque[faces].any(axis=1)),
-        gap_m < PLANE_TOLERANCE,
+        slab,
+        is_opaque,
     )
 
 
-def _mirrors(geometry: Geometry, facets: kernels.Facets, media: kernels.Media) -> Reflectors:
-    """Corners of the facets, sorted by plane, and bounds of what their planes reflect at each carrier."""
-    by_plane = np.argsort(geometry.planes[1], kind="stable")
-    corner_m = np.array([geometry.facets[i].corners_m[[0, 1, 2, -1]] for i in by_plane]).reshape(-1, 4, 3)
+def _reflectors(
+    num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media
+) -> Reflectors:
+    """The facets of each plane that mirrors, and bounds of what the planes reflect at each carrier."""
+    facet = np.argsort(facets.plane, kind="stable")
+    first = np.searchsorted(facets.plane[facet], np.arange(num_planes + 1))
+    facet = facet[: first[-1]]
     cosines = np.linspace(0, 1, COSINES)
     most = np.empty((*media.permittivity.shape, COSINES))  # (F, K, L)
     for place in np.ndindex(media.permittivity.shape):
         eta, phase = complex(media.permittivity[place]), float(media.phase_thickness[place])
-        largest = [np.abs(kernels.slab_coefficients(c, eta, phase)[:2]).max() for c in cosines]
+        largest = [np.abs(slab_coefficients(c, eta, phase)[:2]).max() for c in cosines]
         most[place] = np.maximum.accumulate(largest[::-1])[::-1]
-    by_facet = most[:, facets.slab]
-    of_plane = [
-        by_facet[:, a:b].max(axis=1) for a, b in zip(facets.first[:-1], facets.first[1:], strict=True)
-    ]
-    return Reflectors(corner_m, np.array(of_plane).reshape(-1, len(most), COSINES).swapaxes(0, 1).copy())
+    by_facet = most[:, facets.slab[facet]]
+    of_plane = [by_facet[:, a:b].max(axis=1) for a, b in pairwise(first)]
+    by_plane = np.array(of_plane).reshape(-1, len(most), COSINES).swapaxes(0, 1).copy()
+    return Reflectors(first, facet, corners_m[facet], by_plane)

@@ -1,12 +1,13 @@
-"""Edges at which waves diffract: where the facets around a line leave more than half of the space free.
+"""Edges at which waves diffract: sides of mirrors around which facets leave more than half of the space free.
 
 A box has twelve, a screen has one along each free side of its rim. Facets that go on in one plane, a wall that
-stands on the floor and the corner of a room as seen from inside leave half of the space or less.
+stands on the floor and the corner of a room as seen from inside leave half of the space or less. Triangles that do not
+mirror, small parts of curved meshes, have no edges of their own; where they meet a mirror they are faces of its edges.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,12 +15,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
+from xfreqbench.scene.facets import PLANE_TOLERANCE, PlanarFacet
 from xfreqbench.types import FloatArray, IntArray
 
-BESIDE_M = (
-    1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
-)
+# How far beside an edge a facet must reach to count as one of its faces; shorter edges are none.
+BESIDE_M = 1e-3
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 
@@ -36,43 +36,75 @@ class Edge(NamedTuple):
     normal: Float[FloatArray, "3"]
     length_m: float
     angle_rad: float
-    faces: tuple[int, int]  # indices of the facets
+    surfaces: tuple[int, int]  # indices of the meshes that faces 0 and n are of
 
 
 class _Flat(NamedTuple):
-    """Facets as arrays (Q, ...): unit normal, a corner, its two edges' dual vectors, and whether it is a triangle."""
+    """Facets as arrays (Q, ...): unit normal, a corner, two edges' dual vectors, bounding box, and mesh."""
 
     normal: Float[FloatArray, "Q 3"]
     corner_m: Float[FloatArray, "Q 3"]
     dual: Float[FloatArray, "Q 2 3"]
     is_triangle: NDArray[np.bool_]
+    low_m: Float[FloatArray, "Q 3"]
+    high_m: Float[FloatArray, "Q 3"]
+    surface: Int[IntArray, "Q"]
 
 
-def find_edges(geometry: Geometry) -> list[Edge]:
-    """Edges of all facets at which waves diffract, in the order of the facets."""
-    if not geometry.facets:
+def find_edges(
+    mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: Int[IntArray, "K"]
+) -> list[Edge]:
+    """Edges of mirrors at which waves diffract, in the order of the mirrors.
+
+    `triangles_m` are those that do not mirror, and `surface` their meshes. Pieces of a line around which the same
+    surfaces leave the same angle are one edge.
+    """
+    if not mirrors:
         return []
-    flat = _flat(geometry)
-    return [
-        edge
-        for start_m, along, length_m in _pieces(geometry)
-        if (edge := _wedge(flat, start_m, along, length_m)) is not None
-    ]
+    flat = _flat(mirrors, triangles_m, surface)
+    edges: list[Edge] = []
+    for start_m, along, length_m in _pieces(mirrors):
+        edge = _wedge(flat, start_m, along, length_m)
+        if edge is not None and edges and _goes_on(edges[-1], edge):
+            edges[-1] = edges[-1]._replace(length_m=edges[-1].length_m + length_m)
+        elif edge is not None:
+            edges.append(edge)
+    return edges
 
 
-def _flat(geometry: Geometry) -> _Flat:
-    corners_m = np.array([facet.corners_m[[0, 1, -1]] for facet in geometry.facets])
-    sides_m = corners_m[:, 1:] - corners_m[:, :1]
+def _goes_on(before: Edge, after: Edge) -> bool:
+    """Whether an edge begins where another ends, with the same wedge around it."""
+    end_m = before.start_m + before.length_m * before.along
+    return bool(
+        before.surfaces == after.surfaces
+        and abs(before.angle_rad - after.angle_rad) < MIN_TURN_RAD
+        and np.linalg.norm(after.start_m - end_m) < PLANE_TOLERANCE
+        and before.along @ after.along > 1 - PLANE_TOLERANCE
+        and before.tangent @ after.tangent > 1 - PLANE_TOLERANCE
+    )
+
+
+def _flat(
+    mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: Int[IntArray, "K"]
+) -> _Flat:
+    corners_m = np.concatenate(
+        [[facet.corners_m[[0, 1, 2, -1]] for facet in mirrors], triangles_m[:, [0, 1, 2, 2]]]
+    )
+    sides_m = corners_m[:, [1, 3]] - corners_m[:, :1]
     normal = np.cross(sides_m[:, 0], sides_m[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
     dual = np.linalg.pinv(sides_m).transpose(0, 2, 1)
-    is_triangle = np.array([len(facet.corners_m) == 3 for facet in geometry.facets])
-    return _Flat(normal / np.linalg.norm(normal, axis=1)[:, None], corners_m[:, 0], dual, is_triangle)
+    is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors] + [True] * len(triangles_m))
+    beside_m = 2 * BESIDE_M
+    low_m, high_m = corners_m.min(axis=1) - beside_m, corners_m.max(axis=1) + beside_m
+    surface = np.concatenate([[facet.surface for facet in mirrors], surface])
+    return _Flat(normal, corners_m[:, 0], dual, is_triangle, low_m, high_m, surface)
 
 
-def _pieces(geometry: Geometry) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """Start, direction and length of the pieces between corners into which the facets' sides divide their lines."""
-    start_m = np.concatenate([facet.corners_m for facet in geometry.facets])
-    end_m = np.concatenate([np.roll(facet.corners_m, -1, axis=0) for facet in geometry.facets])
+def _pieces(mirrors: Sequence[PlanarFacet]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+    """Start, direction and length of the pieces into which corners of facets divide the lines of their sides."""
+    start_m = np.concatenate([facet.corners_m for facet in mirrors])
+    end_m = np.concatenate([np.roll(facet.corners_m, -1, axis=0) for facet in mirrors])
     left = np.linalg.norm(end_m - start_m, axis=1) > BESIDE_M
     while left.any():
         first = int(left.argmax())
@@ -82,7 +114,9 @@ def _pieces(geometry: Geometry) -> Iterator[tuple[FloatArray, FloatArray, float]
         is_on_line &= _distance_m(end_m, origin_m, along) < PLANE_TOLERANCE
         is_on_line[first] = True
         left &= ~is_on_line
-        at_m = np.sort((np.concatenate([start_m[is_on_line], end_m[is_on_line]]) - origin_m) @ along)
+        ends_m = (np.concatenate([start_m[is_on_line], end_m[is_on_line]]) - origin_m) @ along
+        corner_m = (start_m[_distance_m(start_m, origin_m, along) < PLANE_TOLERANCE] - origin_m) @ along
+        at_m = np.sort(corner_m[(corner_m >= ends_m.min()) & (corner_m <= ends_m.max())])
         at_m = at_m[np.diff(at_m, prepend=-np.inf) > BESIDE_M]
         for low_m, high_m in pairwise(at_m):
             yield origin_m + low_m * along, along, float(high_m - low_m)
@@ -100,10 +134,10 @@ def _wedge(
 ) -> Edge | None:
     """The wedge around a piece of a line, or None where its facets leave no more than half of the space free."""
     middle_m = start_m + length_m / 2 * along
-    gap_m = np.einsum("qi,qi->q", middle_m - flat.corner_m, flat.normal)
-    facets = np.flatnonzero(
-        (np.abs(gap_m) < PLANE_TOLERANCE) & (np.abs(flat.normal @ along) < PLANE_TOLERANCE)
-    )
+    facets = np.flatnonzero(((flat.low_m < middle_m) & (middle_m < flat.high_m)).all(axis=1))
+    gap_m = np.einsum("qi,qi->q", middle_m - flat.corner_m[facets], flat.normal[facets])
+    is_along = np.abs(flat.normal[facets] @ along) < PLANE_TOLERANCE
+    facets = facets[(np.abs(gap_m) < PLANE_TOLERANCE) & is_along]
     beside = np.cross(flat.normal[facets], along)
     face, towards = _faces(flat, np.tile(facets, 2), np.concatenate([beside, -beside]), middle_m)
     if len(face) == 0:
@@ -118,8 +152,8 @@ def _wedge(
         return None
     zero, n = order[widest], order[(widest + 1) % len(order)]
     normal = np.cross(along, towards[zero])
-    faces = int(face[zero]), int(face[n])
-    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), faces)
+    surfaces = int(flat.surface[face[zero]]), int(flat.surface[face[n]])
+    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), surfaces)
 
 
 def _faces(

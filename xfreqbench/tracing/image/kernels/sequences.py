@@ -1,8 +1,8 @@
-"""Kernels of the trie of mirror planes: which sequences rays find, and which of them a transmitter may have.
+"""Kernels of the sequences of mirror planes: which of them rays find, and which a transmitter may have.
 
-A node of the trie is a sequence of mirror planes from the receiver on. It knows the image of the array centre behind
-these planes, and the part of its last plane that the image shines on through the mirrors before it. So most nodes are
-turned down for a transmitter by one test.
+Sequences are the nodes of a trie: a node is a sequence of mirror planes from the receiver on. It knows the image of
+the array centre behind these planes, and the part of its last plane that the image shines on through the mirrors
+before it. So most nodes are turned down for a transmitter by one test.
 """
 
 from __future__ import annotations
@@ -11,14 +11,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from xfreqbench.tracing.image.box_tree import BoxTree
-from xfreqbench.tracing.image.box_tree_kernels import FAR, Walk, first_hit, new_walk, part, whole
-from xfreqbench.tracing.image.kernels import NUM_CHUNKS, Facets, Path
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+from xfreqbench.tracing.image.kernels.arrays import F64, FAR, I64, NUM_CHUNKS, Facets, Walk, new_walk
+from xfreqbench.tracing.image.kernels.compiled import bare, entry, part, whole
+from xfreqbench.tracing.image.kernels.tree import first_hit
 
 
 class Shots(NamedTuple):
@@ -50,7 +46,7 @@ class Trie(NamedTuple):
 
 
 @whole
-def _follow(facets: Facets, tree: BoxTree, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any) -> None:
+def _follow(facets: Facets, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any) -> None:
     """Follow the ray on the bottom of the stack, and all that branch off it, and put its sequences in `trie`.
 
     The stack holds origin and direction of each `ray` (S, 2, 3), and as its `state` (S, 2) a node of the trie and
@@ -60,11 +56,11 @@ def _follow(facets: Facets, tree: BoxTree, shots: Shots, ray: F64, state: I64, w
     while num_rays > 0:
         top = num_rays - 1
         o, d = ray[top, 0], ray[top, 1]
-        q, t = first_hit(tree, o, d, walk)
+        q, t = first_hit(facets, o, d, walk)
         num_rays = top
         if q < 0:
             continue
-        p, state[top, 1] = tree.plane[q], state[top, 1] + 1
+        p, state[top, 1] = facets.plane[q], state[top, 1] + 1
         child = np.int64(0)
         if p < shots.num_planes:
             key = state[top, 0] * shots.num_planes + p
@@ -76,7 +72,7 @@ def _follow(facets: Facets, tree: BoxTree, shots: Shots, ray: F64, state: I64, w
         for c in range(3):
             o[c] += t * d[c]
             speed += facets.normal[c, p] * d[c]
-        if not tree.is_opaque[q]:
+        if not facets.is_opaque[q]:
             num_rays += 1  # the transmitted ray stays where it is
         if p < shots.num_planes:
             for c in range(3):
@@ -95,12 +91,15 @@ def keys_of(trie: Any) -> I64:
     return keys
 
 
-@whole
-def shot_by(facets: Facets, tree: BoxTree, shots: Shots, chunk: int) -> I64:
-    """Keys of the nodes that one chunk of the rays finds."""
+@entry
+def shot(facets: Facets, shots: Shots, chunk: int) -> I64:
+    """Keys of the nodes that one of the `NUM_CHUNKS` chunks of the rays from one of the origins finds.
+
+    A key is parent · P + plane, where the parent is the place of another key before it; the first is the root.
+    """
     origin, first = chunk // NUM_CHUNKS, chunk % NUM_CHUNKS
     ray, state = np.zeros((shots.max_depth + 2, 2, 3)), np.zeros((shots.max_depth + 2, 2), np.int64)
-    walk, trie = new_walk(1, 1, ray[0, 0]), {np.int64(-1): np.int64(0)}
+    walk, trie = new_walk(1, 1, 1, ray[0, 0]), {np.int64(-1): np.int64(0)}
     for index in range(first, shots.num_rays, NUM_CHUNKS):
         z = 1.0 - 2.0 * (index + 0.5) / shots.num_rays
         horizontal = math.sqrt(1.0 - z * z)
@@ -109,15 +108,15 @@ def shot_by(facets: Facets, tree: BoxTree, shots: Shots, chunk: int) -> I64:
         ray[0, 1, 0], ray[0, 1, 1] = horizontal * math.cos(azimuth), horizontal * math.sin(azimuth)
         ray[0, 1, 2] = z
         state[0] = 0
-        _follow(facets, tree, shots, ray, state, walk, trie)
+        _follow(facets, shots, ray, state, walk, trie)
     return keys_of(trie)
 
 
 # --- which candidates a transmitter may have ---
 
 
-@whole
-def joined_keys(keys: I64, num_planes: int) -> I64:
+@entry
+def joined(keys: I64, num_planes: int) -> I64:
     """Keys of the nodes of several tries as one: theirs one after another, each beginning with its root, −1."""
     trie, node, first = {np.int64(-1): np.int64(0)}, np.zeros(len(keys), np.int64), 0
     for k in range(len(keys)):
@@ -139,7 +138,8 @@ def _passes(
     The margin is how far the path to an element within `radius_m` of the array centre may be from there; it is −1
     where no such path meets the part of the plane that the image shines on, and `FAR` where some elements' paths may
     begin, or end, on the other side of the plane than others'. `total` is the length of the path to the centre, 0
-    where it begins at the point; see `kernels._plausible`.
+    where it begins at the point. An element's path meets a plane at D from the image at the share
+    f·D / (D − (1 − f)·radius) of its length at most, where f is the share for the array centre.
     """
     there, extent, away = place[node, 2], place[node, 7], abs(place[node, 2])
     if away <= 2.0 * extent or abs(here) <= margin:
@@ -221,7 +221,7 @@ def _may_reach(trie: Trie, node: int, tx: F64) -> bool:
     return True
 
 
-@whole
+@bare
 def candidates_of(trie: Trie, tx: F64, found: I64) -> int:
     """Put the nodes that may reach an element from the transmitter into `found` (N,); returns their number."""
     found[0], number = 0, 1
@@ -241,15 +241,18 @@ def candidates_of(trie: Trie, tx: F64, found: I64) -> int:
     return kept
 
 
-@whole
-def line_of(facets: Facets, trie: Trie, node: int, walk: Walk) -> Path:
-    """The path of a node: its planes from the receiver on, and what they make of an element's offset."""
+@bare
+def line_of(facets: Facets, trie: Trie, node: int, walk: Walk) -> int:
+    """Write the path of a node to `walk`: its planes from the receiver on, its image, what they make of an offset.
+
+    Returned is the number of planes. The path may cross as many slabs as it may have interactions besides.
+    """
     length, mirror, normal = trie.length[node], walk.mirror, facets.normal
-    walk.plane[:] = -1
     at = node
     for step in range(length - 1, -1, -1):
         walk.plane[step], at = trie.plane[at], trie.parent[at]
     for a in range(3):
+        walk.image[a] = trie.image_m[node, a]
         for b in range(3):
             mirror[a, b] = 1.0 if a == b else 0.0
     for step in range(length):
@@ -258,5 +261,5 @@ def line_of(facets: Facets, trie: Trie, node: int, walk: Walk) -> Path:
             along = normal[0, p] * mirror[0, b] + normal[1, p] * mirror[1, b] + normal[2, p] * mirror[2, b]
             for a in range(3):
                 mirror[a, b] -= 2.0 * along * normal[a, p]
-    walk.image[:] = trie.image_m[node]
-    return Path(length, walk.plane, walk.image, mirror)
+    walk.limit[0] = len(walk.hit) - 1 - length
+    return length

@@ -3,38 +3,30 @@
 Each of the four terms of Kouyoumjian and Pathak (Proc. IEEE 62, 1974) removes the jump of the other paths at one
 boundary: of the field that goes straight on, less what the faces let through, and of the field that each face
 reflects (for slabs Burnside and Burgener, IEEE Trans. Antennas Propag. 31, 1983). The two ends of a path may
-change places. These kernels are not cached: they become part of those of `diffraction_kernels`.
+change places.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from xfreqbench.tracing.image.kernels import C128, F64, FAST, I64, Media, slab_coefficients
+from xfreqbench.tracing.image.kernels.arrays import C128, F64, I64, Bools, Media
+from xfreqbench.tracing.image.kernels.compiled import bare
+from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 
 Pair = tuple[complex, complex]
-Kernel = TypeVar("Kernel", bound=Callable[..., object])
+Polar = tuple[float, float, float]
 
 ON_BOUNDARY_RAD = 1e-12  # beside a boundary; a facet's rim belongs to the facet: it blocks and reflects there
 NUM_TERMS = 24  # of Weideman's series
-
 SCREEN_RAD = 1e-3  # a wedge that leaves a full turn free, but for this, is the rim of a screen of one facet
 
 
-def inner(function: Kernel) -> Kernel:
-    """Compile a kernel that other kernels call, but Python does not."""
-    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast("Kernel", njit(fastmath=FAST, error_model="numpy", **options)(function))
-
-
 class Wedges(NamedTuple):
-    """Edges and the wedges around them; see `edges.Edge`. (E edges, P planes)"""
+    """Edges and the wedges around them; see `edges.Edge`. (E edges)"""
 
     start: F64  # (E, 3)
     along: F64  # (E, 3)
@@ -44,8 +36,7 @@ class Wedges(NamedTuple):
     length: F64  # (E,)
     angle: F64  # (E,): through free space
     slab: I64  # (E, 2): kinds of the faces, an index into Media
-    is_opaque: NDArray[np.bool_]  # (E,): one of the faces lets nothing through
-    holds: NDArray[np.bool_]  # (E, P): the edge lies in the plane
+    is_opaque: Bools  # (E,): one of the faces lets nothing through
 
 
 def _weideman(num_terms: int) -> tuple[float, F64]:
@@ -61,7 +52,7 @@ def _weideman(num_terms: int) -> tuple[float, F64]:
 WIDTH, SERIES = _weideman(NUM_TERMS)
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@bare
 def transition(y: float) -> complex:
     """erfc(z)·exp(z²) at z = exp(jπ/4)·y, y ≥ 0: the UTD's F(y²) over √π·z. It is 1 at y = 0."""
     z = complex(y * math.sqrt(0.5), y * math.sqrt(0.5))
@@ -72,7 +63,7 @@ def transition(y: float) -> complex:
     return inverse * (2.0 * total * inverse + 1.0 / math.sqrt(math.pi))
 
 
-@inner
+@bare
 def _term(turn: float, n: float, root: float, on_boundary: float) -> complex:
     """One of the four terms, cot(turn/2n)·F over its value beside the boundary, ±1; `root` is √(2kL)."""
     off = turn / (2.0 * n)
@@ -83,7 +74,7 @@ def _term(turn: float, n: float, root: float, on_boundary: float) -> complex:
     return sine / (n * math.tan(off)) * transition(root * sine)
 
 
-@inner
+@bare
 def terms(n: float, root: float, phi: float, source_phi: float) -> tuple[complex, complex, complex, complex]:
     """The four terms of Kouyoumjian and Pathak (1974), Eq. 25, each ∓1 on the two sides of its boundary.
 
@@ -99,7 +90,7 @@ def terms(n: float, root: float, phi: float, source_phi: float) -> tuple[complex
     )
 
 
-@inner
+@bare
 def _cross(a: F64, b: F64, out: F64) -> float:
     """Cross product and its norm."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -107,17 +98,17 @@ def _cross(a: F64, b: F64, out: F64) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
-@inner
+@bare
 def _dot(a: F64, b: F64) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inner
+@bare
 def _along(field: C128, axis: F64) -> complex:
     return field[0] * axis[0] + field[1] * axis[1] + field[2] * axis[2]
 
 
-@inner
+@bare
 def _axes(field: C128, k: F64, axis: F64, other: F64, work: F64) -> Pair:
     """Components of a field along k×axis and k×(k×axis), of unit length; along `other` and k×other if k is the axis."""
     norm = _cross(k, axis, work[0])
@@ -129,7 +120,7 @@ def _axes(field: C128, k: F64, axis: F64, other: F64, work: F64) -> Pair:
     return _along(field, work[0]) / norm, _along(field, work[1]) / norm
 
 
-@inner
+@bare
 def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field: Pair, work: F64) -> Pair:
     """What a face passes of a wave along k; the field is given along k×along and k×(k×along), of unit length."""
     norm, cosine, sine = _cross(k, normal, work[0]), 1.0, 0.0
@@ -144,7 +135,7 @@ def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field:
     return cosine * te - sine * tm, sine * te + cosine * tm
 
 
-@inner
+@bare
 def _through(
     wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k: F64, field: Pair, work: F64
 ) -> Pair:
@@ -160,7 +151,7 @@ def _through(
     return field
 
 
-@inner
+@bare
 def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
     """Reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
     cosine = math.sqrt(abs(_dot(k, normal) * _dot(out, normal)))
@@ -168,7 +159,7 @@ def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) 
     return r_te, r_tm
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@bare
 def diffract(
     wedges: Wedges,
     media: Media,
@@ -217,3 +208,33 @@ def diffract(
         r_te, r_tm = _reflection(media, wedges.slab[e, 1], f, wedges.normal_n[e], k, out)
     total += from_n * (r_te * te * far_te + r_tm * tm * far_tm)
     return -0.5 * total
+
+
+# --- where points are from an edge ---
+
+
+@bare
+def place(wedges: Wedges, e: int, x: F64) -> Polar:
+    """Where a point is from the start of an edge: along its face 0, away from that face, and along the edge."""
+    a, b, z = 0.0, 0.0, 0.0
+    for c in range(3):
+        gap = x[c] - wedges.start[e, c]
+        a += gap * wedges.tangent[e, c]
+        b += gap * wedges.normal[e, c]
+        z += gap * wedges.along[e, c]
+    return a, b, z
+
+
+@bare
+def polar(wedges: Wedges, e: int, x: F64) -> Polar:
+    """Distance of a point from the line of an edge, its place along the line in metres, and its angle φ."""
+    a, b, z = place(wedges, e, x)
+    angle = math.atan2(b, a)
+    return math.sqrt(a * a + b * b), z, angle if angle >= 0.0 else angle + 2.0 * math.pi
+
+
+@bare
+def edge_point(near: Polar, far: Polar) -> float:
+    """Where along its line the shortest way over the edge between two points, in polar coordinates, meets it."""
+    together = near[0] + far[0]
+    return (near[1] * far[0] + far[1] * near[0]) / together if together > 0.0 else -1.0

@@ -1,75 +1,23 @@
-"""Kernels that look up what a ray meets in a `BoxTree`; compiled by who calls them."""
+"""Kernels that look up which facets a ray, or a bundle of segments, meets in the tree of boxes."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from xfreqbench.tracing.image.kernels.arrays import F64, FAR, Bundle, Facets, Walk
+from xfreqbench.tracing.image.kernels.compiled import bare, part
 
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-
-from xfreqbench.tracing.image.box_tree import BoxTree
-from xfreqbench.tracing.image.kernels import FAST, Bundle, Scratch, new_scratch
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 Span = tuple[float, float, float, float]
 Tube = tuple[Span, Span, Span]  # see `tube_along`
 
-FAR = 1e30  # where a ray meets nothing
 SLACK_M = 1e-9  # by which a tube is wider than its paths
-MOST_BOXES = 256  # on the stack of boxes still to look into
-MOST_NEAR = 32  # facets that a bundle may meet on one segment; of more, each path is followed by itself
-
-if TYPE_CHECKING:  # Numba's types lack the option `_nrt`
-    uncounted = njit
-else:  # for kernels that neither make nor return an array: they do not count references to those they are given
-    uncounted = partial(njit, _nrt=False)
-
-part = uncounted(fastmath=FAST, error_model="numpy", forceinline=True)
-bare = uncounted(fastmath=FAST, error_model="numpy")
-whole = njit(fastmath=FAST, error_model="numpy")
-
-
-class Walk(NamedTuple):
-    """Work space of one thread."""
-
-    scratch: Scratch
-    box: I64  # boxes still to look into
-    box_at: F64  # where the tube enters them
-    mirrors: I64  # (D, MOST_NEAR) facets of each plane where the paths turn
-    num_mirrors: I64  # (D,)
-    slabs: I64  # (D + 1, MOST_NEAR) facets that some path may cross, by segment
-    num_slabs: I64  # (D + 1,)
-    plane: NDArray[np.int16]  # (D,) of the path at hand
-    image: F64  # (3,)
-    mirror: F64  # (3, 3)
-
-
-@whole
-def new_walk(max_depth: int, num_nodes: int, tx: F64) -> Walk:
-    """Work space for paths of the transmitter at `tx` (3,)."""
-    return Walk(
-        new_scratch(0, max_depth, num_nodes, tx),
-        np.zeros(MOST_BOXES, np.int64),
-        np.zeros(MOST_BOXES),
-        np.zeros((max_depth, MOST_NEAR), np.int64),
-        np.zeros(max_depth, np.int64),
-        np.zeros((max_depth + 1, MOST_NEAR), np.int64),
-        np.zeros(max_depth + 1, np.int64),
-        np.zeros(max_depth, np.int16),
-        np.zeros(3),
-        np.zeros((3, 3)),
-    )
 
 
 @part
-def beyond_edges(face: F64, q: int, x: float, y: float, z: float, is_triangle: bool) -> int:
+def beyond_edges(facets: Facets, q: int, x: float, y: float, z: float) -> int:
     """Bit set of the edges of facet q that a point of its plane lies beyond; 0 means inside."""
+    face = facets.face
     u = face[q, 4] * x + face[q, 5] * y + face[q, 6] * z - face[q, 7]
     v = face[q, 8] * x + face[q, 9] * y + face[q, 10] * z - face[q, 11]
-    if is_triangle:
+    if facets.is_triangle[q]:
         return (u < 0.0) | (v < 0.0) << 1 | (u + v > 1.0) << 4
     return (u < 0.0) | (v < 0.0) << 1 | (u > 1.0) << 2 | (v > 1.0) << 3
 
@@ -150,7 +98,7 @@ def _entry(box: F64, b: int, tube: Tube, reach: float) -> float:
 
 
 @part
-def next_leaf(tree: BoxTree, tube: Tube, reach: float, walk: Walk, top: int) -> tuple[int, int]:
+def next_leaf(facets: Facets, tube: Tube, reach: float, walk: Walk, top: int) -> tuple[int, int]:
     """The next leaf on a tube's way, or −1, and the number of boxes that are then still to be looked into.
 
     With `top` −1 the search begins anew. Nearer boxes come first.
@@ -158,20 +106,20 @@ def next_leaf(tree: BoxTree, tube: Tube, reach: float, walk: Walk, top: int) -> 
     box, box_at = walk.box, walk.box_at
     if top < 0:
         top = 0
-        if len(tree.box):
-            box[0], box_at[0] = 0, _entry(tree.box, 0, tube, reach)
+        if len(facets.box):
+            box[0], box_at[0] = 0, _entry(facets.box, 0, tube, reach)
             top = 1
     while top > 0:
         top -= 1
         b = box[top]
         if box_at[top] > reach:
             continue
-        near = tree.child[b]
+        near = facets.child[b]
         if near < 0:
             return top, b
         far = near + 1
-        near_at = _entry(tree.box, near, tube, reach)
-        far_at = _entry(tree.box, far, tube, reach)
+        near_at = _entry(facets.box, near, tube, reach)
+        far_at = _entry(facets.box, far, tube, reach)
         if far_at < near_at:
             near, far, near_at, far_at = far, near, far_at, near_at
         if far_at < FAR:
@@ -184,17 +132,17 @@ def next_leaf(tree: BoxTree, tube: Tube, reach: float, walk: Walk, top: int) -> 
 
 
 @bare
-def first_hit(tree: BoxTree, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
+def first_hit(facets: Facets, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
     """Facet and distance of what a ray from o along d meets first; facet −1 where it meets nothing."""
-    hit, nearest, top, face = -1, FAR, -1, tree.face
+    hit, nearest, top, face = -1, FAR, -1, facets.face
     ix, iy, iz, m = inverse_of(d[0]), inverse_of(d[1]), inverse_of(d[2]), SLACK_M
     x, y, z = o[0], o[1], o[2]
     tube = (x - m, ix, x + m, ix), (y - m, iy, y + m, iy), (z - m, iz, z + m, iz)
     while True:
-        top, leaf = next_leaf(tree, tube, nearest, walk, top)
+        top, leaf = next_leaf(facets, tube, nearest, walk, top)
         if leaf < 0:
             return hit, nearest
-        for q in range(tree.first[leaf], tree.last[leaf]):
+        for q in range(facets.first[leaf], facets.last[leaf]):
             speed = face[q, 0] * d[0] + face[q, 1] * d[1] + face[q, 2] * d[2]
             if speed == 0.0:
                 continue
@@ -202,5 +150,5 @@ def first_hit(tree: BoxTree, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
             if t < 1e-7 or t >= nearest:
                 continue
             x, y, z = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
-            if beyond_edges(face, q, x, y, z, tree.is_triangle[q]) == 0:
+            if beyond_edges(facets, q, x, y, z) == 0:
                 hit, nearest = q, t

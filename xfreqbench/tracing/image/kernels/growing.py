@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+from xfreqbench.tracing.image.kernels.arrays import F64, FAR, I64
+from xfreqbench.tracing.image.kernels.compiled import bare, entry, whole
 
 NUM_BINS = 16  # between which a box may be divided along an axis
 FACETS_IN_A_LEAF = 4  # at most, where dividing does not pay
@@ -15,44 +13,44 @@ MAX_SAH_LEVELS = 64  # below them boxes are halved by number, so that no chain o
 WORTH_DIVIDING = 0.7  # at most so much of what looking at all facets of a small leaf costs
 
 
-@njit(cache=True)
+@bare
 def _half_area(corner: F64) -> float:
     x, y, z = corner[3] - corner[0], corner[4] - corner[1], corner[5] - corner[2]
     return x * y + y * z + z * x
 
 
-@njit(cache=True)
+@bare
 def _widen(box: F64, by: F64) -> None:
     for a in range(3):
         box[a], box[a + 3] = min(box[a], by[a]), max(box[a + 3], by[a + 3])
 
 
-@njit(cache=True)
+@whole
 def _cheapest(facet: F64, order: I64, least: F64, most: F64) -> tuple[int, int, float]:
     """Axis and bin after which to divide facets, and the sum of number × area of both parts; axis −1 for none.
 
     Facets fall into bins by the middles of their boxes, which lie between `least` and `most` (3,).
     """
-    axis, after, cheapest = -1, -1, np.inf
+    axis, after, cheapest = -1, -1, FAR
     box, number = np.empty((NUM_BINS, 6)), np.empty(NUM_BINS, np.int64)
     behind, part = np.empty(NUM_BINS), np.empty(6)
     for a in range(3):
         if most[a] - least[a] < 1e-12:
             continue
         number[:] = 0
-        box[:, :3], box[:, 3:] = np.inf, -np.inf
+        box[:, :3], box[:, 3:] = FAR, -FAR
         scale = NUM_BINS / (most[a] - least[a])
         for q in order:
             b = min(NUM_BINS - 1, int((facet[q, a] + facet[q, a + 3] - least[a]) * scale))
             number[b] += 1
             _widen(box[b], facet[q])
-        part[:3], part[3:] = np.inf, -np.inf
+        part[:3], part[3:] = FAR, -FAR
         num_behind, num_before = 0, 0
         for b in range(NUM_BINS - 1, 0, -1):
             num_behind += number[b]
             _widen(part, box[b])
-            behind[b] = num_behind * _half_area(part) if num_behind else np.inf
-        part[:3], part[3:] = np.inf, -np.inf
+            behind[b] = num_behind * _half_area(part) if num_behind else FAR
+        part[:3], part[3:] = FAR, -FAR
         for b in range(NUM_BINS - 1):
             num_before += number[b]
             _widen(part, box[b])
@@ -63,9 +61,9 @@ def _cheapest(facet: F64, order: I64, least: F64, most: F64) -> tuple[int, int, 
     return axis, after, cheapest
 
 
-@njit(cache=True)
+@entry
 def divide(facet: F64) -> tuple[I64, F64, I64, I64, I64]:
-    """Order of facets (Q, 6), given by lowest and highest corner, and the boxes about them, as `BoxTree` has them."""
+    """Order of facets (Q, 6), given by lowest and highest corner, and the boxes about them, as `Facets` has them."""
     num_facets, num_boxes = len(facet), 1
     order, parted = np.arange(num_facets), np.empty(num_facets, np.int64)
     box, child = np.empty((2 * num_facets, 6)), np.full(2 * num_facets, -1)
@@ -75,7 +73,7 @@ def divide(facet: F64) -> tuple[I64, F64, I64, I64, I64]:
     least, most = np.empty(3), np.empty(3)
     while left:
         b = left.pop()
-        box[b, :3], box[b, 3:], least[:], most[:] = np.inf, -np.inf, np.inf, -np.inf
+        box[b, :3], box[b, 3:], least[:], most[:] = FAR, -FAR, FAR, -FAR
         for q in order[first[b] : last[b]]:
             _widen(box[b], facet[q])
             for a in range(3):

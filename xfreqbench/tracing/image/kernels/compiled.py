@@ -1,0 +1,48 @@
+"""How the kernels of this folder are compiled, and how Numba's cache learns that one of their sources has changed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from numba import get_num_threads, njit
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+Result = TypeVar("Result")
+
+FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "afn", "reassoc"}
+_OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
+_FILES = sorted(Path(__file__).parent.glob("*.py"))
+SOURCES = hashlib.sha256(b"".join(file.read_bytes() for file in _FILES)).hexdigest()
+
+if TYPE_CHECKING:  # Numba's types lack the option `_nrt`
+    _uncounted = njit
+else:  # for kernels that neither make nor return an array: they do not count references to those they are given,
+    # which took an eighth of the time. Who returns an array without counting has it freed while it is in use.
+    _uncounted = partial(njit, _nrt=False)
+
+part = _uncounted(forceinline=True, **_OPTIONS)  # a few lines of the kernel that calls it
+lane = njit(inline="always", **_OPTIONS)  # its very lines, for loops over lanes, which no call may interrupt
+bare = _uncounted(**_OPTIONS)
+whole = njit(**_OPTIONS)  # may make arrays
+
+
+def entry(function: Kernel) -> Kernel:
+    """Compile a kernel that Python calls, and keep it in Numba's cache, without the interpreter's lock.
+
+    A cached kernel holds the code of those that it calls. By itself Numba compiles it anew only where the file that
+    it stands in has changed; here, where any file of this folder has.
+    """
+    kernel: Any = njit(cache=True, nogil=True, **_OPTIONS)(function)
+    kernel._cache._cache_file._source_stamp = SOURCES
+    return kernel
+
+
+def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
+    """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use."""
+    with ThreadPoolExecutor(get_num_threads()) as threads:
+        return list(threads.map(call, range(number)))
