@@ -26,18 +26,23 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.tracing.image.trie_kernels",
     "xfreqbench.tracing.image.wedge_kernels",
     "xfreqbench.methods.learning.loss_kernels",
-    "xfreqbench.methods.virtual_source.obstacle_kernels",
+    "xfreqbench.baselines.virtual_source.room.obstacle_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
 }
-PACKAGE = Path(__file__).parents[1] / "xfreqbench"
-SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]
-MODULES = {".".join(source.parts) for source in SOURCES if source.name != "__init__"} - UNCHECKED
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"xfreqbench": ROOT / "xfreqbench", "xfreqbench.baselines": ROOT / "baselines"}
+MODULES = {
+    ".".join([package, *path.relative_to(folder).with_suffix("").parts])
+    for package, folder in FOLDERS.items()
+    for path in folder.rglob("*.py")
+    if path.stem != "__init__"
+} - UNCHECKED
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 jaxtyping.jaxtyped = check_first_calls
-jaxtyping.install_import_hook([*sorted(MODULES), "xfreqbench.baselines"], "typechecking.typechecker")
+jaxtyping.install_import_hook(sorted(MODULES), "typechecking.typechecker")
 # a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -1,0 +1,242 @@
+"""Changes of a learned room that are tried: other slabs, edges and depths of its faces, or none of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.types import FloatArray
+
+from .boxes import THICKNESSES
+from .materials import NamedSlab
+from .surfaces import NO_PLANE, RoomSurface
+
+EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
+NEAR_EDGES_M = (-0.05, 0.05)  # a front that ends so far off hides other paths, and no depth is right then
+_PARALLEL = 0.999  # cosine between normals, or between the directions in which two edges point
+_SAME_END_M = 0.05  # edges that are so near each other end at the same place
+_SAME_PLANE_M = 1e-3
+_MIN_WIDTH_M = 0.1
+_DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
+FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.04)
+_THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
+NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
+OTHERWISE = (*THICKNESSES, 0.9, 1.1)
+_THICK_M = 0.05  # with more, all carriers tell of the front alone
+_BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
+
+Room = list[RoomSurface]
+
+
+def other_slabs(
+    key: tuple[int, int], slabs: Sequence[NamedSlab], factors: Sequence[float], room: Room
+) -> Iterator[Room]:
+    """The room with another slab, or another thickness, in all parts of a plane that were found to be of one slab.
+
+    The other slabs of the plane are among those that are tried.
+    """
+    own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
+    if own is None:
+        return
+    beside = {each.slab for each in room if each.plane == key[0]} - {own}
+    for slab in [*slabs, *sorted(beside), *(own.thinned(factor) for factor in factors)]:
+        yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
+
+
+def with_wall_at(
+    plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room
+) -> Iterator[Room]:
+    """The room with a wall moved along its normal, of its own slabs or all of another one; what met it still does."""
+    own = next(each for each in room if each.is_wall and each.plane == plane)
+    for by_m in places_m:
+        moved = [each if each.depth_m else _stretched(each, own, by_m) for each in room]
+        for slab in slabs:
+            yield [
+                replace(each, slab=slab) if each.is_wall and each.plane == plane else each for each in moved
+            ]
+        yield moved
+
+
+def _stretched(other: RoomSurface, wall: RoomSurface, by_m: float) -> RoomSurface:
+    """A surface with its corners that lie on a wall moved along the wall's normal."""
+    on_wall = np.abs((other.corners_m - wall.corners_m[0]) @ wall.normal) < _SAME_END_M
+    return (
+        replace(other, corners_m=other.corners_m + by_m * on_wall[:, None] * wall.normal)
+        if on_wall.any()
+        else other
+    )
+
+
+def without(number: int, room: Room) -> Iterator[Room]:
+    """The room without a face."""
+    if any(each.number == number for each in room):
+        yield [each for each in room if each.number != number]
+
+
+def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Room]:
+    """The room with one edge of a face moved, alone or together with those of parallel faces that end there too."""
+    walls = [each for each in room if each.is_wall]
+    for own in room:
+        if own.number == number:
+            near = [each for each in room if each is not own and abs(_behind_m(each, own)) < _BACK_M]
+            for edge, step_m in _edge_steps(own, walls, steps_m):
+                changed = _with_edge(own, edge, step_m * own.outward[edge], walls)
+                yield [changed if each is own else each for each in room]
+                along = {each: _moved_along(each, own, edge, step_m, walls) for each in near}
+                if any(old is not new for old, new in along.items()):
+                    yield [changed if each is own else along.get(each, each) for each in room]
+
+
+def as_one(plane: int, room: Room) -> Iterator[Room]:
+    """The room with several faces of a plane as one rectangle about all of them, some sides of it moved to the walls.
+
+    What was learned in parts, for the cells between them saw few paths, may be a single thing.
+    """
+    walls = [each for each in room if each.is_wall]
+    parts = [each for each in room if each.plane == plane and not each.is_wall]
+    if len(parts) < 2:
+        return
+    largest = max(parts, key=lambda each: each.area_m2)
+    own = replace(largest, corners_m=_rectangle_about(largest, parts))
+    slabs = dict.fromkeys(each.slab for each in parts)
+    others = [each for each in room if each not in parts]
+    ways_m = [
+        _way_to_wall(own.corners_m[[side, (side + 1) % 4]], own.outward[side], walls) for side in range(4)
+    ]
+    for moves_m in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
+        whole = own
+        for side, by_m in enumerate(moves_m):
+            whole = _with_edge(whole, side, by_m * own.outward[side], walls)
+        for slab in slabs:
+            yield [*others, replace(whole, slab=slab)]
+
+
+def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
+    """The room with a face as the front of a box, or of a deeper one, in place of what was found just behind it.
+
+    It may also take the place of what was found in it or just before it: a plane that mirrors as the box's back does
+    at some carriers, a part of a wave off. Two thin sheets that were learned as one are thinner than that.
+    """
+    walls = [each for each in room if each.is_wall]
+    for own in room:
+        if own.number == number and own.plane != NO_PLANE:
+            over = {each: _behind_m(each, own) for each in room if each is not own and _is_over(each, own)}
+            alone = [each for each in room if not 0 < over.get(each, 0.0) < _BACK_M]
+            apart = [each for each in alone if abs(over.get(each, np.inf)) >= _BACK_M]
+            for others in [alone, apart] if len(apart) < len(alone) else [alone]:
+                for sheet, depth_m in product(_sheets(own, slabs), _DEPTHS_M):
+                    box = sheet.with_depth(depth_m, walls)
+                    yield [box if each is own else each for each in others]
+
+
+def deeper(number: int, room: Room) -> Iterator[Room]:
+    """The room with a box of another depth, or of another thickness."""
+    walls = [each for each in room if each.is_wall]
+    for own in room:
+        if own.number == number and own.depth_m:
+            changed = [
+                own.with_depth(own.depth_m + by_m, walls) for by_m in FINER_M if own.depth_m + by_m > 0
+            ]
+            changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
+            for box in changed:
+                yield [box if each is own else each for each in room]
+
+
+def _sheets(own: RoomSurface, slabs: Sequence[NamedSlab]) -> Iterator[RoomSurface]:
+    """A face of each slab, and of thinner ones where the slab is thin."""
+    for slab in slabs:
+        is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
+        for factor in _THINNER if is_thin else (1.0,):
+            yield replace(own, slab=slab.thinned(factor))
+
+
+def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
+    """How far a face is behind another one, if they are parallel; infinite otherwise, and for walls."""
+    if other.is_wall or float(other.normal @ front.normal) <= _PARALLEL:
+        return np.inf
+    return float((other.corners_m[0] - front.corners_m[0]) @ front.normal)
+
+
+def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
+    """The surface with one edge moved within its plane, up to a wall at most."""
+    for edge, step_m in _edge_steps(own, walls, by_m):
+        yield _with_edge(own, edge, step_m * own.outward[edge], walls)
+
+
+def _edge_steps(
+    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]
+) -> Iterator[tuple[int, float]]:
+    """Each edge of a surface with how far outwards it may be moved: up to a wall at most, and to the wall itself."""
+    number = len(own.corners_m)
+    for edge, outward in enumerate(own.outward):
+        room_m = _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls)
+        size_m = np.ptp(own.corners_m @ outward)
+        steps_m = {min(step_m, room_m) for step_m in by_m if size_m + step_m > _MIN_WIDTH_M}
+        if np.isfinite(room_m):
+            steps_m.add(room_m)
+        yield from ((edge, step_m) for step_m in sorted(steps_m - {0.0}))
+
+
+def _with_edge(
+    own: RoomSurface, edge: int, by_m: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
+) -> RoomSurface:
+    """A surface with the edge from one of its corners to the next moved."""
+    corners_m = own.corners_m.copy()
+    corners_m[[edge, (edge + 1) % len(corners_m)]] += by_m
+    return replace(own, corners_m=corners_m).with_depth(own.depth_m, walls)
+
+
+def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
+    """Whether a face covers some of another one, as seen along the latter's normal."""
+    axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
+    (low, high), (own_low, own_high) = (
+        (place_m.min(axis=1), place_m.max(axis=1))
+        for place_m in (axes @ each.corners_m.T for each in (other, own))
+    )
+    return bool((np.minimum(high, own_high) - np.maximum(low, own_low) > _SAME_END_M).all())
+
+
+def _moved_along(
+    other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Sequence[RoomSurface]
+) -> RoomSurface:
+    """A parallel face with its edge moved as one of `own` is, if both ended or met at the same place; else as it is.
+
+    Faces meet where they lie in one plane. What ends at a wall is not moved.
+    """
+    outward, number = own.outward[edge], len(own.corners_m)
+    if _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls) < _SAME_END_M:
+        return other
+    same_way = other.outward @ outward
+    apart_m = (other.corners_m - own.corners_m[edge]) @ outward
+    may_meet = abs(_behind_m(other, own)) < _SAME_PLANE_M
+    for each in np.flatnonzero(np.abs(apart_m) < _SAME_END_M).tolist():
+        if same_way[each] > _PARALLEL or (may_meet and same_way[each] < -_PARALLEL):
+            return _with_edge(other, each, step_m * outward, walls)
+    return other
+
+
+def _rectangle_about(largest: RoomSurface, parts: Sequence[RoomSurface]) -> Float[FloatArray, "4 3"]:
+    """The corners of the rectangle about some faces of a plane, along the first side of the largest one."""
+    along = largest.corners_m[1] - largest.corners_m[0]
+    along /= np.linalg.norm(along)
+    across = np.cross(largest.normal, along)
+    at_m = np.concatenate([each.corners_m for each in parts]) - largest.corners_m[0]
+    (low, down), (high, up) = (ends(at_m @ np.array([along, across]).T, axis=0) for ends in (np.min, np.max))
+    corners = [[low, down], [high, down], [high, up], [low, up]]
+    return largest.corners_m[0] + np.array(corners) @ np.array([along, across])
+
+
+def _way_to_wall(
+    points_m: Float[FloatArray, "2 3"], outward: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
+) -> float:
+    """How far points can go before one of them meets the plane of a wall; infinite without a wall there."""
+    ways_m = [np.inf]
+    for wall in walls:
+        slope = float(wall.normal @ outward)
+        if slope > 1e-3:
+            ways_m += (((wall.corners_m[0] - points_m) @ wall.normal) / slope).clip(0).tolist()
+    return min(ways_m)

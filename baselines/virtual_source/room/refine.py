@@ -1,0 +1,375 @@
+"""Changes a learned room until what is traced in it is nearest to the training rows of its run.
+
+Learning knows planes to parts of a millimetre, but edges to a cell, and of furniture only the sides that mirror. So
+faces are tried without, of other materials, with other edges, and as the fronts of boxes of some depth. Then boxes are
+put where something hides paths, and their faces moved. What raises the mean SSIM of some training rows is kept. Last,
+all parts are moved to where the lengths of paths agree. No tested row is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.types import FloatArray
+
+from ..search.cross_terms import IsOver, LagAverages, never
+from ..stored import StoredFindings
+from .box_fit import BoxFit
+from .boxes import GAP_M, WAYS_M, Box, BoxFrame, Faces, Ways, box_slabs
+from .changes import NEARLY, OTHERWISE, Room, as_one, with_wall_at
+from .lengths import ReflectedPaths, settled, sharpened
+from .materials import NamedSlab, SlabNames, likely_slabs
+from .obstacles import MOST_OBSTACLES, obstacles
+from .parts import RoomPart, moves_with
+from .surfaces import (
+    NO_PLANE,
+    RoomSurface,
+    is_clear,
+    learned_surfaces,
+    standing,
+    surface_from_json,
+    surface_json,
+)
+from .tiles import with_patches, without_patches
+from .traced import (
+    NUM_CARRIERS,
+    MapCount,
+    RoomScore,
+    best_rooms,
+    mean_scores,
+)
+from .trials import MIN_CHANGE, Trial, trials_of_face, trials_of_slabs
+
+_MIN_GAIN, _SAME = 1e-3, 1e-6  # of the mean SSIM: for which a room gets another box, and that is nothing
+_LISTED = 5  # changes that are compared on all rows, of those that are best on a few
+_WITH_MORE = 10  # with which further changes are tried, on a few rows too
+_BEHIND_M = 0.3  # depth at first of a box that is put behind a face
+_BESIDE_M = 0.3  # from a box, where a face is found that is one of its own, or its echo
+
+
+@dataclass(eq=False)
+class Refinement:
+    """A room that is changed in steps, until what is traced in it is nearest to some training rows.
+
+    Faces are changed in turn, the largest first, and then the slabs of walls. A step tries changes of one kind of one
+    face, and keeps the best of them, again and again, while they raise the mean SSIM. Then boxes are put behind faces
+    that have none. One step more looks for boxes that hide paths; each of these is fitted twice, faces are changed
+    again, and all parts are settled. `room` is the room after the first `done` steps.
+    """
+
+    found: Sequence[RoomSurface]
+    known: Mapping[tuple[int, int], Sequence[NamedSlab]]  # slabs that one of a plane in findings may be
+    train: PasDataset
+    room: Room
+    done: int = 0
+    boxes: list[Box] | None = None  # where something hides paths, once it was sought
+    count: MapCount = field(default_factory=MapCount)
+
+    @classmethod
+    def of(cls, findings: StoredFindings, train: PasDataset) -> Refinement | None:
+        """The refinement of findings before the first step; None where they hold no surfaces."""
+        carriers = np.unique(train.carrier_hz)
+        found = learned_surfaces(findings, carriers.tolist(), _standing(train))
+        if not found:
+            return None
+        names = SlabNames(carriers.tolist())
+        slabs = dict.fromkeys((each.plane, each.found_slab) for each in found)
+        known = {key: likely_slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
+        return cls(found, known, train, found)
+
+    def take(self, room: Room) -> None:
+        """Take a room that was refined before; nothing is left to do then."""
+        self.room, self.boxes = room, []
+        self.done = self.num_steps
+
+    def again(self) -> Refinement | None:
+        """Another round in the room as it is now, from the search for boxes on; None where this one changed nothing."""
+        stored = self.as_json()
+        if stored["room"] == stored["found"]:
+            return None
+        another = Refinement(self.room, self.known, self.train, self.room, count=self.count)
+        another.done = len(another.steps)
+        return another
+
+    @cached_property
+    def score(self) -> RoomScore:
+        """How near a room is to training rows."""
+        return RoomScore.of(self.train, self.count)
+
+    @cached_property
+    def _at_lowest(self) -> RoomScore:
+        return RoomScore.of(self.train, self.count, at_lowest=True)
+
+    @property
+    def _judges(self) -> list[RoomScore]:
+        """Those whose mean says which of two rooms is nearer at the lowest carriers and those in the middle."""
+        return [self._at_lowest, self.score]
+
+    @cached_property
+    def _standing_m(self) -> Float[FloatArray, "N 3"]:
+        return _standing(self.train)
+
+    @cached_property
+    def _frame(self) -> BoxFrame:
+        return BoxFrame.of(self.found)
+
+    @cached_property
+    def steps(self) -> list[Callable[[IsOver], None]]:
+        """What is done until boxes are sought: walls are placed, faces joined, and changed in turn, the largest first.
+
+        Then walls get other slabs, and faces become boxes.
+        """
+        of_faces = [self._trials_of(own) for own in self._fronts]
+        of_planes = dict.fromkeys(own.plane for own in self._fronts)
+        whole = [Trial(partial(as_one, plane), at_lowest=True, least=0.0) for plane in of_planes]
+        first = [trial for own in of_faces for trial in own]
+        again = [trial for own in of_faces[:1] for trial in own[1:3]]
+        plain = [Trial(partial(without_patches, plane), at_lowest=True, least=0.0) for plane in self._walls]
+        of_walls = trials_of_slabs(self.known, NEARLY)
+        as_boxes = [partial(self._fit_behind, own.number) for own in self._fronts]
+        changed = [partial(self._change, trial) for trial in [*whole, *plain, *first, *again, *of_walls]]
+        return [self._place_walls, self._sharpen, *changed, *as_boxes]
+
+    @cached_property
+    def last_steps(self) -> list[Callable[[IsOver], None]]:
+        """What is done once boxes are in their places: edges, depths and thicknesses of faces again, and walls."""
+        trials = [self._trials_of(own) for own in self._fronts]
+        again = [partial(self._fit_again, own.number) for own in self._fronts]
+        changed = [trial for edges, _, *rest, _ in trials for trial in (edges, *rest)]
+        slabs = trials_of_slabs(self.known, OTHERWISE, at_lowest=True)
+        patches = [Trial(partial(with_patches, plane), at_lowest=True) for plane in self._walls]
+        return [*again, *(partial(self._change, trial) for trial in [*slabs, *patches, *changed])]
+
+    def _numbered(self, number: int) -> RoomSurface | None:
+        return next((each for each in self.room if each.number == number), None)
+
+    @property
+    def _fronts(self) -> list[RoomSurface]:
+        return sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
+
+    @property
+    def _walls(self) -> list[int]:
+        """The planes that bound the room."""
+        return list(dict.fromkeys(each.plane for each in self.found if each.is_wall))
+
+    def _trials_of(self, own: RoomSurface) -> list[Trial]:
+        return trials_of_face(own, self.known.get((own.plane, own.found_slab), [own.slab]), self._slabs)
+
+    @property
+    def num_steps(self) -> int:
+        """Number of all steps; until boxes are sought as many of them are expected as there may be."""
+        num_boxes = MOST_OBSTACLES if self.boxes is None else len(self.boxes)
+        return len(self.steps) + 1 + len(WAYS_M) * num_boxes + len(self.last_steps) + 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all steps are done."""
+        return self.done == self.num_steps
+
+    def step(self, is_over: IsOver = never) -> None:
+        """Do one step more, or what of it can be done before a time is over."""
+        later = self.done - len(self.steps)
+        left = self.num_steps - self.done
+        if later < 0:
+            self.steps[self.done](is_over)
+        elif self.boxes is None:
+            self.boxes = obstacles(self.room, self.train, self._standing_m, is_over)
+        elif left == 1:
+            self.settle(is_over)
+            return
+        elif left <= len(self.last_steps) + 1:
+            self.last_steps[1 - left](is_over)
+        else:
+            turn, nth = divmod(later - 1, len(self.boxes))
+            self._fit_obstacle(nth, self.boxes[nth], turn, is_over)
+        self.done += 1
+
+    def leave_faces(self) -> None:
+        """Leave out what is left to do before boxes are sought."""
+        self.done = max(self.done, len(self.steps))
+
+    def settle(self, is_over: IsOver = never) -> None:
+        """Leave out the steps that are left but the last one."""
+        self._settle(is_over)
+        self.done = self.num_steps
+
+    def _settle(self, is_over: IsOver) -> None:
+        """Move all parts to where the lengths of paths agree, but those with which the room is not nearer then."""
+        room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
+        near = [judge.near(room) for judge in self._judges]
+        has_moved = [moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
+        for part in dict.fromkeys(has_moved):  # each has to be better there
+            pairs = zip(self.room, room, strict=True)
+            back = [old if moves_with(old) == part else new for old, new in pairs]
+            before, after = mean_scores(near, [back, room])
+            room = room if after > before else back
+        before, after = mean_scores(self._judges, [self.room, room])
+        if after > before:
+            self.room = room
+
+    def _place_walls(self, is_over: IsOver) -> None:
+        """Move walls that agree better elsewhere, by up to half a metre, with another slab or their own.
+
+        A far wall that few paths show may have been found some waves off.
+        """
+        carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
+        paths = ReflectedPaths.of(self.room, self.train, self._lags, carriers)
+        walls = {each.plane: each for each in self.room if each.is_wall}
+        for plane, own in walls.items():
+            part = RoomPart("wall", plane)
+            if is_over() or part not in paths.reflected:
+                continue
+            places_m = paths.elsewhere(part, np.arange(len(carriers)))
+            of_others = [each.slab for each in walls.values() if each is not own]
+            slabs = {each.material: each for each in [*self._slabs[:1], *of_others, own.slab]}
+            if places_m:
+                changes = partial(with_wall_at, plane, places_m[:_LISTED], list(slabs.values()))
+                self._change(Trial(changes, at_lowest=True, repeats=1), is_over)
+
+    def _sharpen(self, is_over: IsOver) -> None:
+        """Move all parts by little, if the room is nearer then."""
+        room = sharpened(self.room, self.train, self._lags, self._standing_m)
+        if not is_over() and self._is_nearer(room, self._judges):
+            self.room = room
+
+    def _change(self, trial: Trial, is_over: IsOver) -> None:
+        """Keep the best changes of one kind."""
+        judges = self._judges if trial.at_lowest else [self.score]
+        for _ in range(trial.repeats):
+            candidates = [each for each in trial.changes(self.room) if self._stands(each)]
+            if len(candidates) > _LISTED:
+                few = judges[0].roughly(candidates[0], self.room)
+                if trial.besides:
+                    best = best_rooms(candidates, few, _WITH_MORE, is_over)
+                    more = [each for room in best for each in trial.besides(room) if self._stands(each)]
+                    candidates = [*best, *more]
+                candidates = best_rooms(candidates, few, _LISTED, is_over)
+            scores = mean_scores([judge.near(self.room) for judge in judges], candidates, is_over)
+            if not len(scores) or is_over():
+                break
+            changed = candidates[int(scores.argmax())]
+            asked = [judges] if trial.at_lowest else [judges, self._judges]
+            if not all(self._is_nearer(changed, each, trial.least) for each in asked):
+                break
+            self.room = changed
+
+    def _is_nearer(self, room: Room, judges: Sequence[RoomScore], least: float = MIN_CHANGE) -> bool:
+        """Whether a room that is changed deserves to be kept."""
+        before, after = mean_scores(judges, [self.room, room])
+        return bool(after >= before + least)
+
+    def _fit_behind(self, number: int, is_over: IsOver) -> None:
+        """Make a face that stands along the walls the front of a box, and change all of the box but that face."""
+        own = self._numbered(number)
+        frame = self._frame
+        if own is not None and (held := frame.face_of(own)):
+            box = frame.box_of(own if own.depth_m else own.with_depth(_BEHIND_M, frame.walls))
+            self._fit(frame.surface(box, number, own.slab), WAYS_M, is_over, [own.slab], held)
+
+    def _fit_again(self, number: int, is_over: IsOver) -> None:
+        """Change the box that was put behind a face, if it has one."""
+        own = self._numbered(number)
+        if own is not None and own.depth_m and own.plane == NO_PLANE:
+            self._fit(own, WAYS_M[1:], is_over, [own.slab])
+
+    def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
+        """Put a box into the room, or change that which is there."""
+        number = 1 + nth + max(each.number for each in self.found)
+        own = self._numbered(number)
+        if own is not None:
+            self._fit(own, WAYS_M[turn:], is_over, self._slabs)
+        elif not turn:  # else it was tried in vain
+            new = self._frame.surface(box, number, self._slabs[0])
+            self._fit(new, WAYS_M, is_over, self._slabs)
+            self._join(number, is_over)
+            faces = [each for each in self.room if each.plane != NO_PLANE and self._is_at(box, each)]
+            if faces:  # what was found of the thing, or its echo
+                own = self._numbered(number) or new
+                self._fit(own, WAYS_M, is_over, self._slabs, instead_of=faces)
+
+    def _is_at(self, box: Box, face: RoomSurface) -> bool:
+        """Whether a face that is no wall has its middle at a box, as seen from above."""
+        low_m, high_m = box
+        middle_m = self._frame.box_of(face).mean(axis=0)
+        is_there = (middle_m > low_m - _BESIDE_M) & (middle_m < high_m + _BESIDE_M)
+        return not face.is_wall and bool(is_there[:2].all())
+
+    def _join(self, number: int, is_over: IsOver) -> None:
+        """Try a box and each one that it overlaps as a single one, for two things are never in one place."""
+        for other in [each for each in self.room if not each.is_wall and each.number != number]:
+            own = self._numbered(number)
+            if own is None:
+                return
+            low_m, high_m = np.stack([self._frame.box_of(each) for each in (own, other)], axis=1)
+            if (low_m.max(axis=0) < high_m.min(axis=0) + GAP_M).all():
+                box = np.stack([low_m.min(axis=0), high_m.max(axis=0)])
+                whole = self._frame.surface(box, other.number, other.slab)
+                self._fit(whole, WAYS_M, is_over, [other.slab, own.slab], instead_of=[own])
+
+    def _fit(
+        self,
+        own: RoomSurface,
+        ways_m: Sequence[Ways],
+        is_over: IsOver,
+        slabs: Sequence[NamedSlab],
+        held: Faces | None = None,
+        instead_of: Sequence[RoomSurface] = (),
+    ) -> None:
+        """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it."""
+        replaced = {each.number for each in (own, *instead_of)}
+        others = [each for each in self.room if each.number not in replaced]
+        is_new = not any(each is own for each in self.room)
+        box = self._box_fit.fitted(others, own, ways_m, slabs, is_over, held, is_new=is_new)
+        least = self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
+        if box is not None and self._at_lowest([*others, box]) > least - _SAME:
+            self.room = [*others, box]
+
+    @cached_property
+    def _box_fit(self) -> BoxFit:
+        return BoxFit(self._at_lowest, self._frame, self._standing_m)
+
+    @cached_property
+    def _lags(self) -> LagAverages:
+        return LagAverages(self.train, never)
+
+    @cached_property
+    def _slabs(self) -> list[NamedSlab]:
+        """Slabs that a box may be made of."""
+        return box_slabs(SlabNames(np.unique(self.train.carrier_hz).tolist()).materials)
+
+    def as_json(self) -> dict[str, Any]:
+        """What of it does not follow from the training rows, for `resumed`."""
+        return {
+            "found": [surface_json(each) for each in self.found],
+            "known": [[*key, slabs] for key, slabs in self.known.items()],
+            "room": [surface_json(each) for each in self.room],
+            "done": self.done,
+            "boxes": self.boxes and [box.tolist() for box in self.boxes],
+        }
+
+    @classmethod
+    def resumed(cls, stored: Mapping[str, Any], train: PasDataset) -> Refinement:
+        """The refinement that `as_json` told of, to go on with the same training rows."""
+        found, room = ([surface_from_json(each) for each in stored[name]] for name in ("found", "room"))
+        known = {
+            (plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]
+        }
+        boxes = stored.get("boxes")
+        places = None if boxes is None else [np.array(box, np.float64) for box in boxes]
+        return cls(found, known, train, room, stored["done"], places)
+
+    def _stands(self, room: Room) -> bool:
+        """Whether nothing stands on the surfaces that would change."""
+        changed = (each for each in room if not any(each is other for other in self.room))
+        return all(is_clear(each, self._standing_m) for each in changed)
+
+
+def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
+    return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))
