@@ -12,13 +12,11 @@ from xfreqbench.cli.options import Output, Quiet, example, print_table, say
 
 if TYPE_CHECKING:
     from .findings.compared import ComparedFindings
-    from .findings.page import ScoredRoom
+    from .findings.room import ScoredRoom
     from .room.refine import Refinement
 
 findings = App(
-    name="findings",
-    group="Results",
-    help_epilogue=example("findings results --data office.h5 -o findings"),
+    name="findings", group="Results", help_epilogue=example("findings results --data office.h5 -o findings")
 )
 residual = App(
     name="residual",
@@ -80,15 +78,8 @@ def compare_findings(
     from xfreqbench.data.dataset import open_dataset
 
     from .findings.compared import ComparedFindings, choose_record
-    from .findings.room import refinement_of
-    from .findings.room_files import claim_room, write_room
-    from .findings.write import (
-        missing_rows,
-        plane_rows,
-        small_missing,
-        write_findings,
-        write_page,
-    )
+    from .findings.room import ROOM_HEADER, claim_room, refinement_of, write_room
+    from .findings.write import missing_rows, plane_rows, small_missing, write_findings, write_page
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
@@ -105,7 +96,7 @@ def compare_findings(
         learned = _learned_room(results, compared, refinement, refine, quiet)
         paths += write_room(compared, learned, room)
         write_page(compared, output, learned)
-        tables.append(("The room at tested rows", learned.header, learned.scores))
+        tables.append(("The room at tested rows", ROOM_HEADER, learned.scores))
     for table in () if quiet else tables:
         print_table(*table)
     say(small_missing(compared), quiet)
@@ -119,8 +110,7 @@ def _learned_room(
     """The room of findings, refined if that is asked for, with its scores."""
     from xfreqbench.system.bars import progress_bars
 
-    from .findings.page import ScoredRoom
-    from .findings.room_score import HEADER, score_rooms, score_rows
+    from .findings.room import ScoredRoom, score_rooms, score_rows
 
     rooms = {"traced in the room, as found": refinement.found}
     if refine:
@@ -130,7 +120,7 @@ def _learned_room(
                 progress(refinement.done, refinement.num_steps)
         rooms["traced in the room, refined"] = refinement.room
     shown = refinement.room if refine else refinement.found
-    return ScoredRoom(shown, HEADER, score_rows(score_rooms(results, compared, rooms)))
+    return ScoredRoom(shown, score_rows(score_rooms(results, compared, rooms)))
 
 
 @residual.default
@@ -155,16 +145,15 @@ def measure_residual(
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.system.bars import progress_bars
 
-    from .findings import residual_tables as tables
+    from .findings import residual as tables
     from .findings.compared import ComparedFindings, choose_record
-    from .findings.residual import compute_residual, plan_residual
 
     chosen = choose_record(results, record.id, record.split, record.seed)
     compared = ComparedFindings.of(chosen, open_dataset(data))
-    plan = plan_residual(results, compared, tx)
+    plan = tables.plan_residual(results, compared, tx)
     tables.claim(output, chosen.id)
     with progress_bars("transmitters", ["tracing", "scoring"], quiet) as (tracing, scoring):
-        found = compute_residual(plan, tracing, scoring)
+        found = tables.compute_residual(plan, tracing, scoring)
     tables.write_residual(found, output)
     if not quiet:
         print_table(compared.title, *tables.score_rows(found))

@@ -246,10 +246,7 @@ def _across(direction: Float[Tensor, "B K 3"], normal: Float[Tensor, "B K 3"]) -
 
 
 def _touch(
-    mirrors: Mirrors,
-    plane: Int[Tensor, "*S"],
-    point: Float[Tensor, "*S 3"],
-    direction: Float[Tensor, "*S 3"],
+    mirrors: Mirrors, plane: Int[Tensor, "*S"], point: Float[Tensor, "*S 3"], direction: Float[Tensor, "*S 3"]
 ) -> Touch:
     """Where planes are met: world points are converted to the planes' own axes."""
     axes, normal = mirrors.axes[plane], mirrors.normal[plane]

@@ -15,8 +15,7 @@ from ..config import SourceConfig
 from ..room.faces import ALIKE, Cells, faces
 from ..search.planes import Plane
 from .images import Antenna, Mirrors, Touch, Traces, sequences, trace
-from .presence import METAL, NOTHING, Presence
-from .slabs import METAL_REFLECTION, LearnedSlabs, looked_up
+from .slabs import METAL, METAL_REFLECTION, NOTHING, LearnedSlabs, Presence, looked_up
 
 MAX_CROSSINGS = 6  # of planes that count for a path: those that are present most probably
 _MARGIN_M = 1.0  # by which cells extend beyond transmitters and receiver

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.scene.facets import PlanarFacet, group_by_plane
+from xfreqbench.scene.materials import Material
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.visibility import sees
 from xfreqbench.types import FloatArray
 
 from ..stored import FoundPlane, StoredFindings
-from .model import TrueSlab
 
 MATCH_DISTANCE_M = 0.05  # a found plane further from every surface shows none of them
 MATCH_TILT_RAD = float(np.radians(2))
@@ -23,6 +23,8 @@ _TOWARDS_ARRAY = (
     1e-6  # points on a surface move by this share of the way, so that it does not hide them itself
 )
 _ON_PLANE_M = 1e-6
+
+TrueSlab = tuple[Material, float]  # a material, and the thickness in metres
 
 
 @dataclass(frozen=True, eq=False)

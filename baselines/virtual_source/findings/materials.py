@@ -15,12 +15,10 @@ from xfreqbench.scene.materials import conductivity_s_m
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
-from ..room.materials import NamedSlab, SlabNames
-from ..room.surfaces import polygon_area_m2
+from ..room.surfaces import NamedSlab, SlabNames, polygon_area_m2
 from ..stored import FoundFace, FoundSlab
-from .compared import ComparedFindings
-from .match import Match, nearest_point
-from .model import TrueSlab, reflection_over_angle, true_permittivity
+from .compared import ComparedFindings, reflection_over_angle, true_permittivity
+from .match import Match, TrueSlab, nearest_point
 
 LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
 _COLUMNS = (

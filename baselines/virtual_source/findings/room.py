@@ -1,19 +1,52 @@
-"""The room that a record's run has learned, as found and refined on its training rows."""
+"""The learned room of a record: refined on its training rows, scored at tested rows, and written as a scene."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import TypeAdapter
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import find_split
 from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.report.drawing.figures import is_own_drawing
+from xfreqbench.report.drawing.glb import GlbModel
+from xfreqbench.report.drawing.materials import material_colour
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
+from xfreqbench.system.files import require_own, require_space, write_text
 from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import FloatArray
 
 from ..room.refine import Refinement
-from ..room.surfaces import surface_from_json
+from ..room.surfaces import MIN_SEEN, NO_PLANE, RoomSurface, surface_from_json
+from ..room.traced import channels_in
 from .compared import ComparedFindings
+from .residual import drawn_rows
+
+NUM_TESTED_TX = 60
+ROOM_HEADER = ("maps", "median SSIM", "mean SSIM", "tested rows")
+ROOM, SHAPE = "room.toml", "room.glb"
+_OPACITY = 140
+
+
+@dataclass(frozen=True)
+class ScoredRoom:
+    """The room that was made of findings, and how maps traced in it score: cells under `ROOM_HEADER`."""
+
+    surfaces: Sequence[RoomSurface]
+    scores: list[tuple[str, ...]]
 
 
 def settings_in_room(dataset: PasDataset) -> TraceSettings:
@@ -44,3 +77,114 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
             f"does not trace among the {len(refinement.room)} surfaces that were learned. Leave out --room."
         )
     return refinement
+
+
+def score_rooms(
+    results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]
+) -> dict[str, Float[FloatArray, "n"]]:
+    """SSIM of tested rows: of the stored predictions, where they are there, and of every room, traced as the data were.
+
+    The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where there are fewer.
+    """
+    dataset, record = compared.dataset, compared.record
+    tested = find_split(dataset, record.job.protocol, record.job.split).test
+    rows = drawn_rows(dataset, tested, NUM_TESTED_TX)
+    samples = dataset.subset(rows)
+    truth, scores = samples.pas(), {}
+    try:
+        predicted = ResultsFolder.holding(results).predictions(record).maps_of(rows, BATCH_SIZE)
+        scores[f"{record.job.method}, as predicted"] = ssim(predicted, truth, samples.grid)
+    except (DataError, KeyError):  # not kept, or of other rows
+        pass
+    for label, room in rooms.items():
+        cfr = channels_in(room, samples, settings_in_room(samples))
+        maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
+        scores[label] = ssim(maps, truth, samples.grid)
+    return scores
+
+
+def score_rows(scores: Mapping[str, Float[FloatArray, "n"]]) -> list[tuple[str, ...]]:
+    """Cells under `ROOM_HEADER`, a row for each label."""
+    return [
+        (label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each)))
+        for label, each in scores.items()
+    ]
+
+
+def claim_room(record_id: str, folder: Path) -> None:
+    """See that a room can be written into a folder: nothing is there, or a room of the same record.
+
+    Raises `OutputExistsError` where something else is there, and `StorageError`.
+    """
+    scene = (folder / ROOM).read_text("utf-8", "replace") if (folder / ROOM).is_file() else ""
+    is_same = scene.partition("\n")[0] == _first_line(record_id)
+
+    def fault_of(path: Path) -> str | None:
+        is_ours = is_same and (path.name == ROOM or is_own_drawing(path))
+        return None if is_ours else f"was not written for record {record_id}"
+
+    for name in (SHAPE, ROOM):
+        require_own(folder / name, fault_of)
+    require_space(folder / ROOM, 1)
+
+
+def write_room(compared: ComparedFindings, room: ScoredRoom, folder: Path) -> list[Path]:
+    """Write a room with the data's array and transmitters into a folder, which `claim_room` has looked at.
+
+    The scene's file tells the scores in comments. Returns the paths of the scene and of its shape. Raises
+    `StorageError`.
+    """
+    model = GlbModel()
+    for surface in room.surfaces:
+        colour = material_colour(surface.slab.material, _OPACITY)
+        model.add_surface(surface.mesh, colour, surface.slab_name)
+    write_text(folder / ROOM, _toml(compared, room))
+    model.write(folder / SHAPE)
+    return [folder / ROOM, folder / SHAPE]
+
+
+def _first_line(record_id: str) -> str:
+    return f"# The room that record {record_id} has learned."
+
+
+def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
+    """The scene: its array and transmitters are those of the data, its materials those of the room."""
+    scene, job = compared.dataset.scene, compared.record.job
+    receiver = TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")
+    transmitters = TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")
+    told = {
+        "name": f"{scene.name}-learned",
+        "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
+        "scene": SHAPE,
+        "mirrors": "facets",
+    }
+    scores = [
+        f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n"
+        for what, median, mean, number in room.scores
+    ]
+    parts = [
+        _first_line(compared.record.id),
+        "".join(scores) + _table(told),
+        f"[receiver]\n{_table(receiver)}",
+        f"[transmitters]\n{_table(transmitters)}",
+    ]
+    by_slab = defaultdict[str, list[RoomSurface]](list)
+    for surface in room.surfaces:
+        by_slab[surface.slab_name].append(surface)
+    for name, own in sorted(by_slab.items()):
+        unseen = [surface.name for surface in own if surface.seen < MIN_SEEN]
+        learned = [surface.slab.distance for surface in own if surface.plane != NO_PLANE]
+        note = (
+            f"|ΔR| {max(learned):.3f} from what was learned"
+            if learned
+            else "of those tried, nearest to the maps"
+        )
+        note += f"; unseen: {', '.join(unseen)}" if unseen else ""
+        entry = {"name": name, "itu": own[0].slab.material, "thickness_m": own[0].slab.thickness_m}
+        parts.append(f"[[material]]  # {note}\n{_table(entry)}")
+    return "\n".join(parts)
+
+
+def _table(content: Mapping[str, Any]) -> str:
+    """Lines of TOML, which writes numbers, texts and lists of them as JSON does."""
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in content.items())

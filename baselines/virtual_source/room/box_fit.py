@@ -19,10 +19,8 @@ from xfreqbench.types import FloatArray
 from ..search.cross_terms import IsOver, LagAverages, never
 from .boxes import BoxFrame, Change, Faces, Ways, holds_any
 from .changes import Room
-from .lengths import ReflectedPaths, around, peaks
-from .materials import NamedSlab
-from .parts import moved
-from .surfaces import RoomSurface, is_clear
+from .lengths import ReflectedPaths, around, moved, peaks
+from .surfaces import NamedSlab, RoomSurface, is_clear
 from .traced import RoomScore, mean_scores
 
 _NUM_NEAR_TX = 16  # those that a box matters to most

@@ -13,8 +13,7 @@ from jaxtyping import Float
 
 from xfreqbench.types import FloatArray
 
-from .materials import METAL_THICKNESS_M, NamedSlab
-from .surfaces import NO_PLANE, RoomSurface
+from .surfaces import METAL_THICKNESS_M, NO_PLANE, NamedSlab, RoomSurface
 
 THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
 GAP_M = 0.02  # between a box and the walls, and whatever is known not to be in it

@@ -1,19 +1,25 @@
-"""Changes of a learned room that are tried: other slabs, edges and depths of its faces, or none of them."""
+"""Changes of a learned room that are tried: other slabs, edges and depths of its faces, or a room without them.
+
+`Trial` is a kind of change, and how much better the best of its rooms has to be.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from functools import partial
+from itertools import chain, count, product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 
 from xfreqbench.types import FloatArray
 
 from .boxes import THICKNESSES
-from .materials import NamedSlab
-from .surfaces import NO_PLANE, RoomSurface
+from .faces import cut_out, tidied
+from .surfaces import LEAST_AREA_M2, NO_PLANE, NamedSlab, RoomSurface
 
 EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
 NEAR_EDGES_M = (-0.05, 0.05)  # a front that ends so far off hides other paths, and no depth is right then
@@ -240,3 +246,107 @@ def _way_to_wall(
         if slope > 1e-3:
             ways_m += (((wall.corners_m[0] - points_m) @ wall.normal) / slope).clip(0).tolist()
     return min(ways_m)
+
+
+_FIRST_PIECE = 1000  # number of the first piece of a wall that was none before
+_STEPS_M = (-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
+
+
+def without_patches(plane: int, room: Room) -> Iterator[Room]:
+    """The room with a rectangle, or all of them, of the slab of most of the wall around it."""
+    patches, rest = _patches(plane, room)
+    each_alone = [[each] for each in patches]
+    for gone in [patches, *each_alone] if len(patches) > 1 else each_alone:
+        slab, found = rest[0].slab, rest[0].found_slab
+        yield [replace(each, slab=slab, found_slab=found) if each in gone else each for each in room]
+
+
+def with_patches(plane: int, room: Room) -> Iterator[Room]:
+    """The room with one side of a rectangle moved that is of another slab than most of the wall around it."""
+    walls = [each for each in room if each.is_wall]
+    patches, rest = _patches(plane, room)
+    tiles = [*patches, *rest]
+    first = max(_FIRST_PIECE, *(1 + each.number for each in room))
+    for own in patches:
+        for changed in edged(own, walls, _STEPS_M):
+            others = [changed if each is own else each for each in patches]
+            if pieces := _around(tiles, others, rest, first):
+                yield [*(each for each in room if each not in tiles), *others, *pieces]
+
+
+def _patches(plane: int, room: Room) -> tuple[list[RoomSurface], list[RoomSurface]]:
+    """The parts of a wall that are of another slab than most of it, and the others."""
+    tiles = [each for each in room if each.is_wall and each.plane == plane]
+    main = max(tiles, key=lambda each: sum(one.area_m2 for one in tiles if one.slab == each.slab)).slab
+    return [each for each in tiles if each.slab != main], [each for each in tiles if each.slab == main]
+
+
+def _around(
+    tiles: Sequence[RoomSurface], patches: Sequence[RoomSurface], rest: Sequence[RoomSurface], first: int
+) -> list[RoomSurface]:
+    """The pieces of a wall around its patches, in place of what was the rest of it; none where patches overlap.
+
+    The wall is what all its tiles cover. Pieces that are more than before are numbered from `first` on.
+    """
+    own = patches[0]
+    axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
+    places, holes = ([(each.corners_m - own.corners_m[0]) @ axes.T for each in of] for of in (tiles, patches))
+    whole = ConvexHull(np.concatenate(places))
+    left = [tidied(whole.points[whole.vertices])]
+    for place_m in holes:
+        hole_m = place_m[ConvexHull(place_m).vertices]  # in turn to the left
+        left = [tidied(piece_m) for each in left for piece_m in cut_out(each, hole_m)]
+    numbers = chain((each.number for each in rest), count(first))
+    pieces = [
+        replace(rest[0], number=number, corners_m=own.corners_m[0] + each @ axes)
+        for number, each in zip(numbers, left, strict=False)
+    ]
+    is_whole = abs(sum(each.area_m2 for each in (*patches, *pieces)) - whole.volume) < LEAST_AREA_M2
+    return [each for each in pieces if each.area_m2 > LEAST_AREA_M2] if is_whole else []
+
+
+MIN_CHANGE = 3e-4  # of the mean SSIM, for which a surface is changed
+_REPEATS = 4  # most changes of one kind of one face, one after another, where many may follow each other
+
+
+class Trial(NamedTuple):
+    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little.
+
+    `besides` are further changes that are tried together with the best of them. A change is kept that raises the mean
+    SSIM by `least`; where it makes a room simpler, it has to be no worse.
+    """
+
+    changes: Callable[[Room], Iterator[Room]]
+    at_lowest: bool = False
+    besides: Callable[[Room], Iterator[Room]] | None = None
+    least: float = MIN_CHANGE
+    repeats: int = _REPEATS
+
+
+def trials_of_face(
+    own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]
+) -> list[Trial]:
+    """Trials of a face that may be of `known` slabs, or of others of which boxes are made.
+
+    They are of its edges, of its depth, twice of edges again, and of the room without it.
+    """
+    others = [each for each in of_boxes if each.material not in {one.material for one in known}]
+    slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
+    edges, finer, nearly = (
+        partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M)
+    )
+    return [
+        Trial(edges, at_lowest=True),
+        Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly, repeats=1),
+        Trial(partial(deeper, own.number)),
+        Trial(edges),
+        Trial(finer),
+        Trial(partial(without, own.number), least=0.0),
+    ]
+
+
+def trials_of_slabs(
+    known: Mapping[tuple[int, int], Sequence[NamedSlab]], factors: Sequence[float], *, at_lowest: bool = False
+) -> list[Trial]:
+    """Trials of other slabs, and of other thicknesses, for each slab of a plane that was found."""
+    return [Trial(partial(other_slabs, *each, factors), at_lowest) for each in known.items()]

@@ -18,11 +18,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.types import FloatArray, IntArray
 
-from ..search.cross_terms import (
-    IsOver,
-    LagAverages,
-    never,
-)
+from ..search.cross_terms import IsOver, LagAverages, never
 from .boxes import GAP_M, Box, BoxFrame, holds_any
 from .obstacle_kernels import hidden_by
 from .surfaces import RoomSurface
@@ -83,11 +79,7 @@ class DoubtfulPaths:
 
     @classmethod
     def of(
-        cls,
-        room: Sequence[RoomSurface],
-        train: PasDataset,
-        frame: BoxFrame,
-        is_over: IsOver = never,
+        cls, room: Sequence[RoomSurface], train: PasDataset, frame: BoxFrame, is_over: IsOver = never
     ) -> DoubtfulPaths:
         """The paths to the array centre from some transmitters of training rows."""
         carriers = np.unique(train.carrier_hz)

@@ -23,29 +23,34 @@ from ..search.cross_terms import IsOver, LagAverages, never
 from ..stored import StoredFindings
 from .box_fit import BoxFit
 from .boxes import GAP_M, WAYS_M, Box, BoxFrame, Faces, Ways, box_slabs
-from .changes import NEARLY, OTHERWISE, Room, as_one, with_wall_at
-from .lengths import ReflectedPaths, settled, sharpened
-from .materials import NamedSlab, SlabNames, likely_slabs
+from .changes import (
+    MIN_CHANGE,
+    NEARLY,
+    OTHERWISE,
+    Room,
+    Trial,
+    as_one,
+    trials_of_face,
+    trials_of_slabs,
+    with_patches,
+    with_wall_at,
+    without_patches,
+)
+from .lengths import ReflectedPaths, RoomPart, moves_with, settled, sharpened
 from .obstacles import MOST_OBSTACLES, obstacles
-from .parts import RoomPart, moves_with
 from .surfaces import (
     NO_PLANE,
+    NamedSlab,
     RoomSurface,
+    SlabNames,
     is_clear,
     learned_surfaces,
+    likely_slabs,
     standing,
     surface_from_json,
     surface_json,
 )
-from .tiles import with_patches, without_patches
-from .traced import (
-    NUM_CARRIERS,
-    MapCount,
-    RoomScore,
-    best_rooms,
-    mean_scores,
-)
-from .trials import MIN_CHANGE, Trial, trials_of_face, trials_of_slabs
+from .traced import NUM_CARRIERS, MapCount, RoomScore, best_rooms, mean_scores
 
 _MIN_GAIN, _SAME = 1e-3, 1e-6  # of the mean SSIM: for which a room gets another box, and that is nothing
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few

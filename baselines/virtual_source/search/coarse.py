@@ -13,12 +13,7 @@ from scipy.ndimage import maximum_filter
 
 from xfreqbench.types import FloatArray, IntArray
 
-from .cross_terms import (
-    MIN_EXCESS_CYCLES,
-    BoolArray,
-    LineOfSightReference,
-    phasor,
-)
+from .cross_terms import MIN_EXCESS_CYCLES, BoolArray, LineOfSightReference, phasor
 
 MAX_TILT = 0.1  # rad, by which ceilings and walls may lean
 

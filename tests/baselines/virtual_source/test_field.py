@@ -19,7 +19,7 @@ from training import predicted, reloaded, trained
 from xfreqbench.baselines.virtual_source.config import SourceConfig
 from xfreqbench.baselines.virtual_source.field import field as field_module
 from xfreqbench.baselines.virtual_source.field.field import VirtualSourceField
-from xfreqbench.baselines.virtual_source.findings.model import reflection
+from xfreqbench.baselines.virtual_source.findings.compared import reflection
 from xfreqbench.baselines.virtual_source.method import VirtualSource, VirtualSourceConfig
 from xfreqbench.baselines.virtual_source.search.planes import Plane
 from xfreqbench.baselines.virtual_source.search.range_profile import random_planes

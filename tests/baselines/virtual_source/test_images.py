@@ -15,8 +15,7 @@ from xfreqbench.baselines.virtual_source.field import learned_room as room_modul
 from xfreqbench.baselines.virtual_source.field import slabs as slabs_module
 from xfreqbench.baselines.virtual_source.field.images import Antenna, Mirrors, Traces, sequences, trace
 from xfreqbench.baselines.virtual_source.field.learned_room import MAX_CROSSINGS, LearnedRoom
-from xfreqbench.baselines.virtual_source.field.presence import NOTHING, THICK
-from xfreqbench.baselines.virtual_source.field.slabs import LearnedSlabs, looked_up
+from xfreqbench.baselines.virtual_source.field.slabs import NOTHING, THICK, LearnedSlabs, looked_up
 from xfreqbench.baselines.virtual_source.search.planes import Plane
 
 from xfreqbench.scene.materials import ITU_MATERIALS, complex_permittivity

@@ -6,10 +6,22 @@ import numpy as np
 import pytest
 from found_box import ARRAY_M, SETTINGS, found_room, generated
 from xfreqbench.baselines.virtual_source.room.boxes import BoxFrame
-from xfreqbench.baselines.virtual_source.room.lengths import ReflectedPaths, around, settled, sharpened
-from xfreqbench.baselines.virtual_source.room.materials import NamedSlab
-from xfreqbench.baselines.virtual_source.room.parts import Motion, RoomPart, moved, parts_at
-from xfreqbench.baselines.virtual_source.room.surfaces import RoomSurface, learned_surfaces, standing
+from xfreqbench.baselines.virtual_source.room.lengths import (
+    Motion,
+    ReflectedPaths,
+    RoomPart,
+    around,
+    moved,
+    parts_at,
+    settled,
+    sharpened,
+)
+from xfreqbench.baselines.virtual_source.room.surfaces import (
+    NamedSlab,
+    RoomSurface,
+    learned_surfaces,
+    standing,
+)
 from xfreqbench.baselines.virtual_source.room.traced import channels_in
 from xfreqbench.baselines.virtual_source.search.cross_terms import LagAverages, never
 from xfreqbench.baselines.virtual_source.stored import StoredFindings

@@ -14,10 +14,9 @@ import trimesh
 from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 from xfreqbench.baselines.virtual_source.room import changes, refine, traced
 from xfreqbench.baselines.virtual_source.room.boxes import BoxFrame, Faces
-from xfreqbench.baselines.virtual_source.room.materials import NamedSlab
-from xfreqbench.baselines.virtual_source.room.parts import RoomPart, moved
+from xfreqbench.baselines.virtual_source.room.lengths import RoomPart, moved
 from xfreqbench.baselines.virtual_source.room.refine import Refinement
-from xfreqbench.baselines.virtual_source.room.surfaces import RoomSurface
+from xfreqbench.baselines.virtual_source.room.surfaces import NamedSlab, RoomSurface
 from xfreqbench.baselines.virtual_source.room.traced import COMPARING
 from xfreqbench.baselines.virtual_source.stored import StoredFindings
 

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from found_box import SCENE, SETTINGS, SIZE_M, found_room, generated
-from xfreqbench.baselines.virtual_source.room.materials import NamedSlab
-from xfreqbench.baselines.virtual_source.room.polygons import tidied
+from xfreqbench.baselines.virtual_source.room.changes import Trial, with_patches, without_patches
+from xfreqbench.baselines.virtual_source.room.faces import tidied
 from xfreqbench.baselines.virtual_source.room.refine import Refinement
-from xfreqbench.baselines.virtual_source.room.surfaces import RoomSurface, learned_surfaces
-from xfreqbench.baselines.virtual_source.room.tiles import with_patches, without_patches
+from xfreqbench.baselines.virtual_source.room.surfaces import NamedSlab, RoomSurface, learned_surfaces
 from xfreqbench.baselines.virtual_source.room.traced import COMPARING
-from xfreqbench.baselines.virtual_source.room.trials import Trial
 from xfreqbench.baselines.virtual_source.search.cross_terms import never
 from xfreqbench.baselines.virtual_source.stored import StoredFindings
 

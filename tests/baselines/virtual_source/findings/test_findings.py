@@ -12,8 +12,12 @@ from reference import slab_coefficients
 from stored_records import make_record
 from synthetic import append_all, make_header
 from xfreqbench.baselines.virtual_source.commands import compare_findings as findings_command
-from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings, choose_record
-from xfreqbench.baselines.virtual_source.findings.model import reflection, virtual_sources
+from xfreqbench.baselines.virtual_source.findings.compared import (
+    ComparedFindings,
+    choose_record,
+    reflection,
+    virtual_sources,
+)
 from xfreqbench.baselines.virtual_source.findings.write import FILES, NUMBERS, write_findings
 from xfreqbench.baselines.virtual_source.stored import FoundSlab, StoredFindings
 

@@ -10,7 +10,7 @@ from found_box import SCENE, found_room, slab
 from PIL import Image
 from reference import slab_coefficients
 from stored_records import make_record
-from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
+from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings, true_permittivity
 from xfreqbench.baselines.virtual_source.findings.figures import plot_materials
 from xfreqbench.baselines.virtual_source.findings.materials import (
     ShownMaterial,
@@ -18,7 +18,6 @@ from xfreqbench.baselines.virtual_source.findings.materials import (
     shown_carriers_hz,
     shown_materials,
 )
-from xfreqbench.baselines.virtual_source.findings.model import true_permittivity
 
 from xfreqbench.data.dataset import PasDataset
 

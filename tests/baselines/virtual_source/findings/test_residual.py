@@ -10,8 +10,14 @@ from stored_records import make_record, make_summary
 from synthetic import append_all, make_header
 from xfreqbench.baselines.virtual_source.commands import measure_residual as residual_command
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
-from xfreqbench.baselines.virtual_source.findings.residual import Residual, compute_residual, plan_residual
-from xfreqbench.baselines.virtual_source.findings.residual_tables import claim, group_rows, score_rows
+from xfreqbench.baselines.virtual_source.findings.residual import (
+    Residual,
+    claim,
+    compute_residual,
+    group_rows,
+    plan_residual,
+    score_rows,
+)
 from xfreqbench.baselines.virtual_source.findings.true_paths import Selection
 
 from xfreqbench.data.dataset import PasDataset, open_dataset

@@ -12,12 +12,15 @@ from found_box import ALL_PLANES, SCENE, SETTINGS, SIZE_M, found_room, slab
 from stored_records import make_record
 from xfreqbench.baselines.virtual_source.commands import compare_findings as findings_command
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
-from xfreqbench.baselines.virtual_source.findings.page import ScoredRoom
-from xfreqbench.baselines.virtual_source.findings.room import refinement_of
-from xfreqbench.baselines.virtual_source.findings.room_files import claim_room, write_room
-from xfreqbench.baselines.virtual_source.findings.room_score import score_rooms, score_rows
-from xfreqbench.baselines.virtual_source.room.materials import SlabNames
-from xfreqbench.baselines.virtual_source.room.surfaces import surface_json
+from xfreqbench.baselines.virtual_source.findings.room import (
+    ScoredRoom,
+    claim_room,
+    refinement_of,
+    score_rooms,
+    score_rows,
+    write_room,
+)
+from xfreqbench.baselines.virtual_source.room.surfaces import SlabNames, surface_json
 from xfreqbench.baselines.virtual_source.stored import FoundSlab
 
 from xfreqbench.cli.data import generate
@@ -198,7 +201,7 @@ def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
     written = []
     for _ in range(2):
         claim_room("mine", tmp_path)
-        write_room(mine, ScoredRoom(refinement_of(mine).found, (), []), tmp_path)
+        write_room(mine, ScoredRoom(refinement_of(mine).found, []), tmp_path)
         written.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
     assert set(written[0]) == WRITTEN
     assert written[0] == written[1]
