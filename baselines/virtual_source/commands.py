@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import App, Parameter
 
 from xfreqbench.cli.options import Output, Quiet, example, print_table, say
-
-if TYPE_CHECKING:
-    from .findings.compared import ComparedFindings
-    from .findings.room import ScoredRoom
-    from .room.refine import Refinement
 
 findings = App(
     name="findings", group="Results", help_epilogue=example("findings results --data office.h5 -o findings")
@@ -76,9 +71,10 @@ def compare_findings(
         Folder of `run`, or its file of records.
     """
     from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.system.bars import progress_bars
 
     from .findings.compared import ComparedFindings, choose_record
-    from .findings.room import ROOM_HEADER, claim_room, refinement_of, write_room
+    from .findings.room import ROOM_HEADER, claim_room, refinement_of, score_rooms, write_room
     from .findings.write import missing_rows, plane_rows, small_missing, write_findings, write_page
 
     chosen = choose_record(results, record.id, record.split, record.seed)
@@ -93,34 +89,22 @@ def compare_findings(
         refinement = refinement_of(compared)
         claim_room(chosen.id, room)
         paths = write_findings(compared, output)  # before what takes minutes
-        learned = _learned_room(results, compared, refinement, refine, quiet)
+        rooms = {"traced in the room, as found": refinement.found}
+        if refine:
+            with progress_bars("changes", ["refining the room"], quiet) as (progress,):
+                while not refinement.is_over:
+                    refinement.step()
+                    progress(refinement.done, refinement.num_steps)
+            rooms["traced in the room, refined"] = refinement.room
+        learned = score_rooms(results, compared, rooms)
         paths += write_room(compared, learned, room)
         write_page(compared, output, learned)
-        tables.append(("The room at tested rows", ROOM_HEADER, learned.scores))
+        tables.append(("The room at tested rows", ROOM_HEADER, list(learned.scores)))
     for table in () if quiet else tables:
         print_table(*table)
     say(small_missing(compared), quiet)
     for path in paths:
         say(f"wrote {path}", quiet)
-
-
-def _learned_room(
-    results: Path, compared: ComparedFindings, refinement: Refinement, refine: bool, quiet: bool
-) -> ScoredRoom:
-    """The room of findings, refined if that is asked for, with its scores."""
-    from xfreqbench.system.bars import progress_bars
-
-    from .findings.room import ScoredRoom, score_rooms, score_rows
-
-    rooms = {"traced in the room, as found": refinement.found}
-    if refine:
-        with progress_bars("changes", ["refining the room"], quiet) as (progress,):
-            while not refinement.is_over:
-                refinement.step()
-                progress(refinement.done, refinement.num_steps)
-        rooms["traced in the room, refined"] = refinement.room
-    shown = refinement.room if refine else refinement.found
-    return ScoredRoom(shown, score_rows(score_rooms(results, compared, rooms)))
 
 
 @residual.default

@@ -149,7 +149,7 @@ class VirtualSource(LearnedMethod):
         return method
 
     def maps_a_step(self, train: PasDataset) -> int:
-        """How many training maps one step shows in the mean: all those of some transmitters."""
+        """Mean number of training maps of a step: all maps of some transmitters."""
         heard_tx = train.tx_index[train.has_path]
         return max(1, round(self.config.batch_size * len(heard_tx) / max(1, len(np.unique(heard_tx)))))
 
@@ -182,16 +182,17 @@ class VirtualSource(LearnedMethod):
     def _rows_of(self, training: Training, targets: Targets) -> _TransmitterRows:
         """The training rows with traced paths, after another search for planes where it is time for one."""
         field = _field(training)
-        if self._rows is None or not self._rows.are_of(field, targets):
-            self._rows = _TransmitterRows(field, targets)
+        rows = self._rows
+        if rows is None or rows.targets is not targets or rows.sequence is not field.room.sequence:
+            self._rows = rows = _TransmitterRows(field, targets)
         if field.is_time_to_look(training.step, training.share):
             element = torch.as_tensor(training.beams.element_position_wavelengths, dtype=torch.float32)
             assert self._train is not None, "fit has it"
-            explained = self._rows.channels(field, element)
+            explained = rows.channels(field, element)
             field.look_again(self._train, explained, training.step, training.generator)
             training.optimizer = self.new_optimizer(field)
-            self._rows = _TransmitterRows(field, targets)
-        return self._rows
+            self._rows = rows = _TransmitterRows(field, targets)
+        return rows
 
 
 def _field(training: Training) -> VirtualSourceField:
@@ -203,7 +204,7 @@ class _TransmitterRows:
     """The training rows sorted by transmitter, with the paths of each transmitter traced once."""
 
     def __init__(self, field: VirtualSourceField, targets: Targets) -> None:
-        self._targets, self._sequence = targets, field.room.sequence
+        self.targets, self.sequence = targets, field.room.sequence
         position_m, carrier_hz = targets.positions_and_carriers
         unique_m, of_tx = np.unique(position_m, axis=0, return_inverse=True)
         carriers, of_carrier = np.unique(carrier_hz, return_inverse=True)
@@ -227,17 +228,13 @@ class _TransmitterRows:
                 virtual = field.channels(offset_m, self.traces[some], carriers, element)
                 parts.append(torch.cat([virtual[None], free]))
         cfr = torch.cat(parts, dim=1).numpy().astype(complex)
-        place = dict(zip(self._targets.rows.tolist(), zip(*self._places, strict=True), strict=True))
+        place = dict(zip(self.targets.rows.tolist(), zip(*self._places, strict=True), strict=True))
 
         def explained(rows: IntArray) -> NDArray[np.complex128]:
             tx, carrier = zip(*(place[row] for row in rows.tolist()), strict=True)
             return cfr[:, tx, carrier]
 
         return explained
-
-    def are_of(self, field: VirtualSourceField, targets: Targets) -> bool:
-        """Whether these rows are still those of the field's images and the targets."""
-        return targets is self._targets and field.room.sequence is self._sequence
 
     def of(self, chosen: Int[Tensor, "t"]) -> tuple[Int[Tensor, "B"], Int[Tensor, "B"], Int[Tensor, "B"]]:
         """For all rows of the chosen transmitters: the row, and the indices of its transmitter and its carrier."""

@@ -12,7 +12,7 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Number, Number, Number]
+_Triple = tuple[Number, Number, Number]
 
 
 class _Stored(BaseModel):
@@ -43,12 +43,12 @@ class FoundPlane(_Stored):
     and `corners_m` are the corners, in turn, of the rectangle around those, None where no cell holds anything.
     """
 
-    normal: Vector
+    normal: _Triple
     distance_m: Number
     distance_std_m: Number
     tilt_std_rad: Number
     held: Number
-    corners_m: tuple[Vector, Vector, Vector, Vector] | None
+    corners_m: tuple[_Triple, _Triple, _Triple, _Triple] | None
     slabs: tuple[FoundSlab, ...]
 
     @property
@@ -65,7 +65,7 @@ class FoundFace(_Stored):
 
     plane: int
     slab: int
-    corners_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+    corners_m: Annotated[tuple[_Triple, ...], Field(min_length=3)]
     seen: Number
     is_wall: bool
 
@@ -83,8 +83,8 @@ class FoundSurface(_Stored):
     number: int
     plane: int
     found_slab: int
-    normal: Vector
-    corners_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+    normal: _Triple
+    corners_m: Annotated[tuple[_Triple, ...], Field(min_length=3)]
     slab: tuple[str, Number, Number]
     seen: Number
     is_wall: bool
@@ -96,7 +96,7 @@ class StoredFindings(_Stored):
     """What a method with planes and images stores in its record; the strongest images come first."""
 
     planes: tuple[FoundPlane, ...]
-    receiver_m: Vector
+    receiver_m: _Triple
     images: tuple[FoundImage, ...]
     faces: tuple[FoundFace, ...] = ()  # absent in records written before they were found
     room: tuple[FoundSurface, ...] = ()  # absent where none was traced, and in older records

@@ -29,6 +29,13 @@ from ..search.range_profile import find_more_planes, find_planes, random_planes
 from .images import Traces
 from .learned_room import MIN_LENGTH_M, LearnedRoom
 
+_FEWEST_PLANES = 2  # of a room
+_MIN_STEPS_BETWEEN_LOOKS = 250
+# Most of a budget in seconds that the first search takes, and a later one.
+_SEARCH_SHARE, _LOOK_SHARE = 0.75, 0.2
+_CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
+_START_FREE = 0.1  # amplitude of the free sources at the start, relative to the line of sight
+
 
 class PathGain(nn.Module):
     """A factor 1 + correction for the gain of a path.
@@ -58,16 +65,6 @@ class PathGain(nn.Module):
         planes = (self.of_plane(traces.bounce.plane + 1) / order[:, None]).sum(2)
         hidden = self.of_tx(tx)[:, None] + self.of_arrival(traces.arrival) + planes
         return 1 + torch.view_as_complex(self.max_change * self.head(self.layers(hidden)).tanh())
-
-
-_FEWEST_PLANES = 2  # of a room
-_MIN_STEPS_BETWEEN_LOOKS = 250
-_SEARCH_SHARE, _LOOK_SHARE = (
-    0.75,
-    0.2,
-)  # most of a budget in seconds that the first search takes, and a later one
-_CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
-_START_FREE = 0.1  # amplitude of the free sources at the start, relative to the line of sight
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,17 +107,11 @@ class VirtualSourceField(ChannelField):
         self.register_buffer("num_looks", torch.tensor(0))
         self.register_buffer("last_look", torch.tensor(0))
         self.room = LearnedRoom(config)
-        self.network = network
-        self.free = self._new_free()
+        self.free = (
+            ApertureField(config.free_sources, config.free_modes, network) if config.free_sources else None
+        )
         self.log_free = nn.Parameter(torch.tensor(_START_FREE).log())
         self.gain = self._new_gain()
-
-    def _new_free(self) -> ApertureField | None:
-        """Free sources before training; None where the options say so."""
-        config = self.config
-        if not config.free_sources:
-            return None
-        return ApertureField(config.free_sources, config.free_modes, self.network)
 
     def _new_gain(self) -> PathGain | None:
         """The network for gains before training, for the planes at hand; None where the options say so."""
@@ -142,17 +133,15 @@ class VirtualSourceField(ChannelField):
         heard = train.subset(np.flatnonzero(train.has_path))
         self.room.enter(antenna, self.offsets(heard.tx_position_m), torch.as_tensor(heard.carrier_hz))
         self.scaling.adapt(train)
-        self.room.take([], self._first_planes(train, generator))
+        seed, planes = int(torch.randint(2**31, (), generator=generator)), list[Plane]()
+        if self.searches:
+            planes = find_planes(train, seed, self.budget.timer(_SEARCH_SHARE))
+        elif self.config.max_order:
+            planes = random_planes(train, seed, self.config.max_planes)
+        self.room.take([], planes)
         self.gain = self._new_gain()
         if self.free is not None:
             self.free.adapt(train, generator)
-
-    def _first_planes(self, train: PasDataset, generator: torch.Generator) -> list[Plane]:
-        """The planes before training: found, or random ones, or none, as the options say."""
-        seed = int(torch.randint(2**31, (), generator=generator))
-        if self.searches:
-            return find_planes(train, seed, self.budget.timer(_SEARCH_SHARE))
-        return random_planes(train, seed, self.config.max_planes) if self.config.max_order else []
 
     @property
     def has_too_few_planes(self) -> bool:

@@ -108,7 +108,11 @@ class Traces:
     def joined(cls, parts: Sequence[Traces]) -> Traces:
         """The traces of several groups of transmitters as one; groups with fewer crossings are padded."""
         width = max(part.crossing.plane.shape[-1] for part in parts)
-        padded = [_with_crossings(part.crossing, width) for part in parts]
+        padded = []
+        for touch in (part.crossing for part in parts):  # entries that are added meet no plane
+            more = width - touch.plane.shape[-1]
+            plane, point_m = pad(touch.plane, (0, more), value=-1), pad(touch.point_m, (0, 0, 0, more))
+            padded.append(Touch(plane, point_m, pad(touch.cosine, (0, more))))
         plain = {
             name: torch.cat([getattr(part, name) for part in parts])
             for name in ("direct_m", "length_m", "arrival", "is_real", "polarised")
@@ -119,16 +123,6 @@ class Traces:
 def _cat(touches: Sequence[Touch]) -> Touch:
     """Joined along the first axis."""
     return Touch(*(torch.cat([getattr(touch, each.name) for touch in touches]) for each in fields(Touch)))
-
-
-def _with_crossings(touch: Touch, width: int) -> Touch:
-    """Padded along the last axis to a width, with entries that meet no plane."""
-    more = width - touch.plane.shape[-1]
-    return Touch(
-        pad(touch.plane, (0, more), value=-1),
-        pad(touch.point_m, (0, 0, 0, more)),
-        pad(touch.cosine, (0, more)),
-    )
 
 
 def sequences(num_planes: int, max_order: int) -> Int[Tensor, "K O"]:
@@ -179,10 +173,7 @@ def _images(
 def _bounces(
     mirrors: Mirrors, sequence: Int[Tensor, "K O"], images: list[Float[Tensor, "B K 3"]]
 ) -> tuple[Float[Tensor, "B K O 3"], Bool[Tensor, "B K"]]:
-    """Points of the bounces, computed from the receiver backwards, and whether a path is real.
-
-    Points of padded bounces lie at the receiver.
-    """
+    """Points of the bounces, from the receiver backwards, and whether a path is real; padded ones lie at the receiver."""
     point = torch.zeros_like(images[0])
     is_real = torch.ones(point.shape[:2], dtype=torch.bool)
     points: list[Tensor] = []
@@ -212,10 +203,7 @@ def antenna_field(direction: Float[Tensor, "... 3"], antenna: Antenna) -> Float[
 def _polarised(
     mirrors: Mirrors, sequence: Int[Tensor, "K O"], stretch: Float[Tensor, "B K S 3"], antenna: Antenna
 ) -> Float[Tensor, "B K 2**O"]:
-    """The factors `Traces.polarised`: the field is split along k×n (TE) and (k×n)×k (TM) at every bounce.
-
-    A padded bounce leaves the field as it is, and counts as TE.
-    """
+    """`Traces.polarised`: at every bounce the field is split along k×n (TE) and (k×n)×k (TM); padded ones are TE."""
     fields_ = [antenna_field(stretch[:, :, 0], antenna)]
     for bounce, plane in enumerate(sequence.T):
         before, after = stretch[:, :, bounce], stretch[:, :, bounce + 1]

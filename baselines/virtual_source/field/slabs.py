@@ -25,6 +25,9 @@ _METAL = {  # which learning does not change
     "conductivity_power": 0.0,
     "thickness_m": METAL_THICKNESS_M,
 }
+NOTHING, THICK, THIN, METAL = range(4)
+# Logits at the start: walls are present, facets hardly.
+_WALL, _FACET = (-1.0, 2.0, 0.0, -1.0), (3.0, -0.7, -1.2, -1.2)
 
 
 class LearnedSlabs(nn.Module):
@@ -125,11 +128,6 @@ def looked_up(
     )
 
 
-NOTHING, THICK, THIN, METAL = range(4)
-# Logits at the start: walls are present, facets hardly.
-_WALL, _FACET = (-1.0, 2.0, 0.0, -1.0), (3.0, -0.7, -1.2, -1.2)
-
-
 class Presence(nn.Module):
     """Shares of nothing, a thick slab, a thin slab and metal in the cells of each plane: a softmax of learned logits.
 
@@ -154,10 +152,7 @@ class Presence(nn.Module):
         is_wall: Bool[Tensor, "Q"],
         cell_m: float,
     ) -> Presence:
-        """Cells that cover the projection of a box on every plane.
-
-        At the start walls are present in all their cells, and other planes hardly.
-        """
+        """Cells that cover the projection of a box on every plane: walls are full at the start, other planes hardly."""
         place_m = torch.einsum("qac,nc->qna", axes, corners_m)
         low_m, high_m = place_m.amin(1), place_m.amax(1)
         extent_m = (high_m - low_m).flatten(0, -2).amax(0) if len(axes) else low_m.new_ones(2)

@@ -8,8 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Complex, Float
-from numpy.typing import NDArray
+from jaxtyping import Float
 from pydantic import ValidationError
 
 from xfreqbench.data.dataset import PasDataset
@@ -20,14 +19,15 @@ from xfreqbench.scene.facets import planar_facets
 from xfreqbench.scene.materials import Material, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.placement import median_transmitter
-from xfreqbench.tracing.image.kernels import slab_coefficients
 from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
+from ..room.surfaces import slab_reflection
+from ..search.planes import Vector
 from ..stored import FoundSlab, StoredFindings
 from .match import Match, ScenePlane, TrueSlab, compare, not_found, scene_planes
 
 MAX_IMAGE_ORDER = 2
+_LEAST_POWER = 1e-4  # −40 dB relative to the line of sight: weaker images are not shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,30 +50,23 @@ class ImageSource:
 
     planes: tuple[int, ...]
     power: float
-    position_m: Float[FloatArray, "3"]
+    position_m: Vector
 
 
 def reflection(
     slabs: Sequence[FoundSlab], truth: Mapping[TrueSlab, float], carrier_hz: Float[FloatArray, "F"]
 ) -> Reflection:
     """|R| of learned slabs and of true ones, each mixed by shares; what the shares leave open reflects nothing."""
-    learned = [
-        slab.share
-        * _coefficient([slab.permittivity_at(f) for f in carrier_hz.tolist()], slab.thickness_m, carrier_hz)
-        for slab in slabs
-    ]
-    true = [share * true_coefficient(slab, carrier_hz) for slab, share in truth.items()]
-    nothing = np.zeros(len(carrier_hz), dtype=np.complex128)
-    return Reflection(carrier_hz, np.abs(sum(learned, nothing)), np.abs(sum(true, nothing)))
-
-
-def true_coefficient(
-    slab: TrueSlab, carrier_hz: Float[FloatArray, "F"]
-) -> Complex[NDArray[np.complex128], "F"]:
-    """R of a P.2040 slab at normal incidence; the material's power laws are extrapolated beyond their band."""
-    material, thickness_m = slab
-    permittivity = [true_permittivity(material, f) for f in carrier_hz.tolist()]
-    return _coefficient(permittivity, thickness_m, carrier_hz)
+    carriers, normal = carrier_hz.tolist(), np.ones(1)
+    learned, true = [nothing := np.zeros(len(carriers), dtype=np.complex128)], [nothing]
+    for slab in slabs:
+        permittivity = [slab.permittivity_at(carrier) for carrier in carriers]
+        reflected = slab_reflection(permittivity, slab.thickness_m, carriers, normal)
+        learned.append(slab.share * reflected[:, 0, 0])
+    for (material, thickness_m), share in truth.items():
+        permittivity = [true_permittivity(material, carrier) for carrier in carriers]
+        true.append(share * slab_reflection(permittivity, thickness_m, carriers, normal)[:, 0, 0])
+    return Reflection(carrier_hz, np.abs(sum(learned)), np.abs(sum(true)))
 
 
 def true_permittivity(material: Material, carrier_hz: float) -> complex:
@@ -81,42 +74,17 @@ def true_permittivity(material: Material, carrier_hz: float) -> complex:
     return complex_permittivity(material, carrier_hz, "extrapolate")
 
 
-def reflection_over_angle(
-    permittivity: complex, thickness_m: float, carrier_hz: float, angle_rad: Float[FloatArray, "A"]
-) -> Float[FloatArray, "2 A"]:
-    """|R| of a slab, TE and TM, at angles of incidence from the normal (ITU-R P.2040, Eqs. 37, 43, 44)."""
-    turn = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
-    pairs = [slab_coefficients(cosine, permittivity, turn)[:2] for cosine in np.cos(angle_rad).tolist()]
-    return np.abs(np.array(pairs)).T
-
-
-def virtual_sources(findings: StoredFindings, tx_position_m: Float[FloatArray, "3"]) -> list[ImageSource]:
+def virtual_sources(findings: StoredFindings, tx_position_m: Vector) -> list[ImageSource]:
     """Images of a transmitter after 1 to `MAX_IMAGE_ORDER` bounces, the strongest first."""
-    return [
-        ImageSource(image.planes, image.power, _image_m(findings, image.planes, tx_position_m))
-        for image in findings.images
-        if 0 < len(image.planes) <= MAX_IMAGE_ORDER
-    ]
-
-
-def _coefficient(
-    permittivity: Sequence[complex], thickness_m: float, carrier_hz: Float[FloatArray, "F"]
-) -> Complex[NDArray[np.complex128], "F"]:
-    phase_thickness = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
-    pairs = zip(permittivity, phase_thickness.tolist(), strict=True)
-    return np.array([slab_coefficients(1.0, eta, thickness)[0] for eta, thickness in pairs])
-
-
-def _image_m(
-    findings: StoredFindings, planes: Sequence[int], position_m: Float[FloatArray, "3"]
-) -> Float[FloatArray, "3"]:
-    for plane in (findings.planes[index] for index in planes):
-        beyond_m = plane.unit_normal @ (position_m - findings.array_m) - plane.distance_m
-        position_m = position_m - 2 * beyond_m * plane.unit_normal
-    return position_m
-
-
-_LEAST_POWER = 1e-4  # −40 dB relative to the line of sight: weaker images are not shown
+    sources = []
+    for image in findings.images:
+        position_m = tx_position_m
+        for plane in (findings.planes[index] for index in image.planes):
+            beyond_m = plane.unit_normal @ (position_m - findings.array_m) - plane.distance_m
+            position_m = position_m - 2 * beyond_m * plane.unit_normal
+        if 0 < len(image.planes) <= MAX_IMAGE_ORDER:
+            sources.append(ImageSource(image.planes, image.power, position_m))
+    return sources
 
 
 def choose_record(
@@ -176,7 +144,20 @@ class ComparedFindings:
                 f"Record {record.id} was run on {record.job.dataset} (sha256 {record.dataset_sha256[:16]}…), but "
                 f"{dataset.path} has sha256 {dataset.sha256[:16]}…. Give --data the file of the run."
             )
-        return cls(record, dataset, _findings_of(record), _meshes_of(dataset))
+        try:
+            findings = StoredFindings.model_validate(record.findings)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise DataError(
+                f"The findings of record {record.id} ({record.job.method}) are no planes and images: "
+                f"{'.'.join(map(str, fault['loc'])) or 'all'}: {fault['msg']}. Choose another record with --id."
+            ) from error
+        if dataset.scene.scene is not None:
+            raise DataError(
+                f"{dataset.path} was traced among the meshes of {dataset.scene.scene}, which data sets do not hold. "
+                "Use a data set whose scene is made of surfaces alone."
+            )
+        return cls(record, dataset, findings, surface_meshes(dataset.scene))
 
     @property
     def title(self) -> str:
@@ -210,7 +191,7 @@ class ComparedFindings:
         return median_transmitter(self.dataset.tables["tx_position_m"])
 
     @property
-    def tx_m(self) -> Float[FloatArray, "3"]:
+    def tx_m(self) -> Vector:
         """Position of that transmitter."""
         return np.asarray(self.dataset.tables["tx_position_m"][self.tx], dtype=np.float64)
 
@@ -240,25 +221,3 @@ class ComparedFindings:
     def names(self, surfaces: Sequence[int]) -> str:
         """The names of surfaces, given by index."""
         return "; ".join(self.meshes[surface].name for surface in surfaces)
-
-
-def _findings_of(record: RunRecord) -> StoredFindings:
-    try:
-        return StoredFindings.model_validate(record.findings)
-    except ValidationError as error:
-        fault = error.errors()[0]
-        raise DataError(
-            f"The findings of record {record.id} ({record.job.method}) are no planes and images: "
-            f"{'.'.join(map(str, fault['loc'])) or 'all'}: {fault['msg']}. Choose another record with --id."
-        ) from error
-
-
-def _meshes_of(dataset: PasDataset) -> list[SurfaceMesh]:
-    """Surfaces of the scene that was traced; raises `DataError` where the data do not hold all of them."""
-    scene = dataset.scene
-    if scene.scene is not None:
-        raise DataError(
-            f"{dataset.path} was traced among the meshes of {scene.scene}, which data sets do not hold. "
-            "Use a data set whose scene is made of surfaces alone."
-        )
-    return surface_meshes(scene)

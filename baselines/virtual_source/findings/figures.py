@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from xfreqbench.report.drawing.figures import plan_and_elevation, save_figure, s
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
+from .compared import ComparedFindings
 from .materials import ShownMaterial
 
 _LEARNED, _TRUTH, _ABSENT = "#d55e00", "#0072b2", "#cc79a7"
@@ -31,37 +31,36 @@ _LINES = {"TE": "-", "TM": "--"}
 _FAINTEST = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnPlane:
-    """A found plane's rectangle, its corners in turn; `error_mm` is None where no surface is there."""
+def plot_scene(compared: ComparedFindings, path: Path) -> None:
+    """Draw plan and elevation of a scene and of the planes that were found as PNG. Raises `StorageError`.
 
-    label: str
-    corners_m: Float[FloatArray, "4 3"]
-    error_mm: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnScene:
-    """What a picture of the findings shows, in world axes."""
-
-    facets_m: Sequence[Float[FloatArray, "n 3"]]
-    planes: Sequence[DrawnPlane]
-    receiver_m: Float[FloatArray, "3"]
-    tx_m: Float[FloatArray, "3"]
-
-    def bounds_m(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and the highest x, y and z of the scene, with a margin; planes found outside are cut off."""
-        corners_m = np.concatenate([*self.facets_m, self.receiver_m[None], self.tx_m[None]])
-        margin_m = _MARGIN * np.ptp(corners_m, axis=0).max()
-        return corners_m.min(axis=0) - margin_m, corners_m.max(axis=0) + margin_m
-
-
-def plot_scene(drawn: DrawnScene, path: Path) -> None:
-    """Draw plan and elevation of a scene and of the planes that were found as PNG. Raises `StorageError`."""
-    figure, views = plan_and_elevation(*drawn.bounds_m(), _WIDTH_IN)
-    for axis, shown_axes in views:
-        _draw_view(axis, drawn, shown_axes)
-    _show_scale(figure, [axis for axis, _ in views], drawn)
+    Planes that were found outside of the scene are cut off.
+    """
+    facets_m = [facet.corners_m for plane in compared.planes for facet in plane.facets]
+    corners_m = np.concatenate([*facets_m, compared.findings.array_m[None], compared.tx_m[None]])
+    margin_m = _MARGIN * np.ptp(corners_m, axis=0).max()
+    bounds_m = corners_m.min(axis=0) - margin_m, corners_m.max(axis=0) + margin_m
+    figure, views = plan_and_elevation(*bounds_m, _WIDTH_IN)
+    found = enumerate(zip(compared.findings.planes, compared.matches, strict=True))
+    drawn = [(index, np.array(plane.corners_m), match) for index, (plane, match) in found if plane.corners_m]
+    for axis, axes in views:
+        outlines = [_closed(facet_m)[:, axes] for facet_m in facets_m]
+        axis.add_collection(LineCollection(outlines, colors="0.75", linewidths=0.8))
+        for number, (index, rectangle_m, match) in enumerate(drawn, start=1):
+            error_mm = max(abs(match.distance_error_m * 1e3), _LEAST_MM) if match else None
+            colour = _ABSENT if error_mm is None else mpl.colormaps["viridis"](float(_SCALE(error_mm)))
+            line = "--" if error_mm is None else "-"
+            axis.plot(*_closed(rectangle_m)[:, axes].T, line, color=colour, linewidth=2.5)
+            start, end = rectangle_m[:2, axes]
+            place = start + number / (len(drawn) + 1) * (end - start)  # labels of close planes stand apart
+            axis.annotate(str(index), place, fontsize=9, color=colour, ha="left", va="bottom")
+        axis.plot(*compared.findings.array_m[axes], "k^", markersize=7, label="receiver")
+        axis.plot(*compared.tx_m[axes], "k*", markersize=8, label="transmitter")
+    note = "; dashed: no such surface" if any(match is None for _, _, match in drawn) else ""
+    label = f"distance error of a found plane (mm){note}"
+    look: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40, "extend": "both"}
+    scale = ScalarMappable(_SCALE, "viridis")
+    figure.colorbar(scale, ax=[axis for axis, _ in views], format="{x:g}", label=label, **look)
     views[0][0].legend(loc="best", fontsize="small")
     save_figure(figure, path, "png")
 
@@ -98,51 +97,10 @@ def _draw_reflection(axis: Any, material: ShownMaterial, carrier_hz: float) -> N
         axis.plot(angle_deg, true[pol], line, color=_TRUTH, linewidth=2.2, label=f"ITU-R P.2040, {name}")
         for share, curves in zip(shares, learned, strict=True):
             label = None if curves is not learned[0] else f"learned, {name}"
-            axis.plot(
-                angle_deg,
-                curves[pol],
-                line,
-                color=_LEARNED,
-                linewidth=1,
-                alpha=max(_FAINTEST, share),
-                label=label,
-            )
+            look = {"color": _LEARNED, "linewidth": 1, "alpha": max(_FAINTEST, share), "label": label}
+            axis.plot(angle_deg, curves[pol], line, **look)
     axis.set(xlim=(0, 90), ylim=(0, 1), xticks=(0, 30, 60, 90))
     axis.grid(alpha=0.3)
-
-
-def _draw_view(axis: Any, drawn: DrawnScene, shown: list[int]) -> None:
-    outlines = [_closed(corners_m)[:, shown] for corners_m in drawn.facets_m]
-    axis.add_collection(LineCollection(outlines, colors="0.75", linewidths=0.8))
-    for number, plane in enumerate(drawn.planes, start=1):
-        outline = _closed(plane.corners_m)[:, shown]
-        line = "--" if plane.error_mm is None else "-"
-        axis.plot(*outline.T, line, color=_colour(plane), linewidth=2.5)
-        _label(axis, plane, shown, number / (len(drawn.planes) + 1))
-    axis.plot(*drawn.receiver_m[shown], "k^", markersize=7, label="receiver")
-    axis.plot(*drawn.tx_m[shown], "k*", markersize=8, label="transmitter")
-
-
-def _label(axis: Any, plane: DrawnPlane, shown: list[int], share: float) -> None:
-    """Write a plane's label on an edge, `share` of the way along it, so that labels of close planes stand apart."""
-    start, end = plane.corners_m[:2, shown]
-    place = start + share * (end - start)
-    axis.annotate(plane.label, place, fontsize=9, color=_colour(plane), ha="left", va="bottom")
-
-
-def _colour(plane: DrawnPlane) -> Any:
-    if plane.error_mm is None:
-        return _ABSENT
-    return mpl.colormaps["viridis"](float(_SCALE(max(abs(plane.error_mm), _LEAST_MM))))
-
-
-def _show_scale(figure: Figure, axes: Any, drawn: DrawnScene) -> None:
-    note = "; dashed: no such surface" if any(plane.error_mm is None for plane in drawn.planes) else ""
-    scale = ScalarMappable(_SCALE, "viridis")
-    label = f"distance error of a found plane (mm){note}"
-    figure.colorbar(
-        scale, ax=axes, location="bottom", shrink=0.6, aspect=40, extend="both", format="{x:g}", label=label
-    )
 
 
 def _closed(corners_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "m 3"]:

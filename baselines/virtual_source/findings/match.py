@@ -14,6 +14,7 @@ from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.visibility import sees
 from xfreqbench.types import FloatArray
 
+from ..search.planes import Vector
 from ..stored import FoundPlane, StoredFindings
 
 MATCH_DISTANCE_M = 0.05  # a found plane further from every surface shows none of them
@@ -31,7 +32,7 @@ TrueSlab = tuple[Material, float]  # a material, and the thickness in metres
 class ScenePlane:
     """All facets of a scene that lie in one plane; `normal`, of length 1, points from the array centre to the plane."""
 
-    normal: Float[FloatArray, "3"]
+    normal: Vector
     distance_m: float
     facets: tuple[PlanarFacet, ...]
 
@@ -90,7 +91,7 @@ class Match:
         return shares
 
 
-def scene_planes(facets: Sequence[PlanarFacet], array_m: Float[FloatArray, "3"]) -> list[ScenePlane]:
+def scene_planes(facets: Sequence[PlanarFacet], array_m: Vector) -> list[ScenePlane]:
     """The distinct planes in which facets lie, as seen from the array centre."""
     planes, plane = group_by_plane(facets)
     found = []
@@ -130,9 +131,7 @@ def not_found(matches: Sequence[Match | None], planes: Sequence[ScenePlane]) -> 
     return sorted(missing, key=lambda plane: -plane.area_m2)
 
 
-def share_in_sight(
-    plane: ScenePlane, meshes: Sequence[SurfaceMesh], array_m: Float[FloatArray, "3"]
-) -> float:
+def share_in_sight(plane: ScenePlane, meshes: Sequence[SurfaceMesh], array_m: Vector) -> float:
     """The share of a plane's facets that the array sees, judged by their centres and points near their corners."""
     corners_m = [facet.corners_m for facet in plane.facets]
     points_m = np.concatenate([np.vstack([c.mean(0), c.mean(0) + 0.8 * (c - c.mean(0))]) for c in corners_m])
@@ -140,10 +139,7 @@ def share_in_sight(
 
 
 def _nearest(
-    found: FoundPlane,
-    array_m: Float[FloatArray, "3"],
-    planes: Sequence[ScenePlane],
-    mirror: int | None = None,
+    found: FoundPlane, array_m: Vector, planes: Sequence[ScenePlane], mirror: int | None = None
 ) -> Match | None:
     matches = [match for plane in planes if (match := _match(found, array_m, plane, mirror))]
     return min(matches, key=_distance_of, default=None)
@@ -153,9 +149,7 @@ def _distance_of(match: Match) -> float:
     return abs(match.distance_error_m)
 
 
-def _match(
-    found: FoundPlane, array_m: Float[FloatArray, "3"], plane: ScenePlane, mirror: int | None
-) -> Match | None:
+def _match(found: FoundPlane, array_m: Vector, plane: ScenePlane, mirror: int | None) -> Match | None:
     cosine = float(found.unit_normal @ plane.normal)
     tilt_rad = float(np.arctan2(np.linalg.norm(np.cross(found.unit_normal, plane.normal)), cosine))
     share = _shares(found, plane) if tilt_rad <= MATCH_TILT_RAD else np.zeros(0)
@@ -189,7 +183,7 @@ def _shares(found: FoundPlane, plane: ScenePlane) -> Float[FloatArray, "q"]:
     return areas_m2 / (areas_m2.sum() or 1.0)
 
 
-def axes_within(normal: Float[FloatArray, "3"]) -> Float[FloatArray, "2 3"]:
+def axes_within(normal: Vector) -> Float[FloatArray, "2 3"]:
     """Two unit vectors within a plane: the first is level, or points along the world's x where the plane is level.
 
     The rectangles of findings lie along these axes. The virtual-source method, which writes them, computes the axes
@@ -201,9 +195,7 @@ def axes_within(normal: Float[FloatArray, "3"]) -> Float[FloatArray, "2 3"]:
     return np.stack([first, np.cross(normal, first)])
 
 
-def nearest_point(
-    corners_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"], point_m: Float[FloatArray, "3"]
-) -> Float[FloatArray, "3"]:
+def nearest_point(corners_m: Float[FloatArray, "n 3"], normal: Vector, point_m: Vector) -> Vector:
     """The point of a convex facet that is nearest to a point of the facet's plane."""
     edges_m = np.roll(corners_m, -1, axis=0) - corners_m
     side = np.cross(edges_m, point_m - corners_m) @ normal
@@ -214,9 +206,7 @@ def nearest_point(
     return on_edges_m[np.linalg.norm(on_edges_m - point_m, axis=1).argmin()]
 
 
-def _mirrored(
-    facets: Sequence[PlanarFacet], mirror: ScenePlane, array_m: Float[FloatArray, "3"]
-) -> list[PlanarFacet]:
+def _mirrored(facets: Sequence[PlanarFacet], mirror: ScenePlane, array_m: Vector) -> list[PlanarFacet]:
     """The facets on the array's side of a plane, moved to where the array sees their mirror images: behind it."""
     images = []
     for corners_m, surface in facets:

@@ -15,9 +15,9 @@ from xfreqbench.scene.materials import conductivity_s_m
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
-from ..room.surfaces import NamedSlab, SlabNames, polygon_area_m2
+from ..room.surfaces import NamedSlab, SlabNames, polygon_area_m2, slab_reflection
 from ..stored import FoundFace, FoundSlab
-from .compared import ComparedFindings, reflection_over_angle, true_permittivity
+from .compared import ComparedFindings, true_permittivity
 from .match import Match, TrueSlab, nearest_point
 
 LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
@@ -65,19 +65,23 @@ class ShownMaterial:
     ) -> Float[FloatArray, "2 A"]:
         """|R| of the scene's slab by P.2040, TE and TM."""
         material, thickness_m = self.truth
-        return reflection_over_angle(
-            true_permittivity(material, carrier_hz), thickness_m, carrier_hz, angle_rad
-        )
+        return _over_angle(true_permittivity(material, carrier_hz), thickness_m, carrier_hz, angle_rad)
 
     def learned_over_angle(
         self, carrier_hz: float, angle_rad: Float[FloatArray, "A"]
     ) -> list[Float[FloatArray, "2 A"]]:
         """|R| of each learned slab, TE and TM."""
-        slabs = [each.slab for each in self.learned]
         return [
-            reflection_over_angle(slab.permittivity_at(carrier_hz), slab.thickness_m, carrier_hz, angle_rad)
-            for slab in slabs
+            _over_angle(slab.permittivity_at(carrier_hz), slab.thickness_m, carrier_hz, angle_rad)
+            for slab in (each.slab for each in self.learned)
         ]
+
+
+def _over_angle(
+    permittivity: complex, thickness_m: float, carrier_hz: float, angle_rad: Float[FloatArray, "A"]
+) -> Float[FloatArray, "2 A"]:
+    """|R| of a slab, TE and TM, at angles of incidence from the normal."""
+    return np.abs(slab_reflection([permittivity], thickness_m, [carrier_hz], np.cos(angle_rad))[0]).T
 
 
 @lru_cache(maxsize=1)  # every table and figure of one run asks

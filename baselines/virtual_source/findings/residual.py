@@ -34,6 +34,9 @@ from .compared import ComparedFindings
 from .true_paths import FOUND_DISTANCE_M, FOUND_TILT_RAD, SELECTIONS, path_kinds
 
 DRAW_SEED = 0
+_NUM_QUARTERS = 4
+_SCORE_COLUMNS = ("map of", "SSIM", "in sight", "shadowed", "PSNR (dB)")
+_GROUP_COLUMNS = ("transmitters", "number", "share not found", "SSIM", "in sight", "shadowed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +179,6 @@ def _best_trivial(record: RunRecord, folder: ResultsFolder) -> RunRecord | None:
     ]
     by_score = sorted(stored, key=lambda each: each.scores["ssim"].median)
     return by_score[-1] if by_score else None
-
-
-_NUM_QUARTERS = 4
-_SCORE_COLUMNS = ("map of", "SSIM", "in sight", "shadowed", "PSNR (dB)")
-_GROUP_COLUMNS = ("transmitters", "number", "share not found", "SSIM", "in sight", "shadowed")
 
 
 def score_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import TypeAdapter
 
 from xfreqbench.data.dataset import PasDataset
@@ -27,7 +26,6 @@ from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
 from xfreqbench.system.files import require_own, require_space, write_text
 from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray
 
 from ..room.refine import Refinement
 from ..room.surfaces import MIN_SEEN, NO_PLANE, RoomSurface, surface_from_json
@@ -46,7 +44,7 @@ class ScoredRoom:
     """The room that was made of findings, and how maps traced in it score: cells under `ROOM_HEADER`."""
 
     surfaces: Sequence[RoomSurface]
-    scores: list[tuple[str, ...]]
+    scores: Sequence[tuple[str, ...]]
 
 
 def settings_in_room(dataset: PasDataset) -> TraceSettings:
@@ -55,10 +53,10 @@ def settings_in_room(dataset: PasDataset) -> TraceSettings:
 
 
 def refinement_of(compared: ComparedFindings) -> Refinement:
-    """The room of a record's findings, and what refines it; its `found` is the room before that.
+    """The refinement of a record's room; `found` is the room before it, `room` the room after its steps.
 
-    Where the record tells of the room that the run itself refined, nothing is left to do. Raises `DataError` for
-    findings without faces, or data whose interactions the image method does not trace in a room.
+    No step remains where the record holds the room that the run itself refined. Raises `DataError` for findings without
+    faces, or data whose interactions the image method does not trace in a room.
     """
     dataset, job = compared.dataset, compared.record.job
     train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
@@ -81,10 +79,11 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
 
 def score_rooms(
     results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]
-) -> dict[str, Float[FloatArray, "n"]]:
-    """SSIM of tested rows: of the stored predictions, where they are there, and of every room, traced as the data were.
+) -> ScoredRoom:
+    """The last of some rooms, with the SSIM of tested rows: of each room, and of the predictions if they are stored.
 
-    The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where there are fewer.
+    Rooms are traced as the data were. The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where
+    there are fewer.
     """
     dataset, record = compared.dataset, compared.record
     tested = find_split(dataset, record.job.protocol, record.job.split).test
@@ -100,22 +99,15 @@ def score_rooms(
         cfr = channels_in(room, samples, settings_in_room(samples))
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
-    return scores
-
-
-def score_rows(scores: Mapping[str, Float[FloatArray, "n"]]) -> list[tuple[str, ...]]:
-    """Cells under `ROOM_HEADER`, a row for each label."""
-    return [
+    cells = [
         (label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each)))
         for label, each in scores.items()
     ]
+    return ScoredRoom(list(rooms.values())[-1], cells)
 
 
 def claim_room(record_id: str, folder: Path) -> None:
-    """See that a room can be written into a folder: nothing is there, or a room of the same record.
-
-    Raises `OutputExistsError` where something else is there, and `StorageError`.
-    """
+    """Raise `OutputExistsError` where a folder holds other files of these names, and `StorageError`."""
     scene = (folder / ROOM).read_text("utf-8", "replace") if (folder / ROOM).is_file() else ""
     is_same = scene.partition("\n")[0] == _first_line(record_id)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.types import FloatArray
 
+from ..search.planes import Vector
 from ..stored import FoundPlane, StoredFindings
 
 FOUND_DISTANCE_M = 0.005  # added to three standard deviations of the plane's distance
@@ -48,7 +49,11 @@ class Selection(NamedTuple):
         where = "found planes" if self.in_found_planes else "every plane"
         where += " and edge" if self.edges else ""
         through = "" if self.transmissions else ", no transmissions"
-        return f"true paths, {where}{_bound(self.max_reflections)}{through}"
+        bound = ""
+        if self.max_reflections is not None:
+            number = f"{self.max_reflections} reflection{'' if self.max_reflections == 1 else 's'} at most"
+            bound = f", {number}" if self.max_reflections else ", no reflections"
+        return f"true paths, {where}{bound}{through}"
 
     def keeps(self, kinds: PathKinds) -> Bool[NDArray[np.bool_], "P"]:
         """Whether each path is kept."""
@@ -57,13 +62,6 @@ class Selection(NamedTuple):
             kept &= kinds.num_reflections <= self.max_reflections
         kept &= self.edges | ~kinds.is_diffracted
         return kept & (self.transmissions | (kinds.num_transmissions == 0))
-
-
-def _bound(max_reflections: int | None) -> str:
-    if max_reflections is None:
-        return ""
-    plural = "" if max_reflections == 1 else "s"
-    return f", {max_reflections} reflection{plural} at most" if max_reflections else ", no reflections"
 
 
 SELECTIONS = (
@@ -75,7 +73,7 @@ SELECTIONS = (
 )
 
 
-def path_kinds(paths: Paths, tx_position_m: Float[FloatArray, "3"], findings: StoredFindings) -> PathKinds:
+def path_kinds(paths: Paths, tx_position_m: Vector, findings: StoredFindings) -> PathKinds:
     """What the paths of one transmitter meet, and which of them reflect at found planes alone."""
     point_m, normal, is_reflection = _reflections(paths, tx_position_m, findings.array_m)
     is_found = np.zeros_like(is_reflection)
@@ -90,7 +88,7 @@ def path_kinds(paths: Paths, tx_position_m: Float[FloatArray, "3"], findings: St
 
 
 def _reflections(
-    paths: Paths, tx_position_m: Float[FloatArray, "3"], array_m: Float[FloatArray, "3"]
+    paths: Paths, tx_position_m: Vector, array_m: Vector
 ) -> tuple[Float[FloatArray, "P D 3"], Float[FloatArray, "P D 3"], Bool[NDArray[np.bool_], "P D"]]:
     """Points where paths reflect, the unit normals there, and which of the D places are reflections at all.
 
@@ -118,12 +116,9 @@ def _unit(vector: Float[FloatArray, "*S 3"]) -> Float[FloatArray, "*S 3"]:
 
 
 def _is_on(
-    plane: FoundPlane,
-    point_m: Float[FloatArray, "*S 3"],
-    normal: Float[FloatArray, "*S 3"],
-    array_m: Float[FloatArray, "3"],
+    plane: FoundPlane, point_m: Float[FloatArray, "*S 3"], normal: Float[FloatArray, "*S 3"], array_m: Vector
 ) -> Bool[NDArray[np.bool_], "*S"]:
-    """Whether a found plane runs through points of surfaces with those normals, and holds something there."""
+    """Whether points of surfaces with these normals lie on a found plane, where the plane holds something."""
     if plane.corners_m is None:
         return np.zeros(point_m.shape[:-1], bool)
     away_m = np.abs((point_m - array_m) @ plane.unit_normal - plane.distance_m)

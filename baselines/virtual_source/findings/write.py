@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from xfreqbench.report.drawing.document import PageTable, Picture, is_of_subject, owner_mark
 from xfreqbench.report.drawing.figures import is_own_drawing
@@ -18,11 +17,11 @@ from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetre
 from xfreqbench.report.drawing.templates import render
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import read_text, require_own, require_space, write_text
-from xfreqbench.types import FloatArray
 
 from ..room.surfaces import fan_of
+from ..search.planes import Vector
 from .compared import ComparedFindings
-from .figures import DrawnPlane, DrawnScene, plot_materials, plot_scene
+from .figures import plot_materials, plot_scene
 from .match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
 from .materials import LEAST_SHARE, material_rows, shown_carriers_hz, shown_materials
 from .room import ROOM_HEADER, ScoredRoom
@@ -125,7 +124,7 @@ def write_findings(compared: ComparedFindings, folder: Path) -> list[Path]:
     drawn = shown_materials(compared), shown_carriers_hz(compared)
     plot_materials(*drawn, folder / CURVES)
     plot_materials(*drawn, folder / CURVES_PNG, "png")
-    plot_scene(_drawn(compared), folder / PICTURE)
+    plot_scene(compared, folder / PICTURE)
     rectangles = {
         f"found plane {index}: {compared.surface(index)}": np.array(found.corners_m)
         for index, found in enumerate(compared.findings.planes)
@@ -177,7 +176,7 @@ def write_page(compared: ComparedFindings, folder: Path, room: ScoredRoom | None
             "materials": PageTable(*_material_table(compared)),
         },
         notes={"planes": LEGEND, "missing": small_missing(compared), "materials": _REFLECTION_LEGEND},
-        room=PageTable(ROOM_HEADER, room.scores) if room else None,
+        room=PageTable(ROOM_HEADER, list(room.scores)) if room else None,
     )
     write_text(folder / PAGE, page)
 
@@ -313,22 +312,7 @@ def _plane_json(compared: ComparedFindings, index: int) -> dict[str, Any]:
     }
 
 
-def _drawn(compared: ComparedFindings) -> DrawnScene:
-    return DrawnScene(
-        facets_m=[facet.corners_m for plane in compared.planes for facet in plane.facets],
-        planes=[
-            DrawnPlane(str(index), np.array(found.corners_m), match.distance_error_m * 1e3 if match else None)
-            for index, (found, match) in enumerate(
-                zip(compared.findings.planes, compared.matches, strict=True)
-            )
-            if found.corners_m
-        ],
-        receiver_m=compared.findings.array_m,
-        tx_m=compared.tx_m,
-    )
-
-
-def _place(normal: Float[FloatArray, "3"], distance_m: float) -> str:
+def _place(normal: Vector, distance_m: float) -> str:
     """In which direction a plane lies from the array centre, and how far, as in `+x 4.870 m`."""
     axis = int(np.abs(normal).argmax())
     is_along = np.abs(normal[axis]) > np.cos(MATCH_TILT_RAD)

@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.types import FloatArray
 
 from ..search.cross_terms import IsOver, LagAverages, never
+from ..search.planes import Points
 from .boxes import BoxFrame, Change, Faces, Ways, holds_any
 from .changes import Room
 from .lengths import ReflectedPaths, around, moved, peaks
@@ -39,10 +38,10 @@ class BoxFit:
 
     at_lowest: RoomScore
     frame: BoxFrame
-    standing_m: Float[FloatArray, "N 3"]
+    standing_m: Points
 
     @cached_property
-    def _free_m(self) -> Float[FloatArray, "N 3"]:
+    def _free_m(self) -> Points:
         """Along the axes of the room, the places where nothing stands."""
         return self.frame.along(self.standing_m)
 
@@ -57,9 +56,9 @@ class BoxFit:
         *,
         is_new: bool,
     ) -> RoomSurface | None:
-        """A box beside other surfaces, of one of some slabs and with all faces moved but the one held.
+        """A box beside other surfaces, with the best of some slabs, and its faces moved, except the face `held`.
 
-        None for one that is new and no gain, or where there is no time.
+        None for a new box that brings no gain, or where the time is over.
         """
         array_m = np.array(self.at_lowest.samples.header.receiver.position_m)
         for nth, ways_m in enumerate(all_ways_m):
@@ -79,9 +78,9 @@ class BoxFit:
         return own
 
     def _forms(self, agreeing: Change, slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
-        """A box of each slab: as it is, as a board, and standing on the floor, there and where path lengths agree.
+        """A box of every slab: as it is, as a board, and standing on the floor; there, and where path lengths agree.
 
-        A board of metal is tried later at most: it hides and mirrors nearly what a cabinet does.
+        A board of metal is not tried here: it hides and mirrors nearly what a metal cabinet does.
         """
         of_boards = [slab for slab in slabs if slab.material != "metal"]
         boards = [(each, of_boards) for each in self.frame.as_board((0.0,), own)]
@@ -100,14 +99,11 @@ class BoxFit:
             likeness = paths.likeness(part, _FACES_M, np.arange(len(paths.carrier_hz)))
             for by_m, value in peaks(_FACES_M, likeness)[:_MOST_PLACES]:
                 box = moved([own], part, by_m)[0]
-                if value > likeness[0] + _LEAST_GAIN and box.depth_m > 0 and self._holds(held, own, box):
+                is_held = held is None or bool(
+                    np.allclose(self.frame.box_of(own)[held], self.frame.box_of(box)[held], rtol=0)
+                )
+                if value > likeness[0] + _LEAST_GAIN and box.depth_m > 0 and is_held:
                     yield box
-
-    def _holds(self, face: Faces | None, own: RoomSurface, box: RoomSurface) -> bool:
-        """Whether a face is where it was."""
-        return face is None or bool(
-            np.allclose(self.frame.box_of(own)[face], self.frame.box_of(box)[face], rtol=0)
-        )
 
     def _fits(self, box: RoomSurface) -> bool:
         """Whether a box stands within the walls, where nothing else does."""

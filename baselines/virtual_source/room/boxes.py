@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from xfreqbench.types import FloatArray
 
-from .surfaces import METAL_THICKNESS_M, NO_PLANE, NamedSlab, RoomSurface
+from ..search.planes import Points, Vector
+from .surfaces import METAL_THICKNESS_M, NO_PLANE, NamedSlab, RoomSurface, Surfaces
 
 THICKNESSES = (0.5, 0.7, 0.96, 0.98, 0.99, 1.01, 1.02, 1.04, 1.4, 2.0, 2.8)
 GAP_M = 0.02  # between a box and the walls, and whatever is known not to be in it
@@ -30,6 +31,7 @@ Faces = tuple[int | tuple[int, int], int]  # of a box: the lower or upper one, o
 Kind = Literal["board", "top", "shown", "hidden", "across", "in line"]
 _TOP, _WHOLE = (1, 2), ((0, 1), 2)  # the latter: a board as a whole, upwards
 _IN_TURN: tuple[Kind, ...] = ("top", "shown", "hidden", "across")
+Ways = Mapping[Kind, Sequence[Sequence[float]]]
 
 
 def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
@@ -38,7 +40,6 @@ def _within(most_m: float, apart_m: float) -> tuple[float, ...]:
     return tuple(apart_m * step for step in range(-number, number + 1) if step)
 
 
-Ways = Mapping[Kind, Sequence[Sequence[float]]]
 # By which faces are moved: roughly, and then those that mirror in small steps, for they agree at one place only.
 WAYS_M: tuple[Ways, ...] = (
     {
@@ -67,11 +68,11 @@ class BoxFrame:
     Without such a wall they are the axes of the world.
     """
 
-    walls: Sequence[RoomSurface]
+    walls: Surfaces
     axes: Float[FloatArray, "3 3"]
 
     @classmethod
-    def of(cls, room: Sequence[RoomSurface]) -> BoxFrame:
+    def of(cls, room: Surfaces) -> BoxFrame:
         """The frame of a room."""
         walls = [each for each in room if each.is_wall]
         upright = [each for each in walls if abs(each.normal[2]) < 0.1]
@@ -117,17 +118,12 @@ class BoxFrame:
         return int(outward[axis] < 0), axis
 
     def changes(
-        self,
-        box: Box,
-        slabs: Sequence[NamedSlab],
-        array_m: Float[FloatArray, "3"],
-        ways_m: Ways,
-        held: Faces | None = None,
+        self, box: Box, slabs: Sequence[NamedSlab], array_m: Vector, ways_m: Ways, held: Faces | None = None
     ) -> list[Change]:
-        """What may be changed one after another: slabs, faces by steps of `ways_m`, the height, and slabs again.
+        """Kinds of changes of a box, to try in turn: slabs, faces by steps of `ways_m`, the height, and slabs again.
 
-        What a box hides tells of the edges between shown and hidden faces, but not how far each is from the array.
-        The face that is held stays where it is, so a box is not moved as a whole along its normal.
+        The edges between faces that the array sees and those that it does not see decide what a box hides; how far a
+        face is from the array matters less. The face `held` stays where it is, and so does the box along its normal.
         """
         fixed = (held, ((0, 1), held[1])) if held else ()
         place_m = self.along(array_m)
@@ -144,7 +140,7 @@ class BoxFrame:
         return [of_slabs, *moves, *boards, self.to_floor, of_slabs]
 
     def _moved(self, faces: Faces, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
-        """A box with faces moved: the lower or upper one along one of the axes, or both."""
+        """Boxes with a face moved, or two opposite ones: by each of some steps along one of the axes."""
         for step_m in steps_m:
             box = self.box_of(own)
             is_board = box[1, 2] - box[0, 2] < MOST_BOARD_M
@@ -153,12 +149,7 @@ class BoxFrame:
                 yield self.surface(box, own.number, own.slab)
 
     def _moved_in_line(
-        self,
-        array_m: Float[FloatArray, "3"],
-        shown: Faces,
-        hidden: Faces,
-        steps_m: Sequence[float],
-        own: RoomSurface,
+        self, array_m: Vector, shown: Faces, hidden: Faces, steps_m: Sequence[float], own: RoomSurface
     ) -> Iterator[RoomSurface]:
         """A box with a hidden face moved, and a shown one so that the edge between hides the same from the array."""
         for step_m in steps_m:
@@ -171,7 +162,7 @@ class BoxFrame:
                     yield self.surface(box, own.number, own.slab)
 
     def as_board(self, steps_m: Sequence[float], own: RoomSurface) -> Iterator[RoomSurface]:
-        """The top of a box alone, as of a table, as high or at other heights."""
+        """The top of a box alone, as of a table, at its height or at other heights."""
         top_m = float(self.box_of(own)[1, 2])
         for step_m in steps_m:
             box = self.box_of(own)
@@ -179,21 +170,21 @@ class BoxFrame:
             yield self.surface(box, own.number, own.slab)
 
     def to_floor(self, own: RoomSurface) -> Iterator[RoomSurface]:
-        """A box that stands on the floor, as a cabinet does, whatever has been found of it."""
+        """A box extended down to the floor, as a cabinet, however little of it was found."""
         box = self.box_of(own)
         box[0, 2] = self.bounds[0, 2] + GAP_M if self.walls else box[0, 2]
         if box[1, 2] - box[0, 2] > MOST_BOARD_M:
             yield self.surface(box, own.number, own.slab)
 
 
-def holds_any(box: Box, point_m: Float[FloatArray, "N 3"]) -> bool:
+def holds_any(box: Box, point_m: Points) -> bool:
     """Whether a point, given along the same axes, is in a box or near it."""
     low_m, high_m = box
     return bool(((point_m > low_m - GAP_M) & (point_m < high_m + GAP_M)).all(axis=1).any())
 
 
 def box_slabs(materials: Sequence[str]) -> list[NamedSlab]:
-    """Slabs of these materials of which a box may be made, metal first."""
+    """Slabs of these materials for boxes, metal first."""
     return [
         NamedSlab(name, METAL_THICKNESS_M if name == "metal" else _SHEET_M, 0.0)
         for name in sorted(materials, key="metal".__ne__)
@@ -201,13 +192,13 @@ def box_slabs(materials: Sequence[str]) -> list[NamedSlab]:
 
 
 def _of_slabs(slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
-    """A box of other slabs, and of other thickness; the thickness of metal does not matter."""
+    """A box of other slabs, and of other thicknesses; the thickness of metal does not matter."""
     thinner = () if own.slab.material == "metal" else map(own.slab.thinned, THICKNESSES)
     for slab in [*slabs, *thinner]:
         yield replace(own, slab=slab)
 
 
-def _faces(box: Box, array_m: Float[FloatArray, "3"]) -> list[tuple[Faces, Kind]]:
+def _faces(box: Box, array_m: Vector) -> list[tuple[Faces, Kind]]:
     """The faces of a box, the top first, then others that the array sees, then the rest, and pairs of upright ones."""
     kinds: dict[Faces, Kind] = {((0, 1), axis): "across" for axis in (0, 1)}
     for is_upper, axis in product((0, 1), range(3)):

@@ -17,9 +17,10 @@ from scipy.spatial import ConvexHull
 
 from xfreqbench.types import FloatArray
 
+from ..search.planes import Vector
 from .boxes import THICKNESSES
 from .faces import cut_out, tidied
-from .surfaces import LEAST_AREA_M2, NO_PLANE, NamedSlab, RoomSurface
+from .surfaces import LEAST_AREA_M2, NO_PLANE, NamedSlab, RoomSurface, Surfaces
 
 EDGES_M = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
 NEAR_EDGES_M = (-0.05, 0.05)  # a front that ends so far off hides other paths, and no depth is right then
@@ -32,18 +33,22 @@ FINER_M = (-0.04, -0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.0
 _THINNER = (1.0, 0.9, 0.8, 0.5)  # of sheets in front and behind that were learned as one
 NEARLY = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of thicknesses of walls
 OTHERWISE = (*THICKNESSES, 0.9, 1.1)
-_THICK_M = 0.05  # with more, all carriers tell of the front alone
+_THICK_M = 0.05  # of a thicker slab all carriers see the front alone
 _BACK_M = 0.15  # a plane that is found so little behind a face may be what is seen of its back
 
 Room = list[RoomSurface]
+_FIRST_PIECE = 1000  # number of the first new piece of a wall, at least
+_STEPS_M = (-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
+MIN_CHANGE = 3e-4  # of the mean SSIM, for which a surface is changed
+_REPEATS = 4  # most changes of one kind of one face, one after another
 
 
 def other_slabs(
     key: tuple[int, int], slabs: Sequence[NamedSlab], factors: Sequence[float], room: Room
 ) -> Iterator[Room]:
-    """The room with another slab, or another thickness, in all parts of a plane that were found to be of one slab.
+    """The room with other slabs in all parts of a plane that were found to be of one slab.
 
-    The other slabs of the plane are among those that are tried.
+    Tried are some slabs, the other slabs of the plane, and other thicknesses.
     """
     own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
     if own is None:
@@ -56,7 +61,7 @@ def other_slabs(
 def with_wall_at(
     plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room
 ) -> Iterator[Room]:
-    """The room with a wall moved along its normal, of its own slabs or all of another one; what met it still does."""
+    """The room with a wall moved along its normal, with its own slabs or another; surfaces that met it still do."""
     own = next(each for each in room if each.is_wall and each.plane == plane)
     for by_m in places_m:
         moved = [each if each.depth_m else _stretched(each, own, by_m) for each in room]
@@ -98,9 +103,9 @@ def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Ro
 
 
 def as_one(plane: int, room: Room) -> Iterator[Room]:
-    """The room with several faces of a plane as one rectangle about all of them, some sides of it moved to the walls.
+    """The room with several faces of a plane as one rectangle about all of them, with sides moved to the walls or not.
 
-    What was learned in parts, for the cells between them saw few paths, may be a single thing.
+    A single object may be found as several faces, where few paths touch the cells between them.
     """
     walls = [each for each in room if each.is_wall]
     parts = [each for each in room if each.plane == plane and not each.is_wall]
@@ -124,8 +129,8 @@ def as_one(plane: int, room: Room) -> Iterator[Room]:
 def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
     """The room with a face as the front of a box, or of a deeper one, in place of what was found just behind it.
 
-    It may also take the place of what was found in it or just before it: a plane that mirrors as the box's back does
-    at some carriers, a part of a wave off. Two thin sheets that were learned as one are thinner than that.
+    The box may also replace what was found in it or just before it: such a plane may be the box's back, which is a
+    part of a wavelength off at some carriers. Of two thin sheets that were learned as one slab, each is thinner.
     """
     walls = [each for each in room if each.is_wall]
     for own in room:
@@ -153,7 +158,7 @@ def deeper(number: int, room: Room) -> Iterator[Room]:
 
 
 def _sheets(own: RoomSurface, slabs: Sequence[NamedSlab]) -> Iterator[RoomSurface]:
-    """A face of each slab, and of thinner ones where the slab is thin."""
+    """A face of every slab, and also thinner where the slab is thin."""
     for slab in slabs:
         is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
         for factor in _THINNER if is_thin else (1.0,):
@@ -167,15 +172,7 @@ def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
     return float((other.corners_m[0] - front.corners_m[0]) @ front.normal)
 
 
-def edged(own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]) -> Iterator[RoomSurface]:
-    """The surface with one edge moved within its plane, up to a wall at most."""
-    for edge, step_m in _edge_steps(own, walls, by_m):
-        yield _with_edge(own, edge, step_m * own.outward[edge], walls)
-
-
-def _edge_steps(
-    own: RoomSurface, walls: Sequence[RoomSurface], by_m: Sequence[float]
-) -> Iterator[tuple[int, float]]:
+def _edge_steps(own: RoomSurface, walls: Surfaces, by_m: Sequence[float]) -> Iterator[tuple[int, float]]:
     """Each edge of a surface with how far outwards it may be moved: up to a wall at most, and to the wall itself."""
     number = len(own.corners_m)
     for edge, outward in enumerate(own.outward):
@@ -187,9 +184,7 @@ def _edge_steps(
         yield from ((edge, step_m) for step_m in sorted(steps_m - {0.0}))
 
 
-def _with_edge(
-    own: RoomSurface, edge: int, by_m: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
-) -> RoomSurface:
+def _with_edge(own: RoomSurface, edge: int, by_m: Vector, walls: Surfaces) -> RoomSurface:
     """A surface with the edge from one of its corners to the next moved."""
     corners_m = own.corners_m.copy()
     corners_m[[edge, (edge + 1) % len(corners_m)]] += by_m
@@ -207,11 +202,11 @@ def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
 
 
 def _moved_along(
-    other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Sequence[RoomSurface]
+    other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Surfaces
 ) -> RoomSurface:
-    """A parallel face with its edge moved as one of `own` is, if both ended or met at the same place; else as it is.
+    """A parallel face with its edge moved like one of `own`, if both edges ended or met at one place; else the face.
 
-    Faces meet where they lie in one plane. What ends at a wall is not moved.
+    Faces in one plane meet. An edge at a wall is not moved.
     """
     outward, number = own.outward[edge], len(own.corners_m)
     if _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls) < _SAME_END_M:
@@ -225,7 +220,7 @@ def _moved_along(
     return other
 
 
-def _rectangle_about(largest: RoomSurface, parts: Sequence[RoomSurface]) -> Float[FloatArray, "4 3"]:
+def _rectangle_about(largest: RoomSurface, parts: Surfaces) -> Float[FloatArray, "4 3"]:
     """The corners of the rectangle about some faces of a plane, along the first side of the largest one."""
     along = largest.corners_m[1] - largest.corners_m[0]
     along /= np.linalg.norm(along)
@@ -236,9 +231,7 @@ def _rectangle_about(largest: RoomSurface, parts: Sequence[RoomSurface]) -> Floa
     return largest.corners_m[0] + np.array(corners) @ np.array([along, across])
 
 
-def _way_to_wall(
-    points_m: Float[FloatArray, "2 3"], outward: Float[FloatArray, "3"], walls: Sequence[RoomSurface]
-) -> float:
+def _way_to_wall(points_m: Float[FloatArray, "2 3"], outward: Vector, walls: Surfaces) -> float:
     """How far points can go before one of them meets the plane of a wall; infinite without a wall there."""
     ways_m = [np.inf]
     for wall in walls:
@@ -248,12 +241,8 @@ def _way_to_wall(
     return min(ways_m)
 
 
-_FIRST_PIECE = 1000  # number of the first piece of a wall that was none before
-_STEPS_M = (-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
-
-
 def without_patches(plane: int, room: Room) -> Iterator[Room]:
-    """The room with a rectangle, or all of them, of the slab of most of the wall around it."""
+    """The room with one patch of a wall, or all of them, made of the slab that most of the wall has."""
     patches, rest = _patches(plane, room)
     each_alone = [[each] for each in patches]
     for gone in [patches, *each_alone] if len(patches) > 1 else each_alone:
@@ -262,31 +251,30 @@ def without_patches(plane: int, room: Room) -> Iterator[Room]:
 
 
 def with_patches(plane: int, room: Room) -> Iterator[Room]:
-    """The room with one side of a rectangle moved that is of another slab than most of the wall around it."""
+    """The room with one side of a patch moved: of a rectangle whose slab is not that of most of the wall."""
     walls = [each for each in room if each.is_wall]
     patches, rest = _patches(plane, room)
     tiles = [*patches, *rest]
     first = max(_FIRST_PIECE, *(1 + each.number for each in room))
     for own in patches:
-        for changed in edged(own, walls, _STEPS_M):
+        for edge, step_m in _edge_steps(own, walls, _STEPS_M):
+            changed = _with_edge(own, edge, step_m * own.outward[edge], walls)
             others = [changed if each is own else each for each in patches]
             if pieces := _around(tiles, others, rest, first):
                 yield [*(each for each in room if each not in tiles), *others, *pieces]
 
 
 def _patches(plane: int, room: Room) -> tuple[list[RoomSurface], list[RoomSurface]]:
-    """The parts of a wall that are of another slab than most of it, and the others."""
+    """The parts of a wall whose slab is not that of most of the wall, and the other parts."""
     tiles = [each for each in room if each.is_wall and each.plane == plane]
     main = max(tiles, key=lambda each: sum(one.area_m2 for one in tiles if one.slab == each.slab)).slab
     return [each for each in tiles if each.slab != main], [each for each in tiles if each.slab == main]
 
 
-def _around(
-    tiles: Sequence[RoomSurface], patches: Sequence[RoomSurface], rest: Sequence[RoomSurface], first: int
-) -> list[RoomSurface]:
-    """The pieces of a wall around its patches, in place of what was the rest of it; none where patches overlap.
+def _around(tiles: Surfaces, patches: Surfaces, rest: Surfaces, first: int) -> list[RoomSurface]:
+    """The pieces of a wall around its patches, in place of the other pieces; none where patches overlap.
 
-    The wall is what all its tiles cover. Pieces that are more than before are numbered from `first` on.
+    All tiles together cover the wall. Additional pieces get numbers from `first` on.
     """
     own = patches[0]
     axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
@@ -305,15 +293,11 @@ def _around(
     return [each for each in pieces if each.area_m2 > LEAST_AREA_M2] if is_whole else []
 
 
-MIN_CHANGE = 3e-4  # of the mean SSIM, for which a surface is changed
-_REPEATS = 4  # most changes of one kind of one face, one after another, where many may follow each other
-
-
 class Trial(NamedTuple):
-    """Changes of a room that are tried, and whether the lowest carriers judge too, to which a centimetre is little.
+    """Changes of a room that are tried; `at_lowest` says that the lowest carriers are compared, too.
 
-    `besides` are further changes that are tried together with the best of them. A change is kept that raises the mean
-    SSIM by `least`; where it makes a room simpler, it has to be no worse.
+    A centimetre is little to these. `besides` are further changes that are tried together with the best ones. A
+    change is kept if it raises the mean SSIM by `least`, which is 0 where it makes a room simpler.
     """
 
     changes: Callable[[Room], Iterator[Room]]
@@ -326,9 +310,9 @@ class Trial(NamedTuple):
 def trials_of_face(
     own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]
 ) -> list[Trial]:
-    """Trials of a face that may be of `known` slabs, or of others of which boxes are made.
+    """Trials of a face: its edges, its depth, edges again in two step sizes, and the room without the face.
 
-    They are of its edges, of its depth, twice of edges again, and of the room without it.
+    The face is one of the slabs `known`, or else one of those that boxes are made of.
     """
     others = [each for each in of_boxes if each.material not in {one.material for one in known}]
     slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal

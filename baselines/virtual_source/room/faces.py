@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from xfreqbench.types import FloatArray, IntArray
 
-_STRAIGHT_M = 1e-3  # a corner that stands out by less is none
+from ..search.planes import Vector
+
+_STRAIGHT_M = 1e-3  # a corner that stands out by less is removed
+# Power of the paths that touch a cell, relative to the line of sight: with less, nothing is known of the cell.
+_MIN_SEEN = 0.01
+_MIN_WALL = 0.25  # share of the touched cells that a wall of the room holds
+_MIN_CELLS = 3.0  # cells that a face has more than openings in it
+_UNSEEN = -0.02  # what a cell counts for a face if no path touches it, where a full cell counts 1
+_REACH = 1.5  # cells from an edge to a wall, up to which the two meet
+ALIKE = 0.9  # cosine between the normals of planes that face the same way
+_NONE_M = 1e-6
 
 
 def clipped(place_m: Float[FloatArray, "n 2"], inward: Float[FloatArray, "n"]) -> Float[FloatArray, "m 2"]:
@@ -71,17 +81,6 @@ def tidied(place_m: Float[FloatArray, "n 2"]) -> Float[FloatArray, "m 2"]:
     return place_m[:0]
 
 
-_MIN_SEEN = (
-    0.01  # power of the paths that touch a cell, relative to the line of sight: a weaker one tells nothing
-)
-_MIN_WALL = 0.25  # share of the touched cells that a wall of the room holds
-_MIN_CELLS = 3.0  # cells that a face has more than openings in it
-_UNSEEN = -0.02  # what a cell that nothing touches counts for a face, where 1 is a full cell
-_REACH = 1.5  # cells from an edge to a wall, up to which the two meet
-ALIKE = 0.9  # cosine between the normals of planes that face the same way
-_NONE_M = 1e-6
-
-
 @dataclass(frozen=True, eq=False)
 class Cells:
     """What has been learned of one plane n·x = s, on a lattice of I × J places along its two axes.
@@ -90,7 +89,7 @@ class Cells:
     relative to the line of sight, were the plane full there. Places are `low_m` + (i, j)·`cell_m`.
     """
 
-    normal: Float[FloatArray, "3"]
+    normal: Vector
     distance_m: float
     axes: Float[FloatArray, "2 3"]
     low_m: Float[FloatArray, "2"]
@@ -102,12 +101,6 @@ class Cells:
     def is_seen(self) -> Bool[NDArray[np.bool_], "I J"]:
         """Where paths are strong enough to tell what is there."""
         return np.asarray(self.seen > _MIN_SEEN)
-
-    @property
-    def fullness(self) -> float:
-        """Mean share of slabs where paths tell it; 0 where none does."""
-        held = 1 - self.share[..., 0][self.is_seen]
-        return float(held.mean()) if held.size else 0.0
 
     def points_m(self, place_m: Float[FloatArray, "n 2"]) -> Float[FloatArray, "n 3"]:
         """Points of the plane, given along its axes."""
@@ -140,7 +133,8 @@ def walls(planes: Sequence[Cells], offset_m: Float[FloatArray, "T 3"]) -> list[i
         plane = planes[index]
         holds_all = bool((offset_m @ plane.normal < plane.distance_m).all())
         is_first = all(planes[other].normal @ plane.normal <= ALIKE for other in found)
-        if holds_all and is_first and plane.fullness >= _MIN_WALL:
+        held = 1 - plane.share[..., 0][plane.is_seen]
+        if holds_all and is_first and held.size and held.mean() >= _MIN_WALL:
             found.append(index)
     return found
 
@@ -217,10 +211,7 @@ def _face(index: int, slab: int, plane: Cells, place_m: Float[FloatArray, "n 2"]
 def best_rectangles(
     signed: Float[FloatArray, "I J"],
 ) -> Iterator[tuple[Int[IntArray, "2"], Int[IntArray, "2"]]]:
-    """The rectangles of largest sum, one after another without overlap, as first and last cells (both inside).
-
-    They end where the sum would be less than `_MIN_CELLS`.
-    """
+    """The rectangles of largest sum, as first and last cells (both inside), without overlap, down to `_MIN_CELLS`."""
     left = np.array(signed)
     while True:
         low, high, total = _largest_sum(left)
@@ -254,7 +245,9 @@ def _room_section(
 ) -> Float[FloatArray, "n 2"]:
     """The plane's part inside the walls `around`; where no wall ends it, it ends with the cells that are held."""
     size = np.array(plane.seen.shape)
-    whole = _cut(plane, plane.sides(np.zeros(2, np.int64), size - 1), around)
+    whole = plane.sides(np.zeros(2, np.int64), size - 1)
+    for wall in around:  # the part in front of it
+        whole = clipped(whole, wall.distance_m - plane.points_m(whole) @ wall.normal)
     if not len(whole):
         return whole
     rows = np.argwhere(held)
@@ -264,16 +257,6 @@ def _room_section(
     high = np.where(whole.max(0) >= border_high - _NONE_M, high, border_high)
     limits = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     return convex_common(limits, whole)
-
-
-def _cut(
-    plane: Cells, place_m: Float[FloatArray, "n 2"], around: Sequence[Cells]
-) -> Float[FloatArray, "m 2"]:
-    """The part of a polygon of a plane that lies in front of all walls."""
-    for wall in around:
-        height_m = wall.distance_m - plane.points_m(place_m) @ wall.normal
-        place_m = clipped(place_m, height_m)
-    return place_m
 
 
 def _snapped(

@@ -11,7 +11,6 @@ all of them are moved together, in least squares.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -25,10 +24,22 @@ from xfreqbench.tracing.paths import SPECULAR, Paths
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-from ..search.cross_terms import ComplexArray, IsOver, LagAverages, never
+from ..search.cross_terms import ComplexArray, IsOver, LagAverages, Lags, never
+from ..search.planes import Points, Vector
 from .boxes import MOST_BOARD_M
-from .surfaces import NO_PLANE, RoomSurface, is_clear
+from .surfaces import NO_PLANE, RoomSurface, Surfaces, is_clear
 from .traced import UNHIDDEN, evenly, tracer_in, waves_of
+
+_NUM_TX = 120  # whose paths are traced
+_AT_ONCE = 3  # carriers
+_LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimetre off are found
+_REACH_M = 0.03  # of the first search of a part, in either direction
+_STEPS_PER_WAVELENGTH = 16  # of the highest carrier
+_FLAT = 0.05  # metres that the paths of a part become longer when it moves by a metre, at least
+_NEAR, _MOST_STEPS = 1 / 8, 3  # wavelengths, and steps, of least squares
+_REACH = 1.5  # steps of the carriers before, within which a part is sought again
+_HERE_M = 0.02  # a part that is so near another place is there
+LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
 
 class RoomPart(NamedTuple):
@@ -43,7 +54,7 @@ class RoomPart(NamedTuple):
     nth: int = 0
 
 
-def parts_at(surface: RoomSurface, point_m: Float[FloatArray, "3"]) -> list[RoomPart]:
+def parts_at(surface: RoomSurface, point_m: Vector) -> list[RoomPart]:
     """The parts that move the point of a surface at which a path is reflected."""
     number = surface.number
     if surface.is_wall:
@@ -77,32 +88,32 @@ class Motion(NamedTuple):
     Tilted points move by their distance from `middle_m` along `axis`.
     """
 
-    normal: Float[FloatArray, "3"]
-    middle_m: Float[FloatArray, "3"] | None = None
-    axis: Float[FloatArray, "3"] | None = None
+    normal: Vector
+    middle_m: Vector | None = None
+    axis: Vector | None = None
 
     @classmethod
-    def of(cls, room: Sequence[RoomSurface], part: RoomPart) -> Motion:
+    def of(cls, room: Surfaces, part: RoomPart) -> Motion:
         """How a part of a room moves."""
         own = _own(room, part)[0]
         if part.kind == "tilt":
             return cls(own.normal, *_axis(room, part))
         return cls(own.outward[part.nth] if part.kind == "side" else own.normal)
 
-    def at(self, point_m: Float[FloatArray, "3"]) -> Float[FloatArray, "3"]:
+    def at(self, point_m: Vector) -> Vector:
         """How a point of the part moves."""
         if self.axis is None or self.middle_m is None:
             return self.normal
         return float((point_m - self.middle_m) @ self.axis) * self.normal
 
 
-def moved(room: Sequence[RoomSurface], part: RoomPart, by_m: float) -> list[RoomSurface]:
+def moved(room: Surfaces, part: RoomPart, by_m: float) -> list[RoomSurface]:
     """The room with a part moved along its normal, which leads away from the array or out of a box."""
     chosen = _own(room, part)
     return [_moved(each, room, part, by_m) if each in chosen else each for each in room]
 
 
-def _moved(own: RoomSurface, room: Sequence[RoomSurface], part: RoomPart, by_m: float) -> RoomSurface:
+def _moved(own: RoomSurface, room: Surfaces, part: RoomPart, by_m: float) -> RoomSurface:
     corners_m, depth_m, normal = own.corners_m.copy(), own.depth_m, own.normal
     if part.kind == "side":
         corners_m[[part.nth, (part.nth + 1) % len(corners_m)]] += by_m * own.outward[part.nth]
@@ -119,16 +130,14 @@ def _moved(own: RoomSurface, room: Sequence[RoomSurface], part: RoomPart, by_m: 
     return replace(own, corners_m=corners_m, depth_m=depth_m, normal=normal)
 
 
-def _own(room: Sequence[RoomSurface], part: RoomPart) -> list[RoomSurface]:
-    """The surfaces that a part belongs to."""
+def _own(room: Surfaces, part: RoomPart) -> list[RoomSurface]:
+    """The surfaces of which a part consists."""
     if part.kind in ("wall", "tilt"):
         return [each for each in room if each.is_wall and each.plane == part.number]
     return [each for each in room if not each.is_wall and each.number == part.number]
 
 
-def _axis(
-    room: Sequence[RoomSurface], part: RoomPart
-) -> tuple[Float[FloatArray, "3"], Float[FloatArray, "3"]]:
+def _axis(room: Surfaces, part: RoomPart) -> tuple[Vector, Vector]:
     """The middle of a wall, and the axis in it along which it tilts."""
     own = _own(room, part)
     corners_m, normal = np.concatenate([each.corners_m for each in own]), own[0].normal
@@ -138,24 +147,8 @@ def _axis(
     return middle_m, (along, np.cross(normal, along))[part.nth]
 
 
-_NUM_TX = 120  # whose paths are traced
-_AT_ONCE = 3  # carriers
-_LOWEST = 6.0  # times the lowest carrier: up to there parts that are a centimetre off are found
-_REACH_M = 0.03  # of the first search of a part, in either direction
-_STEPS_PER_WAVELENGTH = 16  # of the highest carrier
-_FLAT = 0.05  # metres by which a part lengthens its paths for each by which it moves, at least
-_NEAR, _MOST_STEPS = 1 / 8, 3  # wavelengths, and steps, of least squares
-_REACH = 1.5  # steps of the carriers before, within which a part is sought again
-_HERE_M = 0.02  # a part that is so near another place is there
-LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
-
-
 def settled(
-    room: Sequence[RoomSurface],
-    train: PasDataset,
-    lags: LagAverages,
-    standing_m: Float[FloatArray, "N 3"],
-    is_over: IsOver = never,
+    room: Surfaces, train: PasDataset, lags: LagAverages, standing_m: Points, is_over: IsOver = never
 ) -> list[RoomSurface]:
     """A room with its parts moved to where they agree best with training rows; ends early when its time is over."""
     hz, reach_m = np.unique(train.carrier_hz), _REACH_M
@@ -172,9 +165,7 @@ def settled(
     return best.room
 
 
-def sharpened(
-    room: Sequence[RoomSurface], train: PasDataset, lags: LagAverages, standing_m: Float[FloatArray, "N 3"]
-) -> list[RoomSurface]:
+def sharpened(room: Surfaces, train: PasDataset, lags: LagAverages, standing_m: Points) -> list[RoomSurface]:
     """A room whose parts are off by a share of the shortest wave, with all of them moved to where they belong."""
     paths = ReflectedPaths.of(room, train, lags)
     return paths.together(np.arange(len(paths.carrier_hz))[-_AT_ONCE:], standing_m)
@@ -194,7 +185,7 @@ def around(step_m: float, reach_m: float) -> Float[FloatArray, "n"]:
     return step_m * np.concatenate([[0], -steps[::-1], steps])
 
 
-_PLACES_M = around(0.01, 0.5)  # by which a wall may have been found off
+_PLACES_M = around(0.01, 0.5)  # displacements that are tried of a wall
 
 
 @dataclass(eq=False)
@@ -216,12 +207,12 @@ class ReflectedPaths:
     reflected: dict[RoomPart, tuple[Int[IntArray, "n"], Float[FloatArray, "n"]]]
     of_tx: Int[IntArray, "B"]
     of_carrier: Int[IntArray, "B"]
-    measured: Complex[ComplexArray, "B L"]
+    measured: Lags
 
     @classmethod
     def of(
         cls,
-        room: Sequence[RoomSurface],
+        room: Surfaces,
         train: PasDataset,
         lags: LagAverages,
         carrier_hz: Float[FloatArray, "F"] | None = None,
@@ -269,7 +260,7 @@ class ReflectedPaths:
         self.channel = np.zeros(shape, complex)
         np.add.at(self.channel, self.tx, self.wave)
 
-    def nearest(self, room: Sequence[RoomSurface], train: PasDataset) -> ReflectedPaths:
+    def nearest(self, room: Surfaces, train: PasDataset) -> ReflectedPaths:
         """The paths in a changed room, or these, whichever rows agree with better."""
         there = ReflectedPaths.of(room, train, self.lags)
         return there if there.score > self.score else self
@@ -282,7 +273,7 @@ class ReflectedPaths:
 
     @property
     def strongest_first(self) -> list[RoomPart]:
-        """The parts, those first that reflect most."""
+        """The parts, ordered by the power that they reflect."""
         power = (np.abs(self.wave) ** 2).sum(axis=(1, 2))
         return sorted(self.reflected, key=lambda part: -power[self.reflected[part][0]].sum())
 
@@ -290,13 +281,10 @@ class ReflectedPaths:
         self,
         by_m: Float[FloatArray, "n"],
         carriers: Int[IntArray, "K"],
-        standing_m: Float[FloatArray, "N 3"],
+        standing_m: Points,
         is_over: IsOver = never,
     ) -> list[RoomSurface]:
-        """The room with parts moved one after another, as rows at some carriers agree best.
-
-        Each is moved by one of some displacements, 0 first.
-        """
+        """The room with parts moved one after another, by the displacement (0 first) that rows agree with best."""
         paths = replace(self, wave=self.wave.copy())
         for part in self.strongest_first:
             if is_over():
@@ -307,7 +295,7 @@ class ReflectedPaths:
                 paths._move(part, float(by_m[best]), standing_m)
         return paths.room
 
-    def _move(self, part: RoomPart, by_m: float, standing_m: Float[FloatArray, "N 3"]) -> None:
+    def _move(self, part: RoomPart, by_m: float, standing_m: Points) -> None:
         """Move a part and turn the waves that it reflects, if it may stand there."""
         room = moved(self.room, part, by_m)
         if _may_become(self.room, room, standing_m):
@@ -318,12 +306,10 @@ class ReflectedPaths:
             self.wave[paths] += change
             self.room = room
 
-    def together(
-        self, carriers: Int[IntArray, "K"], standing_m: Float[FloatArray, "N 3"]
-    ) -> list[RoomSurface]:
-        """The room with all parts moved by little, so that rows at some carriers agree best, in least squares.
+    def together(self, carriers: Int[IntArray, "K"], standing_m: Points) -> list[RoomSurface]:
+        """The room with all parts moved a little, so that rows at some carriers agree best, in least squares.
 
-        No part lengthens its paths by more than a share of the shortest wave in the root mean square.
+        No part lengthens its paths by more than a share of the shortest wavelength in the root mean square.
         """
         parts, rows = self.strongest_first, np.isin(self.of_carrier, carriers)
         if not (parts and rows.any()):
@@ -372,7 +358,7 @@ class ReflectedPaths:
         return np.array([of(each_m) for each_m in by_m.tolist()])
 
     def elsewhere(self, part: RoomPart, carriers: Int[IntArray, "K"]) -> list[float]:
-        """By how many metres a part may have been found off, the likeliest first: rows agree better there than here."""
+        """Displacements of a part with which training rows agree better than without, in metres, the best first."""
         likeness = self.likeness(part, _PLACES_M, carriers)
         here = likeness[np.abs(_PLACES_M) <= _HERE_M].max()
         return [
@@ -384,7 +370,7 @@ class ReflectedPaths:
     def _turn(
         self, part: RoomPart, by_m: float, carriers: Int[IntArray, "K"]
     ) -> Complex[NDArray[np.complex128], "n K"]:
-        """By which factor the waves of paths change with a displacement of the part that reflects them.
+        """The factor on the waves of paths when the part that reflects them is displaced.
 
         The image of the transmitter moves by twice as much, which is exact for a path that the part reflects once.
         """
@@ -395,24 +381,22 @@ class ReflectedPaths:
         return np.exp(-2j * np.pi / SPEED_OF_LIGHT_M_S * longer_m[:, None] * self.carrier_hz[carriers])
 
 
-def _may_become(
-    room: Sequence[RoomSurface], changed: Sequence[RoomSurface], standing_m: Float[FloatArray, "N 3"]
-) -> bool:
-    """Whether what changed of a room may be there."""
+def _may_become(room: Surfaces, changed: Surfaces, standing_m: Points) -> bool:
+    """Whether all changed surfaces of a room may stand where they are."""
     new = (each for each, old in zip(changed, room, strict=True) if each is not old)
     return all(is_clear(each, standing_m) and each.depth_m >= 0 for each in new)
 
 
 def _slopes(
     paths: Paths,
-    room: Sequence[RoomSurface],
-    tx_position_m: Float[FloatArray, "3"],
+    room: Surfaces,
+    tx_position_m: Vector,
     receiver_m: tuple[float, float, float],
     motions: dict[RoomPart, Motion],
 ) -> list[tuple[RoomPart, int, float]]:
-    """By how much each path grows for a metre that a part moves, for the parts that reflect it.
+    """For every part, the paths that it reflects, and by how much they get longer per metre that the part moves.
 
-    `motions` are remembered from one transmitter to the next.
+    `motions` is filled for the next transmitters.
     """
     found = []
     for path, codes in enumerate(paths.interactions):
@@ -432,7 +416,7 @@ def _slopes(
 
 
 def peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) -> list[tuple[float, float]]:
-    """Places where the likeness is higher than beside them, and that, the highest first."""
+    """Local maxima of the likeness, the highest first: each place with its likeness."""
     order = np.argsort(places_m)
     places_m, likeness = places_m[order], likeness[order]
     padded = np.pad(likeness, 1, constant_values=-np.inf)

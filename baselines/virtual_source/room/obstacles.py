@@ -8,7 +8,7 @@ second.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +19,10 @@ from xfreqbench.tracing.paths import Paths
 from xfreqbench.types import FloatArray, IntArray
 
 from ..search.cross_terms import IsOver, LagAverages, never
+from ..search.planes import Points
 from .boxes import GAP_M, Box, BoxFrame, holds_any
 from .obstacle_kernels import hidden_by
-from .surfaces import RoomSurface
+from .surfaces import Surfaces
 from .traced import UNHIDDEN, evenly, tracer_in, waves_of
 
 MOST_OBSTACLES = 8
@@ -34,17 +35,19 @@ _APART_M, _LEVELS_M = 0.4, (0.0, 0.5, 0.8, 1.4)  # between the places and height
 _NUM_GROWN = 8  # of the boxes that are begun, those that promise most
 _GROWTH_M = (0.4, 0.2, 0.1, 0.05, 0.025)
 _THINNEST_M = 0.03
+# One face, or two opposite ones together, by one step in either direction.
+_MOVES = [
+    by * np.outer(sides, axis)
+    for axis in np.eye(3)
+    for sides in ((1, 0), (0, 1), (1, 1))
+    for by in (-1.0, 1.0)
+]
 
 
-def obstacles(
-    room: Sequence[RoomSurface],
-    train: PasDataset,
-    standing_m: Float[FloatArray, "N 3"],
-    is_over: IsOver = never,
-) -> list[Box]:
-    """Boxes in axes of a room, roughly where something stands, the most certain first; nothing is at `standing_m`.
+def obstacles(room: Surfaces, train: PasDataset, standing_m: Points, is_over: IsOver = never) -> list[Box]:
+    """Boxes along the axes of a room, roughly where furniture stands, the most certain first; none at `standing_m`.
 
-    The search ends early, with fewer boxes, where its time is over.
+    When the time is over, the search ends with the boxes found so far.
     """
     frame = BoxFrame.of(room)
     paths = DoubtfulPaths.of(room, train, frame, is_over)
@@ -78,9 +81,7 @@ class DoubtfulPaths:
     num_maps: int
 
     @classmethod
-    def of(
-        cls, room: Sequence[RoomSurface], train: PasDataset, frame: BoxFrame, is_over: IsOver = never
-    ) -> DoubtfulPaths:
+    def of(cls, room: Surfaces, train: PasDataset, frame: BoxFrame, is_over: IsOver = never) -> DoubtfulPaths:
         """The paths to the array centre from some transmitters of training rows."""
         carriers = np.unique(train.carrier_hz)
         tracer = tracer_in(room, train.header.receiver, carriers.tolist(), UNHIDDEN)
@@ -107,14 +108,14 @@ class DoubtfulPaths:
         return cls(first, start_m, way_m, np.concatenate(doubts), num_maps)
 
     def promise(self, boxes: Float[FloatArray, "B 2 3"]) -> Float[FloatArray, "B"]:
-        """By how many maps the training rows are nearer with each box, as far as it hides paths."""
+        """How many maps' worth nearer the training rows are with each box, by the paths that it hides."""
         hidden = hidden_by(np.ascontiguousarray(boxes), self.first, self.start_m, self.way_m)
         return np.array(
             [self.doubt[each].sum() - _A_PATH * np.count_nonzero(self.doubt[each]) for each in hidden]
         )
 
     def explain(self, box: Box) -> None:
-        """Forget the paths that a box hides."""
+        """Set the doubt of the paths that a box hides to 0."""
         self.doubt[hidden_by(box[None], self.first, self.start_m, self.way_m)[0]] = 0.0
 
 
@@ -150,9 +151,9 @@ def _begun(bounds: Box) -> list[Box]:
 
 
 def _grown(
-    box: Box, bounds: Box, free_m: Float[FloatArray, "N 3"], promise: Callable[..., Float[FloatArray, "B"]]
+    box: Box, bounds: Box, free_m: Points, promise: Callable[..., Float[FloatArray, "B"]]
 ) -> tuple[float, Box]:
-    """A box with faces moved, one or two opposite ones at a time, as long as it promises more; and what it promises."""
+    """A box whose faces are moved, one or two opposite ones at a time, while it promises more; and its promise."""
     best = float(promise(box[None])[0])
     for step_m in _GROWTH_M:
         while True:
@@ -170,18 +171,3 @@ def _grown(
                 break
             box, best = possible[int(promised.argmax())], float(promised.max())
     return best, box
-
-
-def _unit_moves() -> list[Box]:
-    """One face, or two opposite ones together, by one step in either direction."""
-    moves = []
-    for axis in range(3):
-        for sides in ([0], [1], [0, 1]):
-            for by in (-1.0, 1.0):
-                move = np.zeros((2, 3))
-                move[sides, axis] = by
-                moves.append(move)
-    return moves
-
-
-_MOVES = _unit_moves()

@@ -14,12 +14,11 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.types import FloatArray
 
 from ..search.cross_terms import IsOver, LagAverages, never
+from ..search.planes import Points
 from ..stored import StoredFindings
 from .box_fit import BoxFit
 from .boxes import GAP_M, WAYS_M, Box, BoxFrame, Faces, Ways, box_slabs
@@ -43,6 +42,7 @@ from .surfaces import (
     NamedSlab,
     RoomSurface,
     SlabNames,
+    Surfaces,
     is_clear,
     learned_surfaces,
     likely_slabs,
@@ -52,9 +52,10 @@ from .surfaces import (
 )
 from .traced import NUM_CARRIERS, MapCount, RoomScore, best_rooms, mean_scores
 
-_MIN_GAIN, _SAME = 1e-3, 1e-6  # of the mean SSIM: for which a room gets another box, and that is nothing
+_MIN_GAIN = 1e-3  # of the mean SSIM, that a new box has to bring
+_SAME = 1e-6  # of the mean SSIM: a smaller difference is rounding
 _LISTED = 5  # changes that are compared on all rows, of those that are best on a few
-_WITH_MORE = 10  # with which further changes are tried, on a few rows too
+_WITH_MORE = 10  # changes that are tried together with further ones, on a few rows too
 _BEHIND_M = 0.3  # depth at first of a box that is put behind a face
 _BESIDE_M = 0.3  # from a box, where a face is found that is one of its own, or its echo
 
@@ -69,12 +70,12 @@ class Refinement:
     again, and all parts are settled. `room` is the room after the first `done` steps.
     """
 
-    found: Sequence[RoomSurface]
+    found: Surfaces
     known: Mapping[tuple[int, int], Sequence[NamedSlab]]  # slabs that one of a plane in findings may be
     train: PasDataset
     room: Room
     done: int = 0
-    boxes: list[Box] | None = None  # where something hides paths, once it was sought
+    boxes: list[Box] | None = None  # where something hides paths; None before they are sought
     count: MapCount = field(default_factory=MapCount)
 
     @classmethod
@@ -90,12 +91,12 @@ class Refinement:
         return cls(found, known, train, found)
 
     def take(self, room: Room) -> None:
-        """Take a room that was refined before; nothing is left to do then."""
+        """Take a room that was refined before; no step remains then."""
         self.room, self.boxes = room, []
         self.done = self.num_steps
 
     def again(self) -> Refinement | None:
-        """Another round in the room as it is now, from the search for boxes on; None where this one changed nothing."""
+        """Another round from the search for boxes on, in the room as it is now; None where this one changed nothing."""
         stored = self.as_json()
         if stored["room"] == stored["found"]:
             return None
@@ -114,11 +115,11 @@ class Refinement:
 
     @property
     def _judges(self) -> list[RoomScore]:
-        """Those whose mean says which of two rooms is nearer at the lowest carriers and those in the middle."""
+        """Their mean says which room is nearer: one compares the lowest carriers, one those in the middle."""
         return [self._at_lowest, self.score]
 
     @cached_property
-    def _standing_m(self) -> Float[FloatArray, "N 3"]:
+    def _standing_m(self) -> Points:
         return _standing(self.train)
 
     @cached_property
@@ -127,7 +128,7 @@ class Refinement:
 
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done until boxes are sought: walls are placed, faces joined, and changed in turn, the largest first.
+        """The steps before boxes are sought: place walls, join faces, change faces in turn from the largest on.
 
         Then walls get other slabs, and faces become boxes.
         """
@@ -144,7 +145,7 @@ class Refinement:
 
     @cached_property
     def last_steps(self) -> list[Callable[[IsOver], None]]:
-        """What is done once boxes are in their places: edges, depths and thicknesses of faces again, and walls."""
+        """The steps after boxes are in their places: edges, depths and thicknesses of faces again, and walls."""
         trials = [self._trials_of(own) for own in self._fronts]
         again = [partial(self._fit_again, own.number) for own in self._fronts]
         changed = [trial for edges, _, *rest, _ in trials for trial in (edges, *rest)]
@@ -169,7 +170,7 @@ class Refinement:
 
     @property
     def num_steps(self) -> int:
-        """Number of all steps; until boxes are sought as many of them are expected as there may be."""
+        """Number of all steps; before boxes are sought, the largest possible number of boxes is assumed."""
         num_boxes = MOST_OBSTACLES if self.boxes is None else len(self.boxes)
         return len(self.steps) + 1 + len(WAYS_M) * num_boxes + len(self.last_steps) + 1
 
@@ -179,7 +180,7 @@ class Refinement:
         return self.done == self.num_steps
 
     def step(self, is_over: IsOver = never) -> None:
-        """Do one step more, or what of it can be done before a time is over."""
+        """Do the next step; if the time is over before its end, only a part of it."""
         later = self.done - len(self.steps)
         left = self.num_steps - self.done
         if later < 0:
@@ -197,20 +198,19 @@ class Refinement:
         self.done += 1
 
     def leave_faces(self) -> None:
-        """Leave out what is left to do before boxes are sought."""
+        """Skip the steps that remain before boxes are sought."""
         self.done = max(self.done, len(self.steps))
 
     def settle(self, is_over: IsOver = never) -> None:
-        """Leave out the steps that are left but the last one."""
-        self._settle(is_over)
-        self.done = self.num_steps
+        """Do the last step, and skip all others that remain: move parts to where the lengths of paths agree.
 
-    def _settle(self, is_over: IsOver) -> None:
-        """Move all parts to where the lengths of paths agree, but those with which the room is not nearer then."""
+        A part stays where it is if the room is not nearer to the training rows with the part moved.
+        """
+        self.done = self.num_steps
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
         near = [judge.near(room) for judge in self._judges]
         has_moved = [moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
-        for part in dict.fromkeys(has_moved):  # each has to be better there
+        for part in dict.fromkeys(has_moved):
             pairs = zip(self.room, room, strict=True)
             back = [old if moves_with(old) == part else new for old, new in pairs]
             before, after = mean_scores(near, [back, room])
@@ -220,9 +220,9 @@ class Refinement:
             self.room = room
 
     def _place_walls(self, is_over: IsOver) -> None:
-        """Move walls that agree better elsewhere, by up to half a metre, with another slab or their own.
+        """Move walls to where training rows agree better, by up to half a metre, with another slab or their own.
 
-        A far wall that few paths show may have been found some waves off.
+        A far wall that few paths reflect at may be found some wavelengths off.
         """
         carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
         paths = ReflectedPaths.of(self.room, self.train, self._lags, carriers)
@@ -239,13 +239,13 @@ class Refinement:
                 self._change(Trial(changes, at_lowest=True, repeats=1), is_over)
 
     def _sharpen(self, is_over: IsOver) -> None:
-        """Move all parts by little, if the room is nearer then."""
+        """Move all parts a little, if the room is nearer to the training rows then."""
         room = sharpened(self.room, self.train, self._lags, self._standing_m)
         if not is_over() and self._is_nearer(room, self._judges):
             self.room = room
 
     def _change(self, trial: Trial, is_over: IsOver) -> None:
-        """Keep the best changes of one kind."""
+        """Keep the best of the changes of one kind, if it is good enough, and repeat that."""
         judges = self._judges if trial.at_lowest else [self.score]
         for _ in range(trial.repeats):
             candidates = [each for each in trial.changes(self.room) if self._stands(each)]
@@ -266,7 +266,7 @@ class Refinement:
             self.room = changed
 
     def _is_nearer(self, room: Room, judges: Sequence[RoomScore], least: float = MIN_CHANGE) -> bool:
-        """Whether a room that is changed deserves to be kept."""
+        """Whether a changed room is nearer to the training rows, by at least `least`."""
         before, after = mean_scores(judges, [self.room, room])
         return bool(after >= before + least)
 
@@ -285,29 +285,27 @@ class Refinement:
             self._fit(own, WAYS_M[1:], is_over, [own.slab])
 
     def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
-        """Put a box into the room, or change that which is there."""
+        """Put a box into the room, or change the one that is there."""
         number = 1 + nth + max(each.number for each in self.found)
         own = self._numbered(number)
         if own is not None:
             self._fit(own, WAYS_M[turn:], is_over, self._slabs)
-        elif not turn:  # else it was tried in vain
+        elif not turn:  # later, the box has been tried and dropped
             new = self._frame.surface(box, number, self._slabs[0])
             self._fit(new, WAYS_M, is_over, self._slabs)
             self._join(number, is_over)
-            faces = [each for each in self.room if each.plane != NO_PLANE and self._is_at(box, each)]
-            if faces:  # what was found of the thing, or its echo
+            (low_m, high_m), faces = box[:, :2], []
+            for face in self.room:  # seen from above, what was found of the furniture itself, or its echo
+                middle_m = self._frame.box_of(face).mean(axis=0)[:2]
+                is_there = (middle_m > low_m - _BESIDE_M) & (middle_m < high_m + _BESIDE_M)
+                if face.plane != NO_PLANE and not face.is_wall and is_there.all():
+                    faces.append(face)
+            if faces:
                 own = self._numbered(number) or new
                 self._fit(own, WAYS_M, is_over, self._slabs, instead_of=faces)
 
-    def _is_at(self, box: Box, face: RoomSurface) -> bool:
-        """Whether a face that is no wall has its middle at a box, as seen from above."""
-        low_m, high_m = box
-        middle_m = self._frame.box_of(face).mean(axis=0)
-        is_there = (middle_m > low_m - _BESIDE_M) & (middle_m < high_m + _BESIDE_M)
-        return not face.is_wall and bool(is_there[:2].all())
-
     def _join(self, number: int, is_over: IsOver) -> None:
-        """Try a box and each one that it overlaps as a single one, for two things are never in one place."""
+        """Try a box and every other one that it overlaps as a single box, since two objects are never in one place."""
         for other in [each for each in self.room if not each.is_wall and each.number != number]:
             own = self._numbered(number)
             if own is None:
@@ -325,9 +323,9 @@ class Refinement:
         is_over: IsOver,
         slabs: Sequence[NamedSlab],
         held: Faces | None = None,
-        instead_of: Sequence[RoomSurface] = (),
+        instead_of: Surfaces = (),
     ) -> None:
-        """Change a box, its slab and all its faces but the one held, and keep it where the room is nearer with it."""
+        """Change a box, its slab and its faces except `held`; keep it if the room is nearer to the training rows."""
         replaced = {each.number for each in (own, *instead_of)}
         others = [each for each in self.room if each.number not in replaced]
         is_new = not any(each is own for each in self.room)
@@ -350,7 +348,7 @@ class Refinement:
         return box_slabs(SlabNames(np.unique(self.train.carrier_hz).tolist()).materials)
 
     def as_json(self) -> dict[str, Any]:
-        """What of it does not follow from the training rows, for `resumed`."""
+        """What `resumed` needs besides the training rows, as values of JSON."""
         return {
             "found": [surface_json(each) for each in self.found],
             "known": [[*key, slabs] for key, slabs in self.known.items()],
@@ -361,7 +359,7 @@ class Refinement:
 
     @classmethod
     def resumed(cls, stored: Mapping[str, Any], train: PasDataset) -> Refinement:
-        """The refinement that `as_json` told of, to go on with the same training rows."""
+        """The refinement that `as_json` described, to go on with the same training rows."""
         found, room = ([surface_from_json(each) for each in stored[name]] for name in ("found", "room"))
         known = {
             (plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]
@@ -371,10 +369,10 @@ class Refinement:
         return cls(found, known, train, room, stored["done"], places)
 
     def _stands(self, room: Room) -> bool:
-        """Whether nothing stands on the surfaces that would change."""
+        """Whether no changed surface of a room is at a place where nothing can be."""
         changed = (each for each in room if not any(each is other for other in self.room))
         return all(is_clear(each, self._standing_m) for each in changed)
 
 
-def _standing(train: PasDataset) -> Float[FloatArray, "N 3"]:
+def _standing(train: PasDataset) -> Points:
     return standing(train.header.receiver, train.carrier_hz, np.unique(train.tx_position_m, axis=0))

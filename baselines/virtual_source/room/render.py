@@ -29,6 +29,16 @@ from .traced import DIFFRACTING, PREDICTING, MapCount, RoomTracer, evenly
 _NEAR_M, _NEAR_OCTAVES = 0.6, 2.0  # standard deviations of the distance at which a validation row counts
 _ANYWHERE = 0.01  # what a validation row counts for at least
 _AT_ONCE = 64
+# Shares of a budget after which a room is reconstructed, furniture is sought, all is settled, and weights are chosen.
+# The refinement takes its part of seconds and of maps, and learning goes on beside it and after it. Of a budget in
+# steps it takes nothing, and what is learned is best at the end.
+FROM, FURNITURE_AT, SETTLE_AT, CHOOSE_AT = 0.25, 0.5, 0.87, 0.93
+FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
+_LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
+_NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
+_THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
+_FILE = "room.json"
+Mode = Literal["learned", "traced", "blended"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +62,6 @@ class LocalWeights:
         return [cls(rows.tx_position_m, rows.carrier_hz, np.concatenate(parts, axis=1)) for parts in similar]
 
     @property
-    def of_traced(self) -> float:
-        """Mean SSIM of the traced maps alone."""
-        return float(self.similar[0].mean())
-
-    @property
     def of_mixed(self) -> float:
         """Mean SSIM of maps that are mixed by these weights, at the rows by which they are chosen."""
         chosen = np.searchsorted(WEIGHTS, self.at(self.position_m, self.carrier_hz))
@@ -65,7 +70,7 @@ class LocalWeights:
     def at(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[FloatArray, "B"]:
-        """The weight of each learned map that is best at the validation rows nearby, in place and carrier.
+        """The weight of the learned map for every query: the best at validation rows nearby, in place and carrier.
 
         Of weights that are equally good it is the largest.
         """
@@ -83,19 +88,6 @@ class LocalWeights:
     def from_json(cls, stored: dict[str, Sequence[Any]]) -> LocalWeights:
         """Inverse of `as_json`."""
         return cls(**{name: np.array(values, np.float64) for name, values in stored.items()})
-
-
-# Shares of a budget after which a room is reconstructed, furniture is sought, all is settled, and weights are chosen.
-# The refinement takes its part of seconds and of maps, and learning goes on beside it and after it. Of a budget in
-# steps it takes nothing, and what is learned is best at the end.
-FROM, FURNITURE_AT, SETTLE_AT, CHOOSE_AT = 0.25, 0.5, 0.87, 0.93
-FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
-_LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
-_NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
-_THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
-_FILE = "room.json"
-
-Mode = Literal["learned", "traced", "blended"]
 
 
 @dataclass(eq=False)
@@ -124,10 +116,9 @@ class RoomRender:
         findings: Callable[[], Mapping[str, Any]],
         learned: Predict,
     ) -> None:
-        """Do what is due at a share of the budget: reconstruct, refine a little, or choose the weights.
+        """Do what a share of the budget calls for: make a room, refine it a little, or choose the weights.
 
-        The refinement takes its part between the two shares. Of a budget in seconds or in maps it takes no more than
-        that, and ends where it is by then.
+        Of a budget in seconds or maps, the refinement takes the part between two shares at most.
         """
         seconds, is_paid = budget.max_seconds, _pays(budget)
         begins, ends = (FROM, CHOOSE_AT) if is_paid else (FROM_OF_STEPS, CHOOSE_AT_OF_STEPS)
@@ -151,7 +142,7 @@ class RoomRender:
             self.refinement = None
 
     def _refine(self, refinement: Refinement, budget: Budget, share: float) -> Refinement:
-        """Do what is due of a refinement, or begin another round while the budget allows; returns the one at hand."""
+        """Do the next steps of a refinement, or begin another round if the budget allows; returns the current one."""
         if _pays(budget):
             if share < SETTLE_AT:
                 if refinement.is_over:
@@ -168,15 +159,12 @@ class RoomRender:
         return refinement
 
     def _timer(self, budget: Budget, share: float) -> IsOver:
-        """A function that tells whether a share of the budget's seconds or maps is spent since now."""
+        """A function that says whether a share of the budget's seconds or maps has been spent since now."""
         is_late, most = budget.timer(share), self.count.maps + share * (budget.max_maps or np.inf)
         return lambda: is_late() or self.count.maps >= most
 
     def _weigh(self, refinement: Refinement, train: PasDataset, learned: Predict) -> None:
-        """Take the room as it is now, and choose on the rows of validation transmitters.
-
-        Chosen are the weights, and whether the room is traced with diffraction.
-        """
+        """Take the room as it is now; choose weights, and whether it diffracts, on rows of validation transmitters."""
         rows, room = _split(train)[1], refinement.room
         self.refinement = None
         if len(np.unique(rows.tx_index)) < _LEAST_TX:
@@ -186,7 +174,7 @@ class RoomRender:
         tracers = RoomTracer.of_each_kind(train, room)
         compared = LocalWeights.of_each(rows, learned, [each.maps for each in tracers])
         is_blended = self.mode == "blended"
-        scores = [each.of_mixed if is_blended else each.of_traced for each in compared]
+        scores = [each.of_mixed if is_blended else float(each.similar[0].mean()) for each in compared]
         best = int(np.argmax(scores))
         self.tracer = tracers[best]
         self.weights = compared[best] if is_blended else None
@@ -256,7 +244,7 @@ def _pays(budget: Budget) -> bool:
 
 
 def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:
-    """Training rows with a path, without and of validation transmitters: every third one, but not more than needed."""
+    """Training rows with a path: those without validation transmitters (at most every third), and their rows."""
     tx = np.unique(train.tx_index[train.has_path])
     of_third = tx[_THIRD // 2 :: _THIRD]
     is_validating = np.isin(train.tx_index, evenly(of_third, _NUM_TX) if len(of_third) else of_third)

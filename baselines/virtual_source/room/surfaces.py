@@ -20,12 +20,18 @@ from xfreqbench.tracing.image.kernels import slab_coefficients
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
+from ..search.planes import Points, Vector
 from ..stored import FoundSlab, StoredFindings
 
 _WORSE = 0.05  # by which a slab may be farther from what was learned than the nearest one
 METAL_THICKNESS_M = 0.002  # what is behind the surface of a metal does not matter
 _COSINES = np.linspace(0.1, 1.0, 7)  # of the angles of incidence that are compared
 _THICKNESSES = np.linspace(0.9, 1.1, 41)  # in units of the one that delays a wave as the learned slab does
+MIN_SEEN = 0.05  # share of a face; where paths show less of it, its material is what learning began with
+_ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is left out
+_SAME_M = 0.01  # corners that are nearer to each other are one
+LEAST_AREA_M2 = 0.01
+NO_PLANE = -1  # of a surface that was found by the paths that it hides
 
 
 class NamedSlab(NamedTuple):
@@ -43,6 +49,22 @@ class NamedSlab(NamedTuple):
         return self._replace(thickness_m=self.thickness_m * factor)
 
 
+def slab_reflection(
+    permittivity: Sequence[complex],
+    thickness_m: float,
+    carrier_hz: Sequence[float],
+    cosine: Float[FloatArray, "C"],
+) -> Complex[NDArray[np.complex128], "F C 2"]:
+    """Coefficients TE and TM of a slab for F carriers and C cosines of the incidence (P.2040, Eqs. 37, 43 and 44)."""
+    phase = 2 * np.pi * np.asarray(carrier_hz) / SPEED_OF_LIGHT_M_S * thickness_m
+    return np.array(
+        [
+            [slab_coefficients(each, eta, turn)[:2] for each in cosine.tolist()]
+            for eta, turn in zip(permittivity, phase.tolist(), strict=True)
+        ]
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class SlabNames:
     """Names learned slabs after the materials that P.2040 defines at all of the carriers, vacuum aside."""
@@ -57,30 +79,17 @@ class SlabNames:
     def nearest(self, slab: FoundSlab) -> list[NamedSlab]:
         """Every material with the thickness at which it is nearest to the slab, the nearest material first."""
         permittivity = np.array([slab.permittivity_at(carrier) for carrier in self.carrier_hz])
-        learned = self._reflection(permittivity, slab.thickness_m)
+        learned = slab_reflection(permittivity.tolist(), slab.thickness_m, self.carrier_hz, _COSINES)
         named = []
         for material in self.materials:
             own = np.array([complex_permittivity(material, carrier) for carrier in self.carrier_hz])
             scale = np.sqrt(permittivity.real.mean() / own.real.mean())
             metres = [METAL_THICKNESS_M] if material == "metal" else slab.thickness_m * scale * _THICKNESSES
-            distances = [
-                np.sqrt((np.abs(self._reflection(own, each) - learned) ** 2).mean()) for each in metres
-            ]
+            reflected = [slab_reflection(own.tolist(), each, self.carrier_hz, _COSINES) for each in metres]
+            distances = [np.sqrt((np.abs(each - learned) ** 2).mean()) for each in reflected]
             best = int(np.argmin(distances))
             named.append(NamedSlab(material, float(metres[best]), float(distances[best])))
         return sorted(named, key=lambda each: each.distance)
-
-    def _reflection(
-        self, permittivity: Complex[NDArray[np.complex128], "F"], thickness_m: float
-    ) -> Complex[NDArray[np.complex128], "F C 2"]:
-        """Coefficients TE and TM at every carrier and angle of incidence."""
-        phase = 2 * np.pi * np.asarray(self.carrier_hz) / SPEED_OF_LIGHT_M_S * thickness_m
-        return np.array(
-            [
-                [slab_coefficients(cosine, eta, turn)[:2] for cosine in _COSINES.tolist()]
-                for eta, turn in zip(permittivity.tolist(), phase.tolist(), strict=True)
-            ]
-        )
 
 
 def likely_slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
@@ -88,13 +97,6 @@ def likely_slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
     return [
         each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"
     ]
-
-
-MIN_SEEN = 0.05  # share of a face; where paths show less of it, its material is what learning began with
-_ON_WALL_M = 0.02  # a side of a box that is nearer to a wall is none
-_SAME_M = 0.01  # corners that are nearer to each other are one
-LEAST_AREA_M2 = 0.01
-NO_PLANE = -1  # of a surface that was found by the paths that it hides
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +110,7 @@ class RoomSurface:
     number: int
     plane: int
     found_slab: int
-    normal: Float[FloatArray, "3"]
+    normal: Vector
     corners_m: Float[FloatArray, "n 3"]
     slab: NamedSlab
     seen: float
@@ -155,7 +157,7 @@ class RoomSurface:
         """Material and thickness in words, as in `glass 7.90 mm`."""
         return f"{self.slab.material} {self.slab.thickness_m * 1e3:.2f} mm"
 
-    def with_depth(self, depth_m: float, walls: Sequence[RoomSurface]) -> RoomSurface:
+    def with_depth(self, depth_m: float, walls: Surfaces) -> RoomSurface:
         """The same polygon as the front of a box, which has no sides in walls."""
         ends_m = np.stack([self.corners_m, np.roll(self.corners_m, -1, axis=0)], axis=1)
         in_wall = np.zeros(len(ends_m), bool)
@@ -164,6 +166,9 @@ class RoomSurface:
             in_wall |= (away_m < _ON_WALL_M).all(1)
         sides = tuple(np.flatnonzero(in_wall).tolist()) if depth_m else ()
         return replace(self, depth_m=depth_m, open_sides=sides)
+
+
+Surfaces = Sequence[RoomSurface]
 
 
 def fan_of(number: int) -> Int[IntArray, "t 3"]:
@@ -194,12 +199,12 @@ def surface_from_json(stored: Mapping[str, Any]) -> RoomSurface:
 
 
 def learned_surfaces(
-    findings: StoredFindings, carrier_hz: Sequence[float], standing_m: Float[FloatArray, "N 3"]
+    findings: StoredFindings, carrier_hz: Sequence[float], standing_m: Points
 ) -> list[RoomSurface]:
     """The faces of findings, each of the P.2040 material that is nearest over some carriers.
 
-    A sliver is left out, and a face on which something stands, at one of the places `standing_m`; all are where P.2040
-    defines no material at the carriers.
+    Slivers are left out, and so are faces that are too near to one of the places `standing_m`. There are none where
+    P.2040 defines no material at the carriers.
     """
     names = SlabNames(carrier_hz)
     if not names.materials:
@@ -221,12 +226,12 @@ def learned_surfaces(
 
 def standing(
     receiver: ReceiverArray, carrier_hz: Float[FloatArray, "F"], tx_position_m: Float[FloatArray, "T 3"]
-) -> Float[FloatArray, "N 3"]:
+) -> Points:
     """The places of the array's elements, at the lowest carrier, and of transmitters, where no surface can be."""
     aperture_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz.min())
     return np.concatenate([aperture_m, tx_position_m])
 
 
-def is_clear(surface: RoomSurface, standing_m: Float[FloatArray, "N 3"]) -> bool:
+def is_clear(surface: RoomSurface, standing_m: Points) -> bool:
     """Whether a surface is as far from all these places as a tracer demands."""
     return bool(distance_to_surfaces([surface.mesh], standing_m).min() >= MIN_SEPARATION_M)

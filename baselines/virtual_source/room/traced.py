@@ -1,4 +1,4 @@
-"""What is traced in a learned room: channels and maps, and how near the maps are to training rows."""
+"""Traces a learned room: channels and maps, and how near the maps are to training rows."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, Maps
 
 from ..search.cross_terms import IsOver, never, spherical_waves
-from .surfaces import RoomSurface
+from .surfaces import RoomSurface, Surfaces
 
 NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
@@ -41,7 +41,7 @@ _STRIDE, _WINDOW = 3, 3  # of the rows and columns of maps that are compared, an
 
 
 def tracer_in(
-    room: Sequence[RoomSurface],
+    room: Surfaces,
     receiver: ReceiverArray,
     carrier_hz: Sequence[float],
     settings: TraceSettings = COMPARING,
@@ -55,7 +55,7 @@ def tracer_in(
 
 
 def channels_in(
-    room: Sequence[RoomSurface],
+    room: Surfaces,
     samples: PasDataset,
     settings: TraceSettings = COMPARING,
     savings: ImageSavings = ImageSavings(),
@@ -87,7 +87,7 @@ class RoomTracer:
     def __init__(
         self,
         receiver: ReceiverArray,
-        room: Sequence[RoomSurface],
+        room: Surfaces,
         beam: BartlettBeam,
         kind: PasKind,
         settings: TraceSettings = PREDICTING,
@@ -97,7 +97,7 @@ class RoomTracer:
         self._tracers: dict[float, ImageTracer | FurnishedTracer] = {}
 
     @classmethod
-    def of_each_kind(cls, train: PasDataset, room: Sequence[RoomSurface]) -> list[RoomTracer]:
+    def of_each_kind(cls, train: PasDataset, room: Surfaces) -> list[RoomTracer]:
         """Tracers of a room without diffraction, and with it where the solver takes it."""
         kinds = [PREDICTING]
         if can_solve(Geometry([surface.mesh for surface in room]), DIFFRACTING):
@@ -164,17 +164,17 @@ class RoomScore:
         """Channels in the rooms that were traced last."""
         return {}
 
-    def __call__(self, room: Sequence[RoomSurface]) -> float:
+    def __call__(self, room: Surfaces) -> float:
         """Mean SSIM of the maps that are traced in a room."""
         self.count.maps += len(self.samples)
         maps, truth = torch.as_tensor(self._maps(room)), torch.as_tensor(self._truth)
         return 1 - float(map_loss(maps, truth, 1.0, _WINDOW, _STRIDE))  # compiled, unlike `mean_ssim`
 
-    def _maps(self, room: Sequence[RoomSurface]) -> Float[NDArray[np.float32], "n e a"]:
+    def _maps(self, room: Surfaces) -> Float[NDArray[np.float32], "n e a"]:
         """Maps that are traced in a room."""
         return self._beam.maps(self._cfr(room) + self.others, self.samples.header.pas_kind)[0]
 
-    def _cfr(self, room: Sequence[RoomSurface]) -> Complex[NDArray[np.complex128], "n M"]:
+    def _cfr(self, room: Surfaces) -> Complex[NDArray[np.complex128], "n M"]:
         """Channels that are traced in a room; those of the last few rooms are remembered."""
         key = tuple(room)
         if key not in self._known:
@@ -183,17 +183,15 @@ class RoomScore:
             self._known[key] = channels_in(room, self.samples, self.settings, self.savings)
         return self._known[key]
 
-    def roughly(
-        self, room: Sequence[RoomSurface], other: Sequence[RoomSurface], num_tx: int = NUM_ROUGH_TX
-    ) -> RoomScore:
-        """`near` the second room, for the transmitters whose maps differ most between two rooms."""
+    def roughly(self, room: Surfaces, other: Surfaces, num_tx: int = NUM_ROUGH_TX) -> RoomScore:
+        """`near` the second room, for the transmitters whose maps differ most between the two rooms."""
         changes = np.abs(self._maps(room) - self._maps(other)).sum((1, 2))
         tx, of_tx = np.unique(self.samples.tx_index, return_inverse=True)
         most = tx[np.argsort(-np.bincount(of_tx.reshape(-1), changes), kind="stable")[:num_tx]]
         return self.near(other, np.flatnonzero(np.isin(self.samples.tx_index, most)))
 
-    def near(self, room: Sequence[RoomSurface], rows: Int[IntArray, "n"] | None = None) -> RoomScore:
-        """Roughly the same for rooms like this one, whose paths of many reflections are taken as they are in it."""
+    def near(self, room: Surfaces, rows: Int[IntArray, "n"] | None = None) -> RoomScore:
+        """A faster score for rooms like this one, whose paths of many reflections are not traced again."""
         rows = np.arange(len(self.samples)) if rows is None else rows
         score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW, count=self.count)
         return replace(score, others=self._cfr(room)[rows] - score._cfr(room))
@@ -202,18 +200,18 @@ class RoomScore:
 def best_rooms(
     rooms: Sequence[list[RoomSurface]], judge: RoomScore, number: int, is_over: IsOver
 ) -> list[list[RoomSurface]]:
-    """So many of the rooms, those of the highest score first."""
+    """The `number` rooms with the highest scores, the highest first."""
     scores = mean_scores([judge], rooms, is_over)
     return [rooms[index] for index in np.argsort(-scores, kind="stable")[:number]]
 
 
 def mean_scores(
-    judges: Sequence[RoomScore], rooms: Sequence[Sequence[RoomSurface]], is_over: IsOver = never
+    judges: Sequence[RoomScore], rooms: Sequence[Surfaces], is_over: IsOver = never
 ) -> Float[FloatArray, "n"]:
-    """The mean score of each room; −∞ of those for which there is no time."""
+    """The mean score of each room; −∞ for rooms that are not scored because the time is over."""
     return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])
 
 
 def evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:
-    """So many of ascending values, evenly drawn, the first and the last among them; all where there are fewer."""
+    """`number` of some ascending values, evenly spaced, with the first and the last; all where there are fewer."""
     return values[np.unique(np.linspace(0, len(values) - 1, number).round().astype(int))]

@@ -13,7 +13,8 @@ from scipy.ndimage import maximum_filter
 
 from xfreqbench.types import FloatArray, IntArray
 
-from .cross_terms import MIN_EXCESS_CYCLES, BoolArray, LineOfSightReference, phasor
+from .cross_terms import MIN_EXCESS_CYCLES, BoolArray, CrossTerms, phasor
+from .planes import Vector
 
 MAX_TILT = 0.1  # rad, by which ceilings and walls may lean
 
@@ -47,9 +48,7 @@ class _Lattice:
         return self.place_m[self.is_inside]
 
 
-def coarse_maxima_m(
-    reference: LineOfSightReference, generator: np.random.Generator
-) -> Float[FloatArray, "C 3"]:
+def coarse_maxima_m(reference: CrossTerms, generator: np.random.Generator) -> Float[FloatArray, "C 3"]:
     """Places of the mirrored receiver where the evidence at the lowest carrier has its greatest local maxima.
 
     `generator` chooses transmitters where there are too many. The reference has at least one transmitter.
@@ -60,9 +59,9 @@ def coarse_maxima_m(
 
 
 def _peaks_m(
-    reference: LineOfSightReference,
+    reference: CrossTerms,
     order: Int[IntArray, "T"],
-    lattice_of: Callable[[LineOfSightReference, float], _Lattice],
+    lattice_of: Callable[[CrossTerms, float], _Lattice],
     num_axes: int,
 ) -> Float[FloatArray, "C 3"]:
     """Local maxima on a lattice, found with as many transmitters as `_MAX_PAIRS` allows and ranked with all of them."""
@@ -73,9 +72,7 @@ def _peaks_m(
 
 
 def _cell_m(
-    reference: LineOfSightReference,
-    lattice_of: Callable[[LineOfSightReference, float], _Lattice],
-    num_axes: int,
+    reference: CrossTerms, lattice_of: Callable[[CrossTerms, float], _Lattice], num_axes: int
 ) -> float:
     """Size of the lattice's cells: a third of the longest wavelength, or more where there would be too many cells."""
     finest_m = _CELL_WAVELENGTHS * 2 * np.pi / float(reference.wavenumber[0])
@@ -85,14 +82,14 @@ def _cell_m(
     return max(finest_m, coarse_m * (num_coarse / max_cells) ** (1 / num_axes))
 
 
-def _upright(reference: LineOfSightReference, cell_m: float) -> _Lattice:
+def _upright(reference: CrossTerms, cell_m: float) -> _Lattice:
     """Lattice of upright planes of any azimuth, from close to the receiver to behind the transmitters."""
     x, y, _ = _axes(reference, cell_m)
     place_m = np.stack(np.meshgrid(x, y, 0.0, indexing="ij"), axis=-1)[:, :, 0]
     return _Lattice(place_m, is_within_reach(reference, place_m, cell_m), np.inf)
 
 
-def _level(reference: LineOfSightReference, cell_m: float) -> _Lattice:
+def _level(reference: CrossTerms, cell_m: float) -> _Lattice:
     """Lattice of ceilings and floors, which may lean a little."""
     *_, z = _axes(reference, cell_m)
     reach = math.ceil(MAX_TILT * abs(z).max() / cell_m)
@@ -103,13 +100,13 @@ def _level(reference: LineOfSightReference, cell_m: float) -> _Lattice:
     return _Lattice(place_m, is_level & is_within_reach(reference, place_m, cell_m), -np.inf)
 
 
-def bounds_m(reference: LineOfSightReference) -> tuple[Float[FloatArray, "3"], Float[FloatArray, "3"]]:
+def bounds_m(reference: CrossTerms) -> tuple[Vector, Vector]:
     """Lowest and highest corner of the box around receiver and transmitters, with a margin for walls behind them."""
     offset_m = reference.offset_m
     return offset_m.min(axis=0).clip(max=0) - BEHIND_BOX_M, offset_m.max(axis=0).clip(min=0) + BEHIND_BOX_M
 
 
-def _axes(reference: LineOfSightReference, cell_m: float) -> list[Float[FloatArray, "_"]]:
+def _axes(reference: CrossTerms, cell_m: float) -> list[Float[FloatArray, "_"]]:
     """Coordinates of the lattice along x, y and z: multiples of the cell size."""
     low_m, high_m = bounds_m(reference)
     return [
@@ -119,7 +116,7 @@ def _axes(reference: LineOfSightReference, cell_m: float) -> list[Float[FloatArr
 
 
 def is_within_reach(
-    reference: LineOfSightReference, place_m: Float[FloatArray, "*shape 3"], cell_m: float
+    reference: CrossTerms, place_m: Float[FloatArray, "*shape 3"], cell_m: float
 ) -> Bool[BoolArray, "*shape"]:
     """Whether the plane of a mirrored receiver meets the box of `bounds_m`, and does not pass through the receiver."""
     low_m, high_m = bounds_m(reference)
@@ -129,7 +126,7 @@ def is_within_reach(
 
 
 def _table_evidence(
-    reference: LineOfSightReference, chosen: Int[IntArray, "C"], place_m: Float[FloatArray, "Q 3"]
+    reference: CrossTerms, chosen: Int[IntArray, "C"], place_m: Float[FloatArray, "Q 3"]
 ) -> Float[FloatArray, "Q"]:
     """Evidence at the lowest carrier from the chosen transmitters, steering vectors rounded to those of a table."""
     table = _CrossTermTable(reference, chosen)
@@ -143,7 +140,7 @@ def _table_evidence(
 class _CrossTermTable:
     """Cross terms of the chosen transmitters at the lowest carrier, for arrivals on a lattice in the array's plane."""
 
-    def __init__(self, reference: LineOfSightReference, chosen: Int[IntArray, "C"]) -> None:
+    def __init__(self, reference: CrossTerms, chosen: Int[IntArray, "C"]) -> None:
         element = reference.element_position_wavelengths
         self._plane = reference.rotation @ np.linalg.svd(element, full_matrices=False)[2][:2].T
         cosine = np.arange(-_TABLE_STEPS, _TABLE_STEPS + 1) / _TABLE_STEPS

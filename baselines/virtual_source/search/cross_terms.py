@@ -30,11 +30,12 @@ from xfreqbench.scene.array import steering_vector
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-from .planes import mirrored
+from .planes import Vector, mirrored
 
 ComplexArray = NDArray[np.complex128]
 PhasorArray = NDArray[np.complex64]
 BoolArray = NDArray[np.bool_]
+Lags = Complex[ComplexArray, "B L"]  # L lag averages of each of B maps
 Explained = Callable[[IntArray], Complex[ComplexArray, "Q B M"]]
 IsOver = Callable[[], bool]
 Item = TypeVar("Item")
@@ -62,7 +63,7 @@ def until_over(found: Iterable[Item]) -> Iterator[Item]:
 
 
 @dataclass(frozen=True, eq=False)
-class LineOfSightReference:
+class CrossTerms:
     """Maps of T transmitters at F carriers, referred to the line of sight.
 
     `offset_m` are the transmitters relative to the array centre, in world axes. `referred` is the product of the
@@ -82,9 +83,7 @@ class LineOfSightReference:
     is_over: IsOver = never
 
     @classmethod
-    def of(
-        cls, train: PasDataset, explained: Explained | None = None, is_over: IsOver = never
-    ) -> LineOfSightReference:
+    def of(cls, train: PasDataset, explained: Explained | None = None, is_over: IsOver = never) -> CrossTerms:
         """The reference from all rows of a data set that have a path; there may be none.
 
         `explained`, if given, returns the channels known so far of rows of the data set: Q that do not
@@ -150,7 +149,7 @@ class LagAverages:
         explained: Explained | None,
         travel: Complex[PhasorArray, "B"],
     ) -> tuple[Complex[ComplexArray, "B M"], Float[FloatArray, "B"]]:
-        """`LineOfSightReference.referred` and `amplitude` of rows; `waves` are the channels of their lines of sight.
+        """`CrossTerms.referred` and `amplitude` of rows; `waves` are the channels of their lines of sight.
 
         `travel` holds exp(+j2πfd₀/c) of each row, by which explained channels are referred to the line of sight.
         """
@@ -170,20 +169,18 @@ class LagAverages:
         weight = share / (np.linalg.norm(left, axis=1) + _SMALLEST_RESIDUAL * waves.shape[1])
         return weight[:, None] * left, weight * share
 
-    def _share(
-        self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
-    ) -> Float[FloatArray, "B"]:
+    def _share(self, measured: Lags, known: Lags) -> Float[FloatArray, "B"]:
         """Factor of the known lag averages that fits the measured ones best in least squares."""
         norm = np.einsum("bl,l,bl->b", known, self._count, known.conj()).real.clip(1e-30)
         return np.einsum("bl,l,bl->b", measured, self._count, known.conj()).real / norm
 
-    def _of_channels(self, cfr: Complex[ComplexArray, "Q B M"]) -> Complex[ComplexArray, "B L"]:
+    def _of_channels(self, cfr: Complex[ComplexArray, "Q B M"]) -> Lags:
         """Lag averages of Q channels that do not interfere, scaled to a mean power of 1 at an element."""
         products = np.einsum("qbm,qbn->bmn", cfr, cfr.conj()).reshape(cfr.shape[1], len(self._mean))
         averages = products.real @ self._mean + 1j * (products.imag @ self._mean)
         return averages / abs(averages).max(axis=1, keepdims=True).clip(1e-30)
 
-    def measured(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
+    def measured(self, rows: Int[IntArray, "B"]) -> Lags:
         """Lag averages of rows, from their channels where the data set stores them, otherwise from their maps."""
         train = self._train
         return (
@@ -192,30 +189,26 @@ class LagAverages:
             else self._of_maps(rows)
         )
 
-    def of_channels(self, cfr: Complex[ComplexArray, "B M"]) -> Complex[ComplexArray, "B L"]:
+    def of_channels(self, cfr: Complex[ComplexArray, "B M"]) -> Lags:
         """Lag averages of channels, as maps of the data set's kind determine them."""
         cfr = cfr / abs(cfr).max(axis=1, keepdims=True).clip(1e-30)
         if self._train.header.pas_kind == "phase-only":
             cfr /= np.where(cfr == 0, 1, abs(cfr))
         return self._told(self._of_channels(cfr[None]))
 
-    def likeness(
-        self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
-    ) -> Float[FloatArray, "B"]:
+    def likeness(self, measured: Lags, known: Lags) -> Float[FloatArray, "B"]:
         """Share of the power of measured lag averages that known ones explain: 1 where they are proportional."""
         power = np.einsum("bl,l,bl->b", measured, self._count, measured.conj()).real.clip(1e-30)
         share = self._share(measured, known)
         return share**2 * np.einsum("bl,l,bl->b", known, self._count, known.conj()).real / power
 
-    def left(
-        self, measured: Complex[ComplexArray, "B L"], known: Complex[ComplexArray, "B L"]
-    ) -> Complex[ComplexArray, "B L"]:
+    def left(self, measured: Lags, known: Lags) -> Lags:
         """What known lag averages leave of measured ones; the power of each row of it is 1 less its likeness."""
         weighted, share = np.sqrt(self._count) * measured, self._share(measured, known)
         norm = np.linalg.norm(weighted, axis=1, keepdims=True).clip(1e-15)
         return (weighted - share[:, None] * np.sqrt(self._count) * known) / norm
 
-    def _of_maps(self, rows: Int[IntArray, "B"]) -> Complex[ComplexArray, "B L"]:
+    def _of_maps(self, rows: Int[IntArray, "B"]) -> Lags:
         """Lag averages r_l by least squares from maps P(d) = Σ_l r_l exp(−j2π l·d), scaled to a mean power of 1."""
         kind, seen = self._train.header.pas_kind, self._directions
         parts = []
@@ -226,14 +219,14 @@ class LagAverages:
         averages = self._complex(np.concatenate(parts))
         return averages / abs(averages).max(axis=1, keepdims=True).clip(1e-12)
 
-    def _told(self, averages: Complex[ComplexArray, "B L"]) -> Complex[ComplexArray, "B L"]:
+    def _told(self, averages: Lags) -> Lags:
         """The part of lag averages that maps determine; only for a vertical array it is less than all."""
         if self._train.header.channels:
             return averages
         parts = np.concatenate([averages.real, averages.imag], axis=1)
         return self._complex(parts @ (self._inverse_waves @ self._waves).T)
 
-    def _complex(self, parts: Float[FloatArray, "B R"]) -> Complex[ComplexArray, "B L"]:
+    def _complex(self, parts: Float[FloatArray, "B R"]) -> Lags:
         """Complex numbers from their real parts followed by their imaginary parts."""
         real, imaginary = np.split(parts, 2, axis=1)
         return real + 1j * imaginary
@@ -304,8 +297,8 @@ class Aligned:
 
 
 def aligned(
-    reference: LineOfSightReference,
-    mirrored_receiver_m: Float[FloatArray, "3"],
+    reference: CrossTerms,
+    mirrored_receiver_m: Vector,
     carriers: slice = slice(None),
     min_excess_cycles: float = MIN_EXCESS_CYCLES,
     source_m: Float[FloatArray, "T 3"] | None = None,
@@ -333,9 +326,7 @@ def aligned(
     return Aligned(term * phasor(cycles), length_m, to_image_m / length_m[:, None])
 
 
-def steering(
-    reference: LineOfSightReference, source_m: Float[FloatArray, "T 3"]
-) -> Complex[ComplexArray, "T M"]:
+def steering(reference: CrossTerms, source_m: Float[FloatArray, "T 3"]) -> Complex[ComplexArray, "T M"]:
     """Steering vectors of plane waves from the directions of sources, positions relative to the array centre."""
     arrival = source_m @ reference.rotation / np.linalg.norm(source_m, axis=1, keepdims=True)
     return steering_vector(reference.element_position_wavelengths, arrival, SPEED_OF_LIGHT_M_S)

@@ -15,6 +15,10 @@ from jaxtyping import Float
 
 from xfreqbench.types import FloatArray
 
+Vector = Float[FloatArray, "3"]  # a position in metres, or a direction, along the axes of the world
+
+Points = Float[FloatArray, "N 3"]  # positions in metres
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -26,16 +30,14 @@ class Plane:
     that make planes.
     """
 
-    normal: Float[FloatArray, "3"]
+    normal: Vector
     distance_m: float
     distance_std_m: float
     tilt_std_rad: float
     score: float
 
 
-def mirrored(
-    offset_m: Float[FloatArray, "... 3"], mirrored_receiver_m: Float[FloatArray, "3"]
-) -> Float[FloatArray, "... 3"]:
+def mirrored(offset_m: Float[FloatArray, "... 3"], mirrored_receiver_m: Vector) -> Float[FloatArray, "... 3"]:
     """Mirror images of points in the plane that puts the array centre's own image at `mirrored_receiver_m`, not 0.
 
     All positions are relative to the array centre.
@@ -44,9 +46,7 @@ def mirrored(
     return offset_m + (1 - 2 * share[..., None]) * mirrored_receiver_m
 
 
-def plane_of(
-    mirrored_receiver_m: Float[FloatArray, "3"], covariance_m2: Float[FloatArray, "3 3"], score: float
-) -> Plane:
+def plane_of(mirrored_receiver_m: Vector, covariance_m2: Float[FloatArray, "3 3"], score: float) -> Plane:
     """The plane that puts the array centre's image at a point with this covariance."""
     twice_m = float(np.linalg.norm(mirrored_receiver_m))
     normal = mirrored_receiver_m / twice_m

@@ -24,17 +24,8 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.types import FloatArray
 
 from .coarse import BEHIND_BOX_M
-from .cross_terms import (
-    Aligned,
-    Explained,
-    IsOver,
-    LineOfSightReference,
-    SearchOverError,
-    aligned,
-    never,
-    until_over,
-)
-from .planes import Plane, plane_of
+from .cross_terms import Aligned, CrossTerms, Explained, IsOver, SearchOverError, aligned, never, until_over
+from .planes import Plane, Vector, plane_of
 from .selection import is_upright, mirrored_receivers_m
 
 _NEIGHBOURHOOD_M = 1.0  # side at least
@@ -78,15 +69,13 @@ class Profile:
     """
 
     side_m: float
-    normal: Float[FloatArray, "3"]
+    normal: Vector
     distance_m: Float[FloatArray, "S"]
     best: Float[FloatArray, "S"]
     total: Float[FloatArray, "S"]
 
 
-def range_profile(
-    reference: LineOfSightReference, normal: Float[FloatArray, "3"], side_m: float = _NEIGHBOURHOOD_M
-) -> Profile:
+def range_profile(reference: CrossTerms, normal: Vector, side_m: float = _NEIGHBOURHOOD_M) -> Profile:
     """Evidence for planes with a unit normal, from close to the receiver to behind the farthest transmitter.
 
     The evidence of a neighbourhood is |Σ x|² / Σ|x|² over its transmitters and all carriers.
@@ -109,7 +98,7 @@ def _steps_m() -> Float[FloatArray, "m"]:
     return np.arange(round(_BLOCK_M / _STEP_M), dtype=np.float64) * _STEP_M
 
 
-def _sides_m(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) -> list[float]:
+def _sides_m(reference: CrossTerms, normal: Vector) -> list[float]:
     """Sides of neighbourhoods across a normal: one where transmitters are dense, larger ones where they are few.
 
     A wall is seen by all of few transmitters, a cabinet by those of one place. So several sizes are tried.
@@ -124,13 +113,13 @@ def _sides_m(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) ->
     return sorted({max(_NEIGHBOURHOOD_M, math.sqrt(each * across_m2 / num_tx)) for each in _NUM_NEIGHBOURS})
 
 
-def _across_m(reference: LineOfSightReference, normal: Float[FloatArray, "3"]) -> Float[FloatArray, "T 2"]:
+def _across_m(reference: CrossTerms, normal: Vector) -> Float[FloatArray, "T 2"]:
     """Places of transmitters across a normal."""
     return reference.offset_m @ np.linalg.svd(normal[None])[2][1:].T
 
 
 def _neighbourhoods(
-    reference: LineOfSightReference, normal: Float[FloatArray, "3"], side_m: float
+    reference: CrossTerms, normal: Vector, side_m: float
 ) -> Float[NDArray[np.float32], "N T"]:
     """Membership, 0 or 1, of T transmitters in N neighbourhoods: squares across the normal, of any depth along it."""
     place = np.floor(_across_m(reference, normal) / side_m).astype(np.int64)
@@ -139,10 +128,7 @@ def _neighbourhoods(
 
 
 def _block(
-    reference: LineOfSightReference,
-    normal: Float[FloatArray, "3"],
-    start_m: float,
-    belongs: Float[NDArray[np.float32], "N T"],
+    reference: CrossTerms, normal: Vector, start_m: float, belongs: Float[NDArray[np.float32], "N T"]
 ) -> Float[NDArray[np.float32], "m N"]:
     """Evidence of each neighbourhood at the distances of the block that starts at `start_m`."""
     there = aligned(reference, 2 * start_m * normal, less_mean=False)
@@ -178,7 +164,7 @@ def find_planes(train: PasDataset, seed: int, is_over: IsOver = never) -> list[P
     Once `is_over` returns True, the search ends with the planes that it has found.
     """
     try:
-        reference = LineOfSightReference.of(train, is_over=is_over)
+        reference = CrossTerms.of(train, is_over=is_over)
         images_m = mirrored_receivers_m(reference, seed, guesses=True)
     except SearchOverError:
         return []
@@ -194,13 +180,13 @@ def find_more_planes(
     Once `is_over` returns True, the search ends with the planes that it has found.
     """
     try:
-        reference = LineOfSightReference.of(train, explained, is_over)
+        reference = CrossTerms.of(train, explained, is_over)
     except SearchOverError:
         return []
     return profiled_planes(reference, _directions([plane.normal for plane in known]), known, _TRIAL)
 
 
-def _directions(normals: Iterable[Float[FloatArray, "3"]]) -> list[Float[FloatArray, "3"]]:
+def _directions(normals: Iterable[Vector]) -> list[Vector]:
     """The normals, their opposites, up and down, without near duplicates.
 
     Where all upright ones are of one direction, those at right angles to it are tried, too: most rooms have corners.
@@ -210,7 +196,7 @@ def _directions(normals: Iterable[Float[FloatArray, "3"]]) -> list[Float[FloatAr
     across = [each / np.linalg.norm(each) for each in across]
     if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:
         normals.append(across[0])
-    kept: list[Float[FloatArray, "3"]] = []
+    kept: list[Vector] = []
     for normal in [*normals, vertical]:
         for direction in (normal, -normal):
             if all(direction @ other < _SAME_DIRECTION for other in kept):
@@ -232,10 +218,7 @@ def random_planes(train: PasDataset, seed: int, number: int) -> list[Plane]:
 
 
 def profiled_planes(
-    reference: LineOfSightReference,
-    normals: Sequence[Float[FloatArray, "3"]],
-    known: Sequence[Plane] = (),
-    demand: _Demand = _SURE,
+    reference: CrossTerms, normals: Sequence[Vector], known: Sequence[Plane] = (), demand: _Demand = _SURE
 ) -> list[Plane]:
     """Planes with about these normals that meet the demand, strongest first, without those that are known already.
 
@@ -251,7 +234,7 @@ def profiled_planes(
 
 
 def _along(
-    reference: LineOfSightReference, profiles: Sequence[Profile], known: Sequence[Plane], demand: _Demand
+    reference: CrossTerms, profiles: Sequence[Profile], known: Sequence[Plane], demand: _Demand
 ) -> list[Plane]:
     """The planes of the profiles of one normal, strongest first."""
     planes: list[Plane] = []
@@ -268,7 +251,7 @@ def _along(
     return kept[: demand.most]
 
 
-def _is_known(reference: LineOfSightReference, profile: Profile, index: int, known: Sequence[Plane]) -> bool:
+def _is_known(reference: CrossTerms, profile: Profile, index: int, known: Sequence[Plane]) -> bool:
     """Whether a peak belongs to a known plane.
 
     A wall that is not known exactly leaves peaks in a wider range around it than a facet among the transmitters.
@@ -289,7 +272,7 @@ def _is_side_lobe(plane: Plane, stronger: Plane) -> bool:
     return apart_m < _ECHO_M and plane.score < _ECHO_SHARE * stronger.score
 
 
-def _sharpened(reference: LineOfSightReference, profile: Profile, index: int) -> Plane:
+def _sharpened(reference: CrossTerms, profile: Profile, index: int) -> Plane:
     """The plane of a peak, its distance and tilts moved to where the evidence is greatest."""
     peak = _Peak.of(reference, 2 * profile.distance_m[index] * profile.normal, profile.side_m)
     simplex = np.vstack([np.zeros(3), _SIMPLEX_M * np.eye(3)])
@@ -303,13 +286,13 @@ def _sharpened(reference: LineOfSightReference, profile: Profile, index: int) ->
 class _Peak:
     """Evidence of N neighbourhoods close to one place of the mirrored receiver; directions of arrival stay fixed."""
 
-    place_m: Float[FloatArray, "3"]
+    place_m: Vector
     there: Aligned
     wavenumber: Float[FloatArray, "F"]
     belongs: Float[NDArray[np.float32], "N T"]
 
     @classmethod
-    def of(cls, reference: LineOfSightReference, place_m: Float[FloatArray, "3"], side_m: float) -> _Peak:
+    def of(cls, reference: CrossTerms, place_m: Vector, side_m: float) -> _Peak:
         """The peak at a place, with the neighbourhoods that are usable there."""
         normal = place_m / np.linalg.norm(place_m)
         there = aligned(reference, place_m, less_mean=False)
@@ -322,20 +305,20 @@ class _Peak:
         """Summed power of all terms of each neighbourhood."""
         return (self.belongs @ (abs(self.there.term) ** 2).sum(axis=1)).clip(1e-20)
 
-    def above_chance(self, step_m: Float[FloatArray, "3"]) -> Float[FloatArray, "N"]:
+    def above_chance(self, step_m: Vector) -> Float[FloatArray, "N"]:
         """Evidence of each neighbourhood a step away, less `_CHANCE`, and 0 where it is below."""
         turn = np.exp(1j * (self.there.gradient @ step_m)[:, None] * self.wavenumber)
         together = self.belongs @ (self.there.term * turn).sum(axis=1)
         return (abs(together) ** 2 / self.power - _CHANCE).clip(0)
 
-    def value(self, step_m: Float[FloatArray, "3"]) -> float:
+    def value(self, step_m: Vector) -> float:
         """Sum of the evidence above chance a step away, less the cost of the tilt."""
         normal = self.place_m / np.linalg.norm(self.place_m)
         across_m = step_m - (step_m @ normal) * normal
         tilt = np.linalg.norm(across_m) / np.linalg.norm(self.place_m) / _TILT_STD_RAD
         return float(self.above_chance(step_m).sum() - tilt**2)
 
-    def covariance_m2(self, step_m: Float[FloatArray, "3"]) -> Float[FloatArray, "3 3"]:
+    def covariance_m2(self, step_m: Vector) -> Float[FloatArray, "3 3"]:
         """Covariance of the mirrored receiver at a maximum: H⁻¹ (Σ g gᵀ) H⁻¹, and in no direction less than H⁻¹.
 
         H is the curvature of `value`, g the slope of a neighbourhood's evidence. The covariance covers the
@@ -348,16 +331,14 @@ class _Peak:
         scatter, turned = np.linalg.eigh(root.T @ self._slopes(step_m).T @ self._slopes(step_m) @ root)
         return root @ (turned * scatter.clip(1)) @ turned.T @ root.T
 
-    def _slopes(self, place_m: Float[FloatArray, "3"]) -> Float[FloatArray, "N 3"]:
+    def _slopes(self, place_m: Vector) -> Float[FloatArray, "N 3"]:
         """Slope of each neighbourhood's evidence, by central differences."""
         steps = _CURVATURE_STEP_M * np.eye(3)
         rises = [self.above_chance(place_m + step) - self.above_chance(place_m - step) for step in steps]
         return np.stack(rises, axis=1) / (2 * _CURVATURE_STEP_M)
 
 
-def _curvature(
-    value: Callable[[Float[FloatArray, "3"]], float], place_m: Float[FloatArray, "3"]
-) -> Float[FloatArray, "3 3"]:
+def _curvature(value: Callable[[Vector], float], place_m: Vector) -> Float[FloatArray, "3 3"]:
     """Matrix of second derivatives, by central differences."""
     step = _CURVATURE_STEP_M * np.eye(3)
     curvature = np.zeros((3, 3))

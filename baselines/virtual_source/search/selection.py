@@ -26,13 +26,13 @@ from .cross_terms import (
     MIN_EXCESS_CYCLES,
     Aligned,
     ComplexArray,
-    LineOfSightReference,
+    CrossTerms,
     PhasorArray,
     aligned,
     phasor,
     steering,
 )
-from .planes import mirrored
+from .planes import Vector, mirrored
 
 _NUM_CANDIDATES = (
     300,
@@ -42,18 +42,18 @@ _NUM_CANDIDATES = (
     40,
 )  # kept after each carrier; the last number holds for all that follow
 _NUM_BRANCHES = 3  # maxima that are followed from one candidate, while carriers are few
-_STEP_RAD, _REACH_RAD, _MAX_STEPS = (
-    1.0,
-    1.4,
-    5,
-)  # of a local grid: step at the new carrier, reach at the one before
+_STEP_RAD, _REACH_RAD = 1.0, 1.4  # of a local grid: step at the new carrier, reach at the one before
+_MAX_STEPS = 5  # of a local grid, in every direction
 _SAME_PHASE_RAD = 1.5  # two candidates are the same where their phases differ less, root mean square
 _CARRIER_CAP = 20.0  # most evidence of one carrier that counts in the ranking of candidates
 _MAX_NEWTON_STEPS = 12
 _SETTLED_GAIN = 1e-4  # evidence gained by a step; with less, the search ends
+_LEAK_MARGIN = 2.0  # amplitudes of leaking planes are known only roughly
+_LAYER_M = 0.02
+_FALSE_ALARM = 1e-3  # number of planes found in a room without any
 
 
-def refined_m(reference: LineOfSightReference, place_m: Float[FloatArray, "C 3"]) -> Float[FloatArray, "K 3"]:
+def refined_m(reference: CrossTerms, place_m: Float[FloatArray, "C 3"]) -> Float[FloatArray, "K 3"]:
     """Mirrored receivers followed from the lowest carrier to the highest; the best of them are kept."""
     num_carriers = len(reference.carrier_hz)
     with one_blas_thread():
@@ -64,9 +64,7 @@ def refined_m(reference: LineOfSightReference, place_m: Float[FloatArray, "C 3"]
     return place_m
 
 
-def _local_maxima(
-    reference: LineOfSightReference, place_m: Float[FloatArray, "3"], joining: int, branches: int
-) -> list[Float[FloatArray, "3"]]:
+def _local_maxima(reference: CrossTerms, place_m: Vector, joining: int, branches: int) -> list[Vector]:
     """Best places near one, by the carrier that joins and the one before, on a grid in which phases are linear."""
     carriers = slice(max(joining - 1, 0), joining + 1)
     wavenumber = reference.wavenumber[carriers]
@@ -111,9 +109,7 @@ def _powers(turn: Complex[PhasorArray, "T"], count: int) -> Complex[PhasorArray,
     return np.concatenate([ascending[::-1].conj(), np.ones((1, len(turn)), turn.dtype), ascending])
 
 
-def _best(
-    reference: LineOfSightReference, place_m: Float[FloatArray, "C 3"], joining: int
-) -> Float[FloatArray, "K 3"]:
+def _best(reference: CrossTerms, place_m: Float[FloatArray, "C 3"], joining: int) -> Float[FloatArray, "K 3"]:
     """The best candidates by all carriers so far, without duplicates."""
     carriers = slice(joining + 1)
     evidence = np.array(
@@ -124,7 +120,7 @@ def _best(
     )
     limit = _NUM_CANDIDATES[min(joining, len(_NUM_CANDIDATES) - 1)]
     wavenumber = float(reference.wavenumber[joining])
-    kept: list[Float[FloatArray, "3"]] = []
+    kept: list[Vector] = []
     for index in np.argsort(-evidence):
         reference.require_time()
         if len(kept) == limit:
@@ -134,21 +130,14 @@ def _best(
     return np.array(kept).reshape(-1, 3)
 
 
-def _is_same(
-    reference: LineOfSightReference,
-    one_m: Float[FloatArray, "3"],
-    other_m: Float[FloatArray, "3"],
-    wavenumber: float,
-) -> bool:
+def _is_same(reference: CrossTerms, one_m: Vector, other_m: Vector, wavenumber: float) -> bool:
     """Whether the lengths to two mirrored receivers differ by a constant, as far as phases tell."""
     if np.linalg.norm(one_m - other_m) > MAX_TILT * np.linalg.norm(one_m) + 2 / wavenumber * 2 * np.pi:
         return False
     return deviation_m(reference, one_m, other_m) * wavenumber < _SAME_PHASE_RAD
 
 
-def deviation_m(
-    reference: LineOfSightReference, one_m: Float[FloatArray, "3"], other_m: Float[FloatArray, "3"]
-) -> float:
+def deviation_m(reference: CrossTerms, one_m: Vector, other_m: Vector) -> float:
     """Standard deviation over transmitters of the difference between their distances to two mirrored receivers."""
     one, other = (np.linalg.norm(reference.offset_m - place, axis=1) for place in (one_m, other_m))
     return float(np.std(one - other))
@@ -158,7 +147,7 @@ def deviation_m(
 class Candidate:
     """A place of the mirrored receiver, and the cross terms aligned for it."""
 
-    place_m: Float[FloatArray, "3"]
+    place_m: Vector
     aligned: Aligned
 
     @property
@@ -172,37 +161,26 @@ def score_of(evidence: Float[FloatArray, "F"]) -> float:
     return float(np.minimum(evidence, 2 * np.median(evidence)).sum())
 
 
-def settled(reference: LineOfSightReference, place_m: Float[FloatArray, "3"]) -> Candidate:
+def settled(reference: CrossTerms, place_m: Vector) -> Candidate:
     """The local maximum of the evidence summed over carriers that Newton's method reaches from a place."""
     there = aligned(reference, place_m)
     for _ in range(_MAX_NEWTON_STEPS):
         slope, curvature = _derivatives(reference, there)
         variance, axes = np.linalg.eigh(curvature)
         step_m = axes @ (axes.T @ slope / abs(variance).clip(1e-6 * abs(variance).max() + 1e-30))
-        place_m, there, gain = _climbed(reference, place_m, there, step_m)
+        gain = 0.0
+        for share in (1.0, 0.3, 0.1, 0.03, 0.01):  # the largest part of the step that gains evidence
+            moved = aligned(reference, place_m + share * step_m)
+            gain = float(moved.evidence.sum() - there.evidence.sum())
+            if gain > 0:
+                place_m, there = place_m + share * step_m, moved
+                break
         if gain < _SETTLED_GAIN:
             break
     return Candidate(place_m, there)
 
 
-def _climbed(
-    reference: LineOfSightReference,
-    place_m: Float[FloatArray, "3"],
-    there: Aligned,
-    step_m: Float[FloatArray, "3"],
-) -> tuple[Float[FloatArray, "3"], Aligned, float]:
-    """Place and cross terms after the largest tried part of a step that gains evidence, and the gain; 0 for none."""
-    for share in (1.0, 0.3, 0.1, 0.03, 0.01):
-        moved = aligned(reference, place_m + share * step_m)
-        gain = float(moved.evidence.sum() - there.evidence.sum())
-        if gain > 0:
-            return place_m + share * step_m, moved, gain
-    return place_m, there, 0.0
-
-
-def _derivatives(
-    reference: LineOfSightReference, there: Aligned
-) -> tuple[Float[FloatArray, "3"], Float[FloatArray, "3 3"]]:
+def _derivatives(reference: CrossTerms, there: Aligned) -> tuple[Vector, Float[FloatArray, "3 3"]]:
     """First and second derivatives of Σ_f |Σ_t x|² / Σ_t |x|² by the mirrored receiver's position, powers fixed."""
     gradient = there.gradient
     slope, curvature = np.zeros(3), np.zeros((3, 3))
@@ -218,13 +196,8 @@ def _derivatives(
     return slope, curvature
 
 
-_LEAK_MARGIN = 2.0  # amplitudes of leaking planes are known only roughly
-_LAYER_M = 0.02
-_FALSE_ALARM = 1e-3  # number of planes found in a room without any
-
-
 def mirrored_receivers_m(
-    reference: LineOfSightReference, generator: np.random.Generator | int, *, guesses: bool = False
+    reference: CrossTerms, generator: np.random.Generator | int, *, guesses: bool = False
 ) -> Float[FloatArray, "P 3"]:
     """Mirror images of the receiver in the planes that the maps show, strongest first; there may be none.
 
@@ -254,7 +227,7 @@ def mirrored_receivers_m(
     return np.array(chosen_m).reshape(-1, 3)
 
 
-def accepted(reference: LineOfSightReference, candidates: Sequence[Candidate]) -> list[Candidate]:
+def accepted(reference: CrossTerms, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates whose evidence beats chance even without what stronger ones explain of it, strongest first."""
     enough = chance(reference)
     likely = [
@@ -290,11 +263,7 @@ class _Wave:
     aligned: Aligned
 
 
-def _wave(
-    reference: LineOfSightReference,
-    planes_m: Sequence[Float[FloatArray, "3"]],
-    place_m: Float[FloatArray, "3"] | None = None,
-) -> _Wave:
+def _wave(reference: CrossTerms, planes_m: Sequence[Vector], place_m: Vector | None = None) -> _Wave:
     """The path over planes in order. Its lengths are those to `place_m` instead, if that is given."""
     source_m = reference.offset_m
     for plane_m in planes_m:
@@ -304,8 +273,8 @@ def _wave(
     return _Wave(steering(reference, source_m), aligned(reference, place_m, source_m=source_m))
 
 
-def _needs_no_layer(reference: LineOfSightReference, candidate: Candidate) -> bool:
-    """Whether evidence remains without the transmitters of any one layer, all as far from the plane.
+def _needs_no_layer(reference: CrossTerms, candidate: Candidate) -> bool:
+    """Whether evidence remains if the transmitters of any one layer, all as far from the plane, are left out.
 
     The images of a layer in another plane may be as far away, and the array cannot tell from which side they come.
     """
@@ -323,7 +292,7 @@ def _needs_no_layer(reference: LineOfSightReference, candidate: Candidate) -> bo
     return True
 
 
-def chance(reference: LineOfSightReference) -> float:
+def chance(reference: CrossTerms) -> float:
     """The score that the best candidate exceeds with a small probability in a room without planes.
 
     The summed evidence of F carriers is then a gamma variable of shape F. The number of independent candidates is
@@ -334,7 +303,7 @@ def chance(reference: LineOfSightReference) -> float:
     return float(gammainccinv(len(reference.carrier_hz), _FALSE_ALARM / num_places))
 
 
-def _leaked(reference: LineOfSightReference, mine: _Wave, other: _Wave) -> Float[FloatArray, "F"]:
+def _leaked(reference: CrossTerms, mine: _Wave, other: _Wave) -> Float[FloatArray, "F"]:
     """Evidence at each carrier that `other` leaves where cross terms are turned back by the lengths of `mine`."""
     overlap = np.einsum("tm,tm->t", mine.steering.conj(), other.steering) / mine.steering.shape[1]
     fainter = (reference.distance_m / other.aligned.length_m)[:, None] * reference.amplitude
@@ -347,7 +316,7 @@ def _leaked(reference: LineOfSightReference, mine: _Wave, other: _Wave) -> Float
     return leaked**2 / mine.aligned.power
 
 
-def _is_double(reference: LineOfSightReference, candidate: Candidate, planes: Sequence[Candidate]) -> bool:
+def _is_double(reference: CrossTerms, candidate: Candidate, planes: Sequence[Candidate]) -> bool:
     """Whether a path over two other planes is as long and explains the directions of arrival better.
 
     An array cannot tell this where three planes are parallel to it; the faintest of them is then rejected.
@@ -363,17 +332,15 @@ def _is_double(reference: LineOfSightReference, candidate: Candidate, planes: Se
     return False
 
 
-def _is_near(
-    reference: LineOfSightReference, one_m: Float[FloatArray, "3"], other_m: Float[FloatArray, "3"]
-) -> bool:
+def _is_near(reference: CrossTerms, one_m: Vector, other_m: Vector) -> bool:
     """Whether the lengths to two mirrored receivers differ by a constant, within a turn at the median carrier."""
     if np.linalg.norm(one_m - other_m) > MAX_TILT * np.linalg.norm(other_m):
         return False
     return deviation_m(reference, one_m, other_m) * float(np.median(reference.wavenumber)) < 2 * np.pi
 
 
-def missed(reference: LineOfSightReference, planes: Sequence[Candidate]) -> list[Candidate]:
-    """Planes not found so far that would explain a found one: as the path over themselves and another found plane."""
+def missed(reference: CrossTerms, planes: Sequence[Candidate]) -> list[Candidate]:
+    """Planes not found yet that would explain a found one as the path over themselves and another found plane."""
     enough = chance(reference) / 2
     found: list[Candidate] = []
     for double, plane in permutations(planes, 2):
@@ -389,12 +356,12 @@ def missed(reference: LineOfSightReference, planes: Sequence[Candidate]) -> list
     return found
 
 
-def is_upright(place_m: Float[FloatArray, "3"]) -> bool:
+def is_upright(place_m: Vector) -> bool:
     """Whether the plane of a mirrored receiver is a wall, not a floor or a ceiling."""
     return abs(float(place_m[2])) < MAX_TILT * float(np.linalg.norm(place_m))
 
 
-def _is_wanted(reference: LineOfSightReference, place_m: Float[FloatArray, "3"]) -> bool:
+def _is_wanted(reference: CrossTerms, place_m: Vector) -> bool:
     """Whether a plane is upright or level and touches the box of transmitters and receiver."""
     height = abs(place_m[2]) / max(float(np.linalg.norm(place_m)), 1e-9)
     is_tilted = min(height, np.sqrt(1 - min(height, 1.0) ** 2)) > MAX_TILT

@@ -17,7 +17,6 @@ from xfreqbench.baselines.virtual_source.findings.room import (
     claim_room,
     refinement_of,
     score_rooms,
-    score_rows,
     write_room,
 )
 from xfreqbench.baselines.virtual_source.room.surfaces import SlabNames, surface_json
@@ -229,11 +228,13 @@ def test_the_box_is_as_large_as_its_surfaces(dataset: PasDataset) -> None:
 def test_rooms_are_scored_at_tested_rows(dataset: PasDataset, tmp_path: Path) -> None:
     told = ComparedFindings.of(record_of(dataset, found_room(), split="lofo-24.25GHz"), dataset)
     surfaces = refinement_of(told).found
-    scores = score_rooms(tmp_path, told, {"whole": surfaces, "without a floor": surfaces[1:]})
-    assert [len(each) for each in scores.values()] == [6, 6]  # one for each transmitter at 24.25 GHz
-    assert scores["whole"].min() > 0.999
-    assert np.median(scores["without a floor"]) < np.median(scores["whole"]) - 0.005
-    assert [row[0] for row in score_rows(scores)] == ["whole", "without a floor"]
+    scored = score_rooms(tmp_path, told, {"whole": surfaces, "without a floor": surfaces[1:]})
+    (whole, *of_whole), (without, *of_without) = scored.scores
+    assert (whole, without) == ("whole", "without a floor")
+    assert of_whole[2] == of_without[2] == "6"  # tested rows: one for each transmitter at 24.25 GHz
+    assert float(of_whole[1]) > 0.999
+    assert float(of_without[0]) < float(of_whole[0]) - 0.005
+    assert scored.surfaces == surfaces[1:]
 
 
 def test_faces_of_old_records_are_none(dataset: PasDataset) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mirrored_room import RECEIVER, Room, Wall, tilt_rad
-from xfreqbench.baselines.virtual_source.search.cross_terms import LineOfSightReference
+from xfreqbench.baselines.virtual_source.search.cross_terms import CrossTerms
 from xfreqbench.baselines.virtual_source.search.planes import Plane
 from xfreqbench.baselines.virtual_source.search.range_profile import (
     find_more_planes,
@@ -163,7 +163,7 @@ def test_fewer_tell_of_more_walls_than_show_by_themselves(
 ) -> None:
     """Of 36 one wall shows, and what is at right angles to it; of 33 none does, but where it may be is guessed."""
     room = replace(ROOM, walls=(WALL, CORNER, FLOOR), num_tx=num_tx).stored(tmp_path)
-    images_m = mirrored_receivers_m(LineOfSightReference.of(room), 0)
+    images_m = mirrored_receivers_m(CrossTerms.of(room), 0)
     assert len(images_m) == len(walls) - 1
     planes = find_planes(room, 0)
     for wall in walls:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mirrored_room import RECEIVER, Room, Wall, tilt_rad
-from xfreqbench.baselines.virtual_source.search.cross_terms import LineOfSightReference, aligned
+from xfreqbench.baselines.virtual_source.search.cross_terms import CrossTerms, aligned
 from xfreqbench.baselines.virtual_source.search.planes import mirrored, plane_of
 from xfreqbench.baselines.virtual_source.search.selection import mirrored_receivers_m
 
@@ -34,7 +34,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def found_in(data: PasDataset, seed: int = 0) -> np.ndarray:
-    return mirrored_receivers_m(LineOfSightReference.of(data), seed)
+    return mirrored_receivers_m(CrossTerms.of(data), seed)
 
 
 def assert_found(images_m: np.ndarray, walls: Sequence[Wall]) -> None:
@@ -104,7 +104,7 @@ def test_channels_of_other_places_have_no_planes(tmp_path: Path) -> None:
 
 
 def test_evidence_peaks_at_the_wall_at_every_carrier_and_is_chance_elsewhere(room: PasDataset) -> None:
-    reference = LineOfSightReference.of(room)
+    reference = CrossTerms.of(room)
     at_wall = aligned(reference, 2 * SLANTED_WALL.distance_m * SLANTED_WALL.normal).evidence
     places_m = 2 * np.linspace(6.0, 7.5, 301)[:, None] * SLANTED_WALL.normal
     elsewhere = np.array([aligned(reference, place_m).evidence for place_m in places_m])
