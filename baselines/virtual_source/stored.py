@@ -31,9 +31,8 @@ class FoundSlab(_Stored):
     def permittivity_at(self, carrier_hz: float) -> complex:
         """Complex relative permittivity ε′ − jσ/(2πf·ε₀) (ITU-R P.2040, Eq. 9)."""
         conductivity_s_m = self.conductivity_s_m * (carrier_hz / 1e9) ** self.conductivity_power
-        return complex(
-            self.permittivity, -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M)
-        )
+        loss = conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M)
+        return complex(self.permittivity, -loss)
 
 
 class FoundPlane(_Stored):
@@ -108,9 +107,8 @@ class StoredFindings(_Stored):
         if any(not 0 <= index < len(self.planes) for image in self.images for index in image.planes):
             raise ValueError(f"an image names a plane that is not among the {len(self.planes)}")
         for face in self.faces:
-            if not 0 <= face.plane < len(self.planes) or not 0 <= face.slab < len(
-                self.planes[face.plane].slabs
-            ):
+            is_plane = 0 <= face.plane < len(self.planes)
+            if not is_plane or not 0 <= face.slab < len(self.planes[face.plane].slabs):
                 raise ValueError(f"a face names slab {face.slab} of plane {face.plane}, which is not there")
         return self
 

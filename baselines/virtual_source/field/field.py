@@ -189,10 +189,7 @@ class VirtualSourceField(ChannelField):
         carrier_hz: Float[Tensor, "F"],
         element: Float[Tensor, "M 3"],
     ) -> Complex[Tensor, "B F M"]:
-        """Channels of the virtual sources of each transmitter at every carrier, in units of the line of sight.
-
-        `element` are the elements' positions in wavelengths, in the receiver's frame.
-        """
+        """Channels of each transmitter's virtual sources relative to the line of sight; `element` is in wavelengths."""
         gain = self.room.attenuated(traces, carrier_hz)
         if self.gain is not None:
             gain = gain * self.gain(offset_m.float() @ self.scaling.rotation, traces)[..., None]

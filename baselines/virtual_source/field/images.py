@@ -40,8 +40,7 @@ class Mirrors:
     def of_tensors(cls, normal: Float[Tensor, "Q 3"], distance_m: Float[Tensor, "Q"]) -> Mirrors:
         """Mirrors with axes within each plane: the first is level; for a level plane it is the world's x axis.
 
-        The findings of a run are read along the same axes (`report.findings.match.axes_within`). NumPy computes
-        those, and rounds cross products differently; a test compares the two.
+        `findings.compared.axes_within` computes the same axes by NumPy, which rounds cross products differently.
         """
         up, east = (normal.new_tensor(axis).expand_as(normal) for axis in ((0.0, 0, 1), (1.0, 0, 0)))
         level = torch.linalg.cross(up, normal)
@@ -63,12 +62,6 @@ class Touch:
 
     def __getitem__(self, rows: Tensor) -> Touch:
         return Touch(self.plane[rows], self.point_m[rows], self.cosine[rows])
-
-    def chosen(self, which: Int[Tensor, "*S"], is_kept: Bool[Tensor, "*S"]) -> Touch:
-        """Entries `which` of the last axis; those that are not kept meet no plane."""
-        point_m = self.point_m.gather(-2, which[..., None].expand(*which.shape, 2))
-        plane = torch.where(is_kept, self.plane.gather(-1, which), -1)
-        return Touch(plane, point_m, self.cosine.gather(-1, which))
 
     def flattened(self) -> Touch:
         """The same with all axes flattened to one."""
@@ -102,7 +95,9 @@ class Traces:
         is_some = held > _MIN_HELD
         width = min(number, int(is_some.sum(-1).max())) if held.numel() else 0
         kept, which = (held * is_some).topk(width, dim=-1)
-        return replace(self, crossing=self.crossing.chosen(which, kept > 0))
+        plane = torch.where(kept > 0, self.crossing.plane.gather(-1, which), -1)
+        point_m = self.crossing.point_m.gather(-2, which[..., None].expand(*which.shape, 2))
+        return replace(self, crossing=Touch(plane, point_m, self.crossing.cosine.gather(-1, which)))
 
     @classmethod
     def joined(cls, parts: Sequence[Traces]) -> Traces:
@@ -173,7 +168,7 @@ def _images(
 def _bounces(
     mirrors: Mirrors, sequence: Int[Tensor, "K O"], images: list[Float[Tensor, "B K 3"]]
 ) -> tuple[Float[Tensor, "B K O 3"], Bool[Tensor, "B K"]]:
-    """Points of the bounces, from the receiver backwards, and whether a path is real; padded ones lie at the receiver."""
+    """Points of the bounces, from the receiver backwards, where padded ones lie; and whether a path is real."""
     point = torch.zeros_like(images[0])
     is_real = torch.ones(point.shape[:2], dtype=torch.bool)
     points: list[Tensor] = []
@@ -207,7 +202,10 @@ def _polarised(
     fields_ = [antenna_field(stretch[:, :, 0], antenna)]
     for bounce, plane in enumerate(sequence.T):
         before, after = stretch[:, :, bounce], stretch[:, :, bounce + 1]
-        te = _across(before, mirrors.normal[plane].expand_as(before))
+        normal = mirrors.normal[plane].expand_as(before)
+        across, other = (torch.linalg.cross(before, each) for each in (normal, normal.roll(1, dims=-1)))
+        is_slanted = across.norm(dim=-1, keepdim=True) > _MIN_SIN  # else any unit vector within the plane
+        te = normalize(torch.where(is_slanted, across, other), dim=-1)
         tm_before, tm_after = torch.linalg.cross(te, before), torch.linalg.cross(te, after)
         is_none = (plane < 0)[:, None]
         split = [
@@ -224,13 +222,6 @@ def _polarised(
         stretch[:, torch.arange(len(sequence)), order], antenna
     )  # along the last stretch
     return torch.stack([(field * received).sum(-1) for field in fields_], dim=-1)
-
-
-def _across(direction: Float[Tensor, "B K 3"], normal: Float[Tensor, "B K 3"]) -> Float[Tensor, "B K 3"]:
-    """Unit vector along k×n; where the two are parallel, any unit vector within the plane."""
-    across = torch.linalg.cross(direction, normal)
-    other = torch.linalg.cross(direction, normal.roll(1, dims=-1))
-    return normalize(torch.where(across.norm(dim=-1, keepdim=True) > _MIN_SIN, across, other), dim=-1)
 
 
 def _touch(

@@ -166,11 +166,9 @@ class LearnedRoom(nn.Module):
             gain = (spread.float() * traces.polarised[..., 0])[..., None]
             return torch.complex(gain, torch.zeros_like(gain)).expand(*spread.shape, len(carrier_hz))
         reflecting, transmitting = self.slabs.tables(carrier_hz)
-        factors = (
-            self._factors(traces.bounce, reflecting, is_crossed=False).unflatten(-1, (2, -1))
-            if traces.bounce.plane.shape[-1]
-            else None
-        )
+        factors = None
+        if traces.bounce.plane.shape[-1]:
+            factors = self._factors(traces.bounce, reflecting, is_crossed=False).unflatten(-1, (2, -1))
         gain = _combined(traces.polarised, factors, len(carrier_hz))
         through = self._factors(traces.crossing, transmitting, is_crossed=True)
         for crossing in through.unbind(2):
@@ -196,10 +194,7 @@ class LearnedRoom(nn.Module):
         return one.index_put((met,), values).unflatten(0, touch.plane.shape)
 
     def findings(self, array_m: Float[Tensor, "3"]) -> dict[str, Any]:
-        """Planes with materials and extent, and images sorted by their mean power, as JSON holds them.
-
-        Positions are in world coordinates, given the array's centre.
-        """
+        """Planes with materials and extent, images by mean power, and faces, as JSON holds them; in world axes."""
         with torch.no_grad():
             traces = self.traced(self.trained_m)
             touched = traces.bounce[traces.is_real].flattened()
@@ -217,10 +212,7 @@ class LearnedRoom(nn.Module):
         return {"receiver_m": array_m.tolist(), "planes": planes, "images": images, "faces": told}
 
     def _cells(self, traces: Traces) -> list[Cells]:
-        """The cells of every plane, and the power of the training paths that touch them.
-
-        That of a path is what it would be if the touched cell were full and the slabs reflected everything.
-        """
+        """The cells of each plane; and the power of training paths there, if a cell were full and a perfect mirror."""
         presence, bounce = self.presence, traces.bounce
         if not len(self.normal):
             return []
@@ -228,14 +220,9 @@ class LearnedRoom(nn.Module):
         held = 1 - presence.shares(bounce.flattened())[:, NOTHING].reshape(bounce.plane.shape)
         held = torch.where(bounce.plane >= 0, held, 1.0)
         spread = traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M)
-        others = torch.stack(
-            [
-                torch.cat([held[..., :one], held[..., one + 1 :]], -1).prod(-1)
-                for one in range(held.shape[-1])
-            ],
-            dim=-1,
-        )
-        power = (spread.float()[..., None] * others).square()
+        bounces = range(held.shape[-1])
+        others = [torch.cat([held[..., :one], held[..., one + 1 :]], -1).prod(-1) for one in bounces]
+        power = (spread.float()[..., None] * torch.stack(others, dim=-1)).square()
         is_touched = (bounce.plane >= 0) & traces.is_real[..., None]
         plane, point_m = bounce.plane[is_touched], bounce.point_m[is_touched]
         limit = torch.tensor(share.shape[1:3]) - 1
@@ -257,6 +244,12 @@ class LearnedRoom(nn.Module):
         share = self.presence.shares(here)
         is_held = share[:, NOTHING] < 1 - _HELD
         distance_std_m, tilt_std_rad = self.std[index].tolist()
+        corners_m = None  # of the rectangle around the points that hold something, in world coordinates
+        if len(point_m := here.point_m[is_held]):
+            (left, low), (right, high) = point_m.amin(0).tolist(), point_m.amax(0).tolist()
+            foot_m = array_m + self.distance_m[index] * self.normal[index]
+            along = foot_m.new_tensor([[left, low], [right, low], [right, high], [left, high]])
+            corners_m = (foot_m + along @ self.mirrors.axes[index]).tolist()
         mixed = share[is_held].mean(0) if is_held.any() else share.new_zeros(METAL + 1)
         return {
             "normal": self.normal[index].tolist(),
@@ -264,21 +257,9 @@ class LearnedRoom(nn.Module):
             "distance_std_m": distance_std_m,
             "tilt_std_rad": tilt_std_rad,
             "held": float(is_held.float().mean()) if len(here.plane) else 0.0,
-            "corners_m": self._corners_of(index, here.point_m[is_held], array_m),
+            "corners_m": corners_m,
             "slabs": self.slabs.described(index, mixed[1:].tolist()),
         }
-
-    def _corners_of(
-        self, index: int, point_m: Float[Tensor, "n 2"], array_m: Float[Tensor, "3"]
-    ) -> list[list[float]] | None:
-        """Corners of the rectangle around points of a plane, in world coordinates; None without points."""
-        if not len(point_m):
-            return None
-        (left, low), (right, high) = point_m.amin(0).tolist(), point_m.amax(0).tolist()
-        mirrors = self.mirrors
-        foot_m = array_m + self.distance_m[index] * self.normal[index]
-        along = torch.tensor([[left, low], [right, low], [right, high], [left, high]], dtype=torch.float64)
-        return (foot_m + along @ mirrors.axes[index]).tolist()
 
     def clutter(self) -> Float[Tensor, ""]:
         """Mean share of slabs in the cells of all planes, which the loss keeps small."""

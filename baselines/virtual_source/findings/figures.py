@@ -32,10 +32,7 @@ _FAINTEST = 0.2
 
 
 def plot_scene(compared: ComparedFindings, path: Path) -> None:
-    """Draw plan and elevation of a scene and of the planes that were found as PNG. Raises `StorageError`.
-
-    Planes that were found outside of the scene are cut off.
-    """
+    """Draw plan and elevation of a scene and the found planes, cut off outside of it, as PNG. Raises `StorageError`."""
     facets_m = [facet.corners_m for plane in compared.planes for facet in plane.facets]
     corners_m = np.concatenate([*facets_m, compared.findings.array_m[None], compared.tx_m[None]])
     margin_m = _MARGIN * np.ptp(corners_m, axis=0).max()

@@ -17,21 +17,11 @@ from xfreqbench.units import format_ghz
 
 from ..room.surfaces import NamedSlab, SlabNames, polygon_area_m2, slab_reflection
 from ..stored import FoundFace, FoundSlab
-from .compared import ComparedFindings, true_permittivity
-from .match import Match, TrueSlab, nearest_point
+from .compared import ComparedFindings, Match, TrueSlab, nearest_point, true_permittivity
 
 LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
-_COLUMNS = (
-    "material",
-    "plane",
-    "of the plane",
-    "seen",
-    "ε′",
-    "σ (S/m)",
-    "thickness (mm)",
-    "nearest of P.2040",
-    "to that, rms |ΔR|",
-)
+_SLAB_COLUMNS = ("ε′", "σ (S/m)", "thickness (mm)", "nearest of P.2040", "to that, rms |ΔR|")
+_COLUMNS = ("material", "plane", "of the plane", "seen", *_SLAB_COLUMNS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,8 @@ from xfreqbench.system.files import read_text, require_own, require_space, write
 
 from ..room.surfaces import fan_of
 from ..search.planes import Vector
-from .compared import ComparedFindings
+from .compared import MATCH_DISTANCE_M, MATCH_TILT_RAD, ComparedFindings, share_in_sight
 from .figures import plot_materials, plot_scene
-from .match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
 from .materials import LEAST_SHARE, material_rows, shown_carriers_hz, shown_materials
 from .room import ROOM_HEADER, ScoredRoom
 
@@ -44,17 +43,8 @@ _ALT = {
     CURVES: "Reflection over the angle of incidence, material by material, learned and by ITU-R P.2040",
 }
 LISTED_AREA_M2 = 4.0  # planes of the scene that were not found and are smaller are only counted
-_COLUMNS = (
-    "plane",
-    "surface",
-    "error (mm)",
-    "± std",
-    "tilt (mrad)",
-    "± std",
-    "held",
-    "Δ|R| median",
-    "Δ|R| max",
-)
+_ERROR_COLUMNS = ("error (mm)", "± std", "tilt (mrad)", "± std")
+_COLUMNS = ("plane", "surface", *_ERROR_COLUMNS, "held", "Δ|R| median", "Δ|R| max")
 LEGEND = (
     f"A found plane shows a surface within {MATCH_DISTANCE_M * 100:g} cm and {np.degrees(MATCH_TILT_RAD):g}°. Errors "
     "of distance are along the true normal, positive beyond the surface, at its point nearest to the foot of the "
@@ -140,10 +130,7 @@ def write_findings(compared: ComparedFindings, folder: Path) -> list[Path]:
 
 
 def write_page(compared: ComparedFindings, folder: Path, room: ScoredRoom | None = None) -> None:
-    """Write the page of findings whose figures lie in the folder, with a learned room if there is one.
-
-    Equal findings give equal text. Raises `StorageError`.
-    """
+    """Write the page of findings whose figures lie in the folder, with a learned room if any. Raises `StorageError`."""
     record, right = compared.record, [match for match in compared.matches if match]
     lead = f"{len(right)} of {len(compared.matches)} planes that were found are the scene's"
     if right:

@@ -135,11 +135,18 @@ def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number and own.plane != NO_PLANE:
+            sheets = [
+                replace(own, slab=slab.thinned(factor))
+                for slab in slabs
+                for factor in (
+                    _THINNER if slab.thickness_m < _THICK_M and slab.material != "metal" else (1.0,)
+                )
+            ]
             over = {each: _behind_m(each, own) for each in room if each is not own and _is_over(each, own)}
             alone = [each for each in room if not 0 < over.get(each, 0.0) < _BACK_M]
             apart = [each for each in alone if abs(over.get(each, np.inf)) >= _BACK_M]
             for others in [alone, apart] if len(apart) < len(alone) else [alone]:
-                for sheet, depth_m in product(_sheets(own, slabs), _DEPTHS_M):
+                for sheet, depth_m in product(sheets, _DEPTHS_M):
                     box = sheet.with_depth(depth_m, walls)
                     yield [box if each is own else each for each in others]
 
@@ -155,14 +162,6 @@ def deeper(number: int, room: Room) -> Iterator[Room]:
             changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
             for box in changed:
                 yield [box if each is own else each for each in room]
-
-
-def _sheets(own: RoomSurface, slabs: Sequence[NamedSlab]) -> Iterator[RoomSurface]:
-    """A face of every slab, and also thinner where the slab is thin."""
-    for slab in slabs:
-        is_thin = slab.thickness_m < _THICK_M and slab.material != "metal"
-        for factor in _THINNER if is_thin else (1.0,):
-            yield replace(own, slab=slab.thinned(factor))
 
 
 def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
@@ -204,10 +203,7 @@ def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
 def _moved_along(
     other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Surfaces
 ) -> RoomSurface:
-    """A parallel face with its edge moved like one of `own`, if both edges ended or met at one place; else the face.
-
-    Faces in one plane meet. An edge at a wall is not moved.
-    """
+    """A parallel face, its edge moved with one of `own` if both end, or meet in a plane, at one place."""
     outward, number = own.outward[edge], len(own.corners_m)
     if _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls) < _SAME_END_M:
         return other
@@ -310,10 +306,7 @@ class Trial(NamedTuple):
 def trials_of_face(
     own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]
 ) -> list[Trial]:
-    """Trials of a face: its edges, its depth, edges again in two step sizes, and the room without the face.
-
-    The face is one of the slabs `known`, or else one of those that boxes are made of.
-    """
+    """Trials of a face, which is one of the slabs `known` or else `of_boxes`: edges, depth, edges again, no face."""
     others = [each for each in of_boxes if each.material not in {one.material for one in known}]
     slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
     edges, finer, nearly = (

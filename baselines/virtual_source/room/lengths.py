@@ -11,6 +11,7 @@ all of them are moved together, in least squares.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -41,6 +42,9 @@ _REACH = 1.5  # steps of the carriers before, within which a part is sought agai
 _HERE_M = 0.02  # a part that is so near another place is there
 LEAST_GAIN = 0.05  # maps, by which training rows have to be nearer
 
+# The vector by which a point of a part moves for each metre that the part moves.
+Motion = Callable[[Vector], Vector]
+
 
 class RoomPart(NamedTuple):
     """What moves along a normal: the wall of a plane, evenly or the more the farther along an axis, or a face.
@@ -58,18 +62,12 @@ def parts_at(surface: RoomSurface, point_m: Vector) -> list[RoomPart]:
     """The parts that move the point of a surface at which a path is reflected."""
     number = surface.number
     if surface.is_wall:
-        return [
-            RoomPart("wall", surface.plane),
-            RoomPart("tilt", surface.plane, 0),
-            RoomPart("tilt", surface.plane, 1),
-        ]
+        return [RoomPart("wall", surface.plane), *(RoomPart("tilt", surface.plane, nth) for nth in (0, 1))]
     if not surface.depth_m:
         return [RoomPart("front", number)]
     behind_m = float((point_m - surface.corners_m[0]) @ surface.normal)
-    away_m = {
-        RoomPart("front", number): abs(behind_m),
-        RoomPart("back", number): abs(behind_m - surface.depth_m),
-    }
+    front, back = RoomPart("front", number), RoomPart("back", number)
+    away_m = {front: abs(behind_m), back: abs(behind_m - surface.depth_m)}
     beside_m = np.einsum("nc,nc->n", point_m - surface.corners_m, surface.outward)
     away_m |= {RoomPart("side", number, side): abs(by_m) for side, by_m in enumerate(beside_m.tolist())}
     nearest = min(away_m, key=away_m.__getitem__)
@@ -82,52 +80,35 @@ def moves_with(own: RoomSurface) -> tuple[int, int]:
     return (own.plane, NO_PLANE) if own.is_wall else (NO_PLANE, own.number)
 
 
-class Motion(NamedTuple):
-    """By which vector points move for each metre that their part is moved: all alike, or the more the farther along.
-
-    Tilted points move by their distance from `middle_m` along `axis`.
-    """
-
-    normal: Vector
-    middle_m: Vector | None = None
-    axis: Vector | None = None
-
-    @classmethod
-    def of(cls, room: Surfaces, part: RoomPart) -> Motion:
-        """How a part of a room moves."""
-        own = _own(room, part)[0]
-        if part.kind == "tilt":
-            return cls(own.normal, *_axis(room, part))
-        return cls(own.outward[part.nth] if part.kind == "side" else own.normal)
-
-    def at(self, point_m: Vector) -> Vector:
-        """How a point of the part moves."""
-        if self.axis is None or self.middle_m is None:
-            return self.normal
-        return float((point_m - self.middle_m) @ self.axis) * self.normal
+def motion_of(room: Surfaces, part: RoomPart) -> Motion:
+    """How the points of a part move; those of a tilted wall by their distance from its middle along an axis."""
+    own = _own(room, part)[0]
+    if part.kind == "tilt":
+        middle_m, axis = _axis(room, part)
+        return lambda point_m: float((point_m - middle_m) @ axis) * own.normal
+    direction = own.outward[part.nth] if part.kind == "side" else own.normal
+    return lambda point_m: direction
 
 
 def moved(room: Surfaces, part: RoomPart, by_m: float) -> list[RoomSurface]:
     """The room with a part moved along its normal, which leads away from the array or out of a box."""
-    chosen = _own(room, part)
-    return [_moved(each, room, part, by_m) if each in chosen else each for each in room]
-
-
-def _moved(own: RoomSurface, room: Surfaces, part: RoomPart, by_m: float) -> RoomSurface:
-    corners_m, depth_m, normal = own.corners_m.copy(), own.depth_m, own.normal
-    if part.kind == "side":
-        corners_m[[part.nth, (part.nth + 1) % len(corners_m)]] += by_m * own.outward[part.nth]
-    elif part.kind == "back":
-        depth_m += by_m
-    elif part.kind == "tilt":
-        centre_m, axis = _axis(room, part)
-        corners_m += by_m * ((corners_m - centre_m) @ axis)[:, None] * normal
-        normal = normal - by_m * axis
-        normal = normal / np.linalg.norm(normal)
-    else:
-        corners_m += by_m * normal
-        depth_m -= by_m if part.kind == "front" and depth_m else 0.0
-    return replace(own, corners_m=corners_m, depth_m=depth_m, normal=normal)
+    changed = list(room)
+    for own in _own(room, part):
+        corners_m, depth_m, normal = own.corners_m.copy(), own.depth_m, own.normal
+        if part.kind == "side":
+            corners_m[[part.nth, (part.nth + 1) % len(corners_m)]] += by_m * own.outward[part.nth]
+        elif part.kind == "back":
+            depth_m += by_m
+        elif part.kind == "tilt":
+            centre_m, axis = _axis(room, part)
+            corners_m += by_m * ((corners_m - centre_m) @ axis)[:, None] * normal
+            normal = normal - by_m * axis
+            normal = normal / np.linalg.norm(normal)
+        else:
+            corners_m += by_m * normal
+            depth_m -= by_m if part.kind == "front" and depth_m else 0.0
+        changed[changed.index(own)] = replace(own, corners_m=corners_m, depth_m=depth_m, normal=normal)
+    return changed
 
 
 def _own(room: Surfaces, part: RoomPart) -> list[RoomSurface]:
@@ -394,10 +375,7 @@ def _slopes(
     receiver_m: tuple[float, float, float],
     motions: dict[RoomPart, Motion],
 ) -> list[tuple[RoomPart, int, float]]:
-    """For every part, the paths that it reflects, and by how much they get longer per metre that the part moves.
-
-    `motions` is filled for the next transmitters.
-    """
+    """For each part, the paths it reflects, and how much longer they get per metre it moves. Fills `motions`."""
     found = []
     for path, codes in enumerate(paths.interactions):
         number = int(np.count_nonzero(codes))
@@ -409,8 +387,8 @@ def _slopes(
             point_m, turn = line_m[at + 1], way[at] - way[at + 1]
             for part in parts_at(room[paths.surfaces[path, at]], point_m):
                 if part not in motions:
-                    motions[part] = Motion.of(room, part)
-                slopes[part] += float(turn @ motions[part].at(point_m))
+                    motions[part] = motion_of(room, part)
+                slopes[part] += float(turn @ motions[part](point_m))
         found += [(part, path, slope) for part, slope in slopes.items()]
     return found
 

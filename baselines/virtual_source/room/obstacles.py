@@ -45,10 +45,7 @@ _MOVES = [
 
 
 def obstacles(room: Surfaces, train: PasDataset, standing_m: Points, is_over: IsOver = never) -> list[Box]:
-    """Boxes along the axes of a room, roughly where furniture stands, the most certain first; none at `standing_m`.
-
-    When the time is over, the search ends with the boxes found so far.
-    """
+    """Boxes along a room's axes, roughly where furniture stands, the most certain first, as many as time allows."""
     frame = BoxFrame.of(room)
     paths = DoubtfulPaths.of(room, train, frame, is_over)
     free_m, found = frame.along(standing_m), list[Box]()

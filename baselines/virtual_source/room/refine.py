@@ -8,8 +8,8 @@ all parts are moved to where the lengths of paths agree. No tested row is looked
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -20,8 +20,7 @@ from xfreqbench.data.dataset import PasDataset
 from ..search.cross_terms import IsOver, LagAverages, never
 from ..search.planes import Points
 from ..stored import StoredFindings
-from .box_fit import BoxFit
-from .boxes import GAP_M, WAYS_M, Box, BoxFrame, Faces, Ways, box_slabs
+from .boxes import GAP_M, WAYS_M, Box, BoxFrame, Change, Faces, Ways, box_slabs, holds_any
 from .changes import (
     MIN_CHANGE,
     NEARLY,
@@ -35,7 +34,7 @@ from .changes import (
     with_wall_at,
     without_patches,
 )
-from .lengths import ReflectedPaths, RoomPart, moves_with, settled, sharpened
+from .lengths import ReflectedPaths, RoomPart, around, moved, moves_with, peaks, settled, sharpened
 from .obstacles import MOST_OBSTACLES, obstacles
 from .surfaces import (
     NO_PLANE,
@@ -51,6 +50,90 @@ from .surfaces import (
     surface_json,
 )
 from .traced import NUM_CARRIERS, MapCount, RoomScore, best_rooms, mean_scores
+
+_NUM_NEAR_TX = 16  # those that a box matters to most
+_FACES_M = around(0.002, 0.25)  # by which faces are moved, as the lengths of paths tell
+_AT_WALL_M = 1e-3  # a box that ends so far behind a wall ends there
+_MOST_PLACES = 2  # of a face that are tried
+_LEAST_GAIN = 0.01  # maps, by which rows have to be nearer with a face elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class BoxFit:
+    """What boxes are fitted to: training rows at the lowest carriers, of the transmitters that each matters most to.
+
+    Nothing is at `standing_m`.
+    """
+
+    at_lowest: RoomScore
+    frame: BoxFrame
+    standing_m: Points
+
+    @cached_property
+    def _free_m(self) -> Points:
+        """Along the axes of the room, the places where nothing stands."""
+        return self.frame.along(self.standing_m)
+
+    def fitted(
+        self,
+        others: Room,
+        own: RoomSurface,
+        all_ways_m: Sequence[Ways],
+        slabs: Sequence[NamedSlab],
+        is_over: IsOver,
+        held: Faces | None = None,
+        *,
+        is_new: bool,
+    ) -> RoomSurface | None:
+        """A box beside other surfaces with the best slab, and faces moved but `held`; None if it is new and no gain."""
+        array_m = np.array(self.at_lowest.samples.header.receiver.position_m)
+        for nth, ways_m in enumerate(all_ways_m):
+            near, best = self.at_lowest.roughly(others, [*others, own], _NUM_NEAR_TX), -np.inf
+            agreeing = partial(self._where_lengths_agree, others, near.samples, held)
+            of_slabs, *changes = self.frame.changes(self.frame.box_of(own), slabs, array_m, ways_m, held)
+            steps: list[Change] = [agreeing, *changes, agreeing]
+            if not nth:  # in the end slabs were changed
+                steps.insert(0, partial(self._forms, agreeing, slabs) if is_new else of_slabs)
+            for change in steps:
+                candidates = [own, *(each for each in change(own) if self._fits(each))]
+                scores = mean_scores([near], [[*others, each] for each in candidates], is_over)
+                if scores.max() > best:
+                    own, best = candidates[int(scores.argmax())], float(scores.max())
+            if is_over() or (is_new and self.at_lowest([*others, own]) < self.at_lowest(others)):
+                return None
+        return own
+
+    def _forms(self, agreeing: Change, slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
+        """A box of every slab, as it is, as a board (not of metal), on the floor; there, and where lengths agree."""
+        of_boards = [slab for slab in slabs if slab.material != "metal"]
+        boards = [(each, of_boards) for each in self.frame.as_board((0.0,), own)]
+        for form, among in [(own, slabs), *boards, *((each, slabs) for each in self.frame.to_floor(own))]:
+            for each in [form, *agreeing(form)]:
+                yield from (replace(each, slab=slab) for slab in among)
+
+    def _where_lengths_agree(
+        self, others: Room, rows: PasDataset, held: Faces | None, own: RoomSurface
+    ) -> Iterator[RoomSurface]:
+        """A box with one of its faces, or all of a thin one, where the lengths of the paths that it reflects agree."""
+        paths = ReflectedPaths.of([*others, own], rows, LagAverages(rows, never))
+        for part in paths.strongest_first:
+            if part.kind in ("wall", "tilt") or part.number != own.number:
+                continue
+            likeness = paths.likeness(part, _FACES_M, np.arange(len(paths.carrier_hz)))
+            for by_m, value in peaks(_FACES_M, likeness)[:_MOST_PLACES]:
+                box = moved([own], part, by_m)[0]
+                is_held = held is None or bool(
+                    np.allclose(self.frame.box_of(own)[held], self.frame.box_of(box)[held], rtol=0)
+                )
+                if value > likeness[0] + _LEAST_GAIN and box.depth_m > 0 and is_held:
+                    yield box
+
+    def _fits(self, box: RoomSurface) -> bool:
+        """Whether a box stands within the walls, where nothing else does."""
+        place, (low_m, high_m) = self.frame.box_of(box), self.frame.bounds
+        is_within = bool((place > low_m - _AT_WALL_M).all() and (place < high_m + _AT_WALL_M).all())
+        return is_within and not holds_any(place, self._free_m) and is_clear(box, self.standing_m)
+
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, that a new box has to bring
 _SAME = 1e-6  # of the mean SSIM: a smaller difference is rounding
@@ -77,6 +160,11 @@ class Refinement:
     done: int = 0
     boxes: list[Box] | None = None  # where something hides paths; None before they are sought
     count: MapCount = field(default_factory=MapCount)
+
+    def __post_init__(self) -> None:
+        self._standing_m, self._frame = _standing(self.train), BoxFrame.of(self.found)
+        self._lags = LagAverages(self.train, never)
+        self._slabs = box_slabs(SlabNames(np.unique(self.train.carrier_hz).tolist()).materials)
 
     @classmethod
     def of(cls, findings: StoredFindings, train: PasDataset) -> Refinement | None:
@@ -119,19 +207,8 @@ class Refinement:
         return [self._at_lowest, self.score]
 
     @cached_property
-    def _standing_m(self) -> Points:
-        return _standing(self.train)
-
-    @cached_property
-    def _frame(self) -> BoxFrame:
-        return BoxFrame.of(self.found)
-
-    @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
-        """The steps before boxes are sought: place walls, join faces, change faces in turn from the largest on.
-
-        Then walls get other slabs, and faces become boxes.
-        """
+        """Steps before boxes are sought: place walls, join and change faces, the largest first, and make them boxes."""
         of_faces = [self._trials_of(own) for own in self._fronts]
         of_planes = dict.fromkeys(own.plane for own in self._fronts)
         whole = [Trial(partial(as_one, plane), at_lowest=True, least=0.0) for plane in of_planes]
@@ -197,10 +274,6 @@ class Refinement:
             self._fit_obstacle(nth, self.boxes[nth], turn, is_over)
         self.done += 1
 
-    def leave_faces(self) -> None:
-        """Skip the steps that remain before boxes are sought."""
-        self.done = max(self.done, len(self.steps))
-
     def settle(self, is_over: IsOver = never) -> None:
         """Do the last step, and skip all others that remain: move parts to where the lengths of paths agree.
 
@@ -220,10 +293,7 @@ class Refinement:
             self.room = room
 
     def _place_walls(self, is_over: IsOver) -> None:
-        """Move walls to where training rows agree better, by up to half a metre, with another slab or their own.
-
-        A far wall that few paths reflect at may be found some wavelengths off.
-        """
+        """Move walls by up to half a metre: far walls that few paths reflect at may be found some wavelengths off."""
         carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
         paths = ReflectedPaths.of(self.room, self.train, self._lags, carriers)
         walls = {each.plane: each for each in self.room if each.is_wall}
@@ -337,15 +407,6 @@ class Refinement:
     @cached_property
     def _box_fit(self) -> BoxFit:
         return BoxFit(self._at_lowest, self._frame, self._standing_m)
-
-    @cached_property
-    def _lags(self) -> LagAverages:
-        return LagAverages(self.train, never)
-
-    @cached_property
-    def _slabs(self) -> list[NamedSlab]:
-        """Slabs that a box may be made of."""
-        return box_slabs(SlabNames(np.unique(self.train.carrier_hz).tolist()).materials)
 
     def as_json(self) -> dict[str, Any]:
         """What `resumed` needs besides the training rows, as values of JSON."""

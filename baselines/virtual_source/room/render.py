@@ -70,10 +70,7 @@ class LocalWeights:
     def at(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[FloatArray, "B"]:
-        """The weight of the learned map for every query: the best at validation rows nearby, in place and carrier.
-
-        Of weights that are equally good it is the largest.
-        """
+        """The weight of the learned map for every query: the best at validation rows nearby, the largest of equals."""
         away_m = np.linalg.norm(tx_position_m[:, None] - self.position_m, axis=2)
         octaves = np.log2(carrier_hz[:, None] / self.carrier_hz)
         near = np.exp(-0.5 * ((away_m / _NEAR_M) ** 2 + (octaves / _NEAR_OCTAVES) ** 2))
@@ -116,10 +113,7 @@ class RoomRender:
         findings: Callable[[], Mapping[str, Any]],
         learned: Predict,
     ) -> None:
-        """Do what a share of the budget calls for: make a room, refine it a little, or choose the weights.
-
-        Of a budget in seconds or maps, the refinement takes the part between two shares at most.
-        """
+        """Do what a share of the budget calls for: make a room, refine it during its part, or choose weights."""
         seconds, is_paid = budget.max_seconds, _pays(budget)
         begins, ends = (FROM, CHOOSE_AT) if is_paid else (FROM_OF_STEPS, CHOOSE_AT_OF_STEPS)
         if self.mode == "learned" or share < begins or self.tracer is not None:
@@ -148,7 +142,7 @@ class RoomRender:
                 if refinement.is_over:
                     return refinement.again() or refinement
                 if share >= FURNITURE_AT:
-                    refinement.leave_faces()
+                    refinement.done = max(refinement.done, len(refinement.steps))  # skip what precedes boxes
                 refinement.step(self._timer(budget, SETTLE_AT - share))
             elif share < CHOOSE_AT and not refinement.is_over:
                 refinement.settle(self._timer(budget, CHOOSE_AT - share))

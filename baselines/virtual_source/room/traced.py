@@ -75,10 +75,8 @@ def waves_of(
     cycles = paths.carrier_hz[:, None] * paths.delay_s
     centre = paths.gain * np.exp(-2j * np.pi * cycles)
     source = cycles[:, :, None] * (paths.arrival @ rotation)
-    return np.stack(
-        [own[:, None] * spherical_waves(there, element) for own, there in zip(centre, source, strict=True)],
-        axis=1,
-    )
+    pairs = zip(centre, source, strict=True)
+    return np.stack([own[:, None] * spherical_waves(there, element) for own, there in pairs], axis=1)
 
 
 class RoomTracer:

@@ -65,21 +65,16 @@ def _peaks_m(
     num_axes: int,
 ) -> Float[FloatArray, "C 3"]:
     """Local maxima on a lattice, found with as many transmitters as `_MAX_PAIRS` allows and ranked with all of them."""
-    lattice = lattice_of(reference, _cell_m(reference, lattice_of, num_axes))
-    chosen = order[: math.ceil(_MAX_PAIRS / max(int(lattice.is_inside.sum()), 1))]
-    peaks_m = lattice.maxima(_table_evidence(reference, chosen, lattice.inside_m))
-    return peaks_m[np.argsort(-_table_evidence(reference, order, peaks_m))]
-
-
-def _cell_m(
-    reference: CrossTerms, lattice_of: Callable[[CrossTerms, float], _Lattice], num_axes: int
-) -> float:
-    """Size of the lattice's cells: a third of the longest wavelength, or more where there would be too many cells."""
+    # cells are a third of the longest wavelength, or larger where there would be too many of them
     finest_m = _CELL_WAVELENGTHS * 2 * np.pi / float(reference.wavenumber[0])
     coarse_m = max(finest_m, _COUNTED_CELL_M)
     num_coarse = np.count_nonzero(lattice_of(reference, coarse_m).is_inside)
     max_cells = _MAX_PAIRS / min(len(reference.offset_m), _MIN_TX)
-    return max(finest_m, coarse_m * (num_coarse / max_cells) ** (1 / num_axes))
+    cell_m = max(finest_m, coarse_m * (num_coarse / max_cells) ** (1 / num_axes))
+    lattice = lattice_of(reference, cell_m)
+    chosen = order[: math.ceil(_MAX_PAIRS / max(int(lattice.is_inside.sum()), 1))]
+    peaks_m = lattice.maxima(_table_evidence(reference, chosen, lattice.inside_m))
+    return peaks_m[np.argsort(-_table_evidence(reference, order, peaks_m))]
 
 
 def _upright(reference: CrossTerms, cell_m: float) -> _Lattice:

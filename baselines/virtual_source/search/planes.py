@@ -38,10 +38,7 @@ class Plane:
 
 
 def mirrored(offset_m: Float[FloatArray, "... 3"], mirrored_receiver_m: Vector) -> Float[FloatArray, "... 3"]:
-    """Mirror images of points in the plane that puts the array centre's own image at `mirrored_receiver_m`, not 0.
-
-    All positions are relative to the array centre.
-    """
+    """Mirror images of points in the plane that puts the array centre's own image at `mirrored_receiver_m`, not 0."""
     share = offset_m @ mirrored_receiver_m / (mirrored_receiver_m @ mirrored_receiver_m)
     return offset_m + (1 - 2 * share[..., None]) * mirrored_receiver_m
 

@@ -99,10 +99,7 @@ def _steps_m() -> Float[FloatArray, "m"]:
 
 
 def _sides_m(reference: CrossTerms, normal: Vector) -> list[float]:
-    """Sides of neighbourhoods across a normal: one where transmitters are dense, larger ones where they are few.
-
-    A wall is seen by all of few transmitters, a cabinet by those of one place. So several sizes are tried.
-    """
+    """Sides of neighbourhoods across a normal: one where transmitters are dense, larger ones too where they are few."""
     floor_m2, across_m2 = (
         float(np.ptp(place_m, axis=0).clip(_NEIGHBOURHOOD_M).prod())
         for place_m in (reference.offset_m[:, :2], _across_m(reference, normal))
@@ -187,14 +184,11 @@ def find_more_planes(
 
 
 def _directions(normals: Iterable[Vector]) -> list[Vector]:
-    """The normals, their opposites, up and down, without near duplicates.
-
-    Where all upright ones are of one direction, those at right angles to it are tried, too: most rooms have corners.
-    """
+    """The normals, their opposites, up and down, without near duplicates."""
     normals, vertical = list(normals), np.array([0.0, 0.0, 1.0])
     across = [np.cross(vertical, each) for each in normals if is_upright(each)]
     across = [each / np.linalg.norm(each) for each in across]
-    if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:
+    if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:  # most rooms have corners
         normals.append(across[0])
     kept: list[Vector] = []
     for normal in [*normals, vertical]:
@@ -252,14 +246,12 @@ def _along(
 
 
 def _is_known(reference: CrossTerms, profile: Profile, index: int, known: Sequence[Plane]) -> bool:
-    """Whether a peak belongs to a known plane.
-
-    A wall that is not known exactly leaves peaks in a wider range around it than a facet among the transmitters.
-    """
+    """Whether a peak belongs to a known plane."""
     for plane in known:
         is_wall = (reference.offset_m @ plane.normal < plane.distance_m).all()
         apart_m = abs(profile.distance_m[index] - plane.distance_m)
-        if plane.normal @ profile.normal > _SAME_COSINE and apart_m < (_LOBE_M if is_wall else _PEAK_M):
+        reach_m = _LOBE_M if is_wall else _PEAK_M  # a wall that is not known exactly leaves peaks around it
+        if plane.normal @ profile.normal > _SAME_COSINE and apart_m < reach_m:
             return True
     return False
 

@@ -317,14 +317,12 @@ def _leaked(reference: CrossTerms, mine: _Wave, other: _Wave) -> Float[FloatArra
 
 
 def _is_double(reference: CrossTerms, candidate: Candidate, planes: Sequence[Candidate]) -> bool:
-    """Whether a path over two other planes is as long and explains the directions of arrival better.
-
-    An array cannot tell this where three planes are parallel to it; the faintest of them is then rejected.
-    """
+    """Whether a path over two other planes is as long and explains the directions of arrival better."""
     others = [plane for plane in planes if plane is not candidate]
     for first, second in permutations(others, 2):
         if not _is_near(reference, candidate.place_m, mirrored(second.place_m, first.place_m)):
             continue
+        # of three planes parallel to it, an array cannot tell which is the double; the faintest is rejected
         is_faintest = candidate.score < min(first.score, second.score)
         wave = _wave(reference, [first.place_m, second.place_m], candidate.place_m)
         if score_of(wave.aligned.evidence) > (0.9 if is_faintest else 1.05) * candidate.score:

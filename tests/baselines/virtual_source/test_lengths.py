@@ -7,10 +7,10 @@ import pytest
 from found_box import ARRAY_M, SETTINGS, found_room, generated
 from xfreqbench.baselines.virtual_source.room.boxes import BoxFrame
 from xfreqbench.baselines.virtual_source.room.lengths import (
-    Motion,
     ReflectedPaths,
     RoomPart,
     around,
+    motion_of,
     moved,
     parts_at,
     settled,
@@ -139,7 +139,7 @@ def test_a_face_of_a_box_moves_its_points_and_no_other(room: list[RoomSurface], 
     assert (np.isclose(change_m, 0.01) | np.isclose(change_m, 0.0)).all()
     assert np.isclose(change_m, 0.01).sum() == (8 if kind == "board" else 4)
     still = np.flatnonzero(change_m > 1e-6)[0]
-    np.testing.assert_allclose(after[still] - before[still], 0.01 * Motion.of([own], part).at(before[still]))
+    np.testing.assert_allclose(after[still] - before[still], 0.01 * motion_of([own], part)(before[still]))
 
 
 def test_a_point_belongs_to_the_face_that_it_lies_on(room: list[RoomSurface]) -> None:

@@ -11,11 +11,10 @@ import pytest
 import trimesh
 from found_box import ARRAY_M, SCENE, found_room, generated
 from xfreqbench.baselines.virtual_source.room import boxes, refine
-from xfreqbench.baselines.virtual_source.room.box_fit import BoxFit
 from xfreqbench.baselines.virtual_source.room.boxes import BoxFrame, holds_any
 from xfreqbench.baselines.virtual_source.room.obstacle_kernels import hidden_by
 from xfreqbench.baselines.virtual_source.room.obstacles import obstacles
-from xfreqbench.baselines.virtual_source.room.refine import Refinement
+from xfreqbench.baselines.virtual_source.room.refine import BoxFit, Refinement
 from xfreqbench.baselines.virtual_source.room.surfaces import NamedSlab, RoomSurface, standing
 from xfreqbench.baselines.virtual_source.search.cross_terms import never
 from xfreqbench.baselines.virtual_source.stored import StoredFindings

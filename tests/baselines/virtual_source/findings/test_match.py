@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from xfreqbench.baselines.virtual_source.field.images import Mirrors
-from xfreqbench.baselines.virtual_source.findings.match import axes_within
+from xfreqbench.baselines.virtual_source.findings.compared import axes_within
 
 ROUNDING = (
     4 * np.finfo(np.float64).eps

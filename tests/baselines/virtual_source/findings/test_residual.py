@@ -12,13 +12,13 @@ from xfreqbench.baselines.virtual_source.commands import measure_residual as res
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.residual import (
     Residual,
+    Selection,
     claim,
     compute_residual,
     group_rows,
     plan_residual,
     score_rows,
 )
-from xfreqbench.baselines.virtual_source.findings.true_paths import Selection
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from found_box import ALL_PLANES, ARRAY_M, SCENE, SETTINGS, findings_of, plane
-from xfreqbench.baselines.virtual_source.findings.true_paths import HELD_MARGIN_M, PathKinds, path_kinds
+from xfreqbench.baselines.virtual_source.findings.residual import HELD_MARGIN_M, PathKinds, path_kinds
 from xfreqbench.baselines.virtual_source.stored import StoredFindings
 
 from xfreqbench.tracing.image.tracer import ImageTracer
