@@ -229,10 +229,12 @@ def test_a_step_without_time_changes_nothing(dataset: PasDataset) -> None:
 
 def test_an_edge_goes_no_further_than_the_wall(dataset: PasDataset) -> None:
     surfaces = refinement(dataset, found_room()).found
-    screen = surfaces[-1]
-    for changed in changes.edged(screen, surfaces[:-1], changes.EDGES_M):
-        assert (changed.corners_m > -1e-9).all()
-        assert (changed.corners_m < SIZE_M + 1e-9).all()
+    rooms = list(changes.with_edges(surfaces[-1].number, changes.EDGES_M, surfaces))
+    assert len(rooms) > 4  # its edges are moved
+    for *_, screen in rooms:
+        assert screen.number == surfaces[-1].number
+        assert (screen.corners_m > -1e-9).all()
+        assert (screen.corners_m < SIZE_M + 1e-9).all()
 
 
 def test_a_face_just_behind_another_may_be_its_back() -> None:
