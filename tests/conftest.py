@@ -17,23 +17,23 @@ from tests.support.typechecking import calls, check_first_calls
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
     "xfreqbench.methods.learning.loss_kernels",
-    "xfreqbench.methods.virtual_source.obstacle_kernels",
+    "xfreqbench.baselines.virtual_source.room.obstacle_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
 }
-PACKAGE = Path(__file__).parents[1] / "xfreqbench"
-SOURCES = [path.relative_to(PACKAGE.parent).with_suffix("") for path in PACKAGE.rglob("*.py")]
-KERNELS = {source for source in SOURCES if source.parent.name == "kernels"}
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"xfreqbench": ROOT / "xfreqbench", "xfreqbench.baselines": ROOT / "baselines"}
 MODULES = {
-    ".".join(source.parts) for source in set(SOURCES) - KERNELS if source.name != "__init__"
+    ".".join([package, *path.relative_to(folder).with_suffix("").parts])
+    for package, folder in FOLDERS.items()
+    for path in folder.rglob("*.py")
+    if path.stem != "__init__" and path.parent.name != "kernels"
 } - UNCHECKED
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 jaxtyping.jaxtyped = check_first_calls
-jaxtyping.install_import_hook(
-    [*sorted(MODULES), "xfreqbench.baselines"], "tests.support.typechecking.typechecker"
-)
+jaxtyping.install_import_hook(sorted(MODULES), "tests.support.typechecking.typechecker")
 # no case is decided by a clock: the machine may be busy, and first calls compile and import
 settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("unhurried")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-
-from xfreqbench.methods.virtual_source.search.planes import Plane
+from xfreqbench.baselines.virtual_source.search.planes import Plane
 
 SIZE_M = (5.0, 4.0, 2.6)
 

@@ -205,6 +205,7 @@ def test_an_interrupted_kernel_is_an_interruption(
     def interrupted() -> None:
         raise kind("encountered an exception (see above)") from KeyboardInterrupt()
 
+    monkeypatch.setattr(sys, "argv", ["xfreqbench", "scenes"])
     monkeypatch.setattr(cli, "app", interrupted)
     with pytest.raises(SystemExit) as ended:
         cli.main()

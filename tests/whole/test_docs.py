@@ -28,12 +28,13 @@ DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))  # generated
 TEMPLATES = sorted((ROOT / "examples").glob("*/README.md"))  # run by test_template.py
 METHODS = ROOT / "baselines" / "README.md"  # run by test_tutorial.py
+VIRTUAL_SOURCE = ROOT / "baselines" / "virtual_source" / "README.md"
 README = ROOT / "README.md"
 API, FORMATS = ROOT / "docs" / "api.md", ROOT / "docs" / "data-format.md"
 RUN_HERE = [  # the interface has a test of its own
     path for path in [README, *DOCUMENTS] if path != API and any(block.is_followed for block in blocks(path))
 ]
-ALL = [README, ROOT / "BENCHMARK.md", METHODS, *DOCUMENTS, *RESULTS, *TEMPLATES]
+ALL = [README, ROOT / "BENCHMARK.md", METHODS, VIRTUAL_SOURCE, *DOCUMENTS, *RESULTS, *TEMPLATES]
 
 
 def named(path: Path) -> str:

@@ -11,8 +11,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from xfreqbench.cli import data, exchange, findings, measure, runs
+from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
+from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
 from xfreqbench.system.waiting import choose_spinning
@@ -21,13 +22,13 @@ __all__ = [
     "app",
     "data",
     "exchange",
-    "findings",
     "main",
     "measure",
     "runs",
 ]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
 _MOMENT_S = 0.01
+_IGNORED = add_plugin_commands(app)  # after the commands of our own
 
 
 def main() -> None:
@@ -36,9 +37,13 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
     choose_spinning()
+    for ignored in _IGNORED:
+        print(f"xfreqbench: {ignored}", file=sys.stderr)
     try:
         require_thread_count()
         with interruptions_kept():
+            if sys.argv[1:2] in ([], ["--help"], ["-h"]):
+                app.resolved_commands()  # imports plug-ins, so that help describes their commands
             app()
         sys.stdout.flush()
     except StorageError as error:

@@ -251,30 +251,6 @@ def bench_patches(
         patches.bench_patches(bench, plan, progress)
 
 
-@bench.command(name="planes", help_epilogue=example("bench planes --rooms 5"))
-def bench_planes(
-    *,
-    rooms: Annotated[int, Parameter(help="Rooms, up to 1000; each is made by its number.")] = 20,
-    tx: Annotated[int, Parameter(help="Transmitters of each, 20 to 2000.")] = 280,
-    output: BenchOutput = None,
-    quiet: Quiet = False,
-) -> None:
-    """Print how many walls of random rooms `virtual-source` finds, how exactly, and whether its intervals hold them."""
-    from dataclasses import replace
-    from functools import partial
-
-    from xfreqbench.bench import planes
-    from xfreqbench.system.bars import progress_bars
-
-    for option, value, least, most in (("--rooms", rooms, 1, 1000), ("--tx", tx, 20, 2000)):
-        if not least <= value <= most:
-            raise XFreqBenchError(f"{option} takes a number from {least} to {most}, but got {value}.")
-    bench = replace(_bench("planes", output, rooms=rooms, tx=tx), say=partial(say, quiet=quiet))
-    bench.introduce()
-    with progress_bars("rooms", ["planes"], quiet) as (progress,):
-        planes.bench_planes(bench, rooms, tx, progress)
-
-
 def _counts(option: str, text: str, most: int) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):

@@ -40,10 +40,11 @@ app = App(
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
     suppress_keyboard_interrupt=False,
 )
-DATA, RUN, RESULTS, EXCHANGE, ADVANCED, _OTHERS = (  # of the commands in --help, in this order
+# Groups of the commands in --help, in this order.
+GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(
     Group(name, sort_key=place)
     for place, name in enumerate(
-        ("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Options")
+        ("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Plug-ins", "Options")
     )
 )
 bench = App(

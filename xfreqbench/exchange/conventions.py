@@ -155,8 +155,8 @@ CONVENTIONS = {
         read_in="KINGAZ1019/XFreq-GS, dataset/scene_builder: utils.py subtracts the channel's phase, exp(+jkr·d), from "
         "-kr·d, so that a lone wave peaks opposite to its source",
         caveat="Its build_dataset.py leaves the scene at Sionna RT's 3.5 GHz and gives the carrier f to cfr() as an "
-        "offset: directions are stretched by 1 + f/3.5 GHz, aliased from a few GHz on. Whatever steers an array at "
-        "them (line-of-sight, aperture-gs, virtual-source) goes astray on such maps. Shown with its recipe, not with "
+        "offset: directions are stretched by 1 + f/3.5 GHz, aliased from a few GHz on. Methods that steer "
+        "an array at directions, such as line-of-sight, go astray on such maps. Shown with its recipe, not with "
         "its PNGs.",
     ),
     "nerf2": _NERF2,

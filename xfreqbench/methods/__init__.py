@@ -2,6 +2,6 @@
 
 In come training maps, a budget and a seed; out comes a predictor of maps at any transmitter position and carrier.
 `contract` says what a method has to offer, `registry` finds methods by name, `fitting` times their training, and
-`check` tries every part of the contract. `learning`, `splatting` and `virtual_source` hold what the built-in
-methods, in `xfreqbench.baselines`, are made of.
+`check` tries every part of the contract. `learning` and `splatting` hold what several of the built-in methods, in
+`xfreqbench.baselines`, are made of.
 """

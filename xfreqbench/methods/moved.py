@@ -47,8 +47,6 @@ _MODULES = {
     "testing": "methods.check",
     "tracing": "tracing.tracer",
     "transmitters": "methods.lookup",
-    "virtual_source.config": "methods.virtual_source.config",
-    "virtual_source.field": "methods.virtual_source.field",
 }
 _NAMES = {  # those that have not moved with their modules
     ("angles", "FloatArray"): "types",

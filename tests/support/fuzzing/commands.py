@@ -76,7 +76,6 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench peers": {"output": ("records",)},
     "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
     "bench patches": {"scene": SCENE, "output": ("records",)},
-    "bench planes": {"output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
@@ -91,7 +90,6 @@ MEASURING = {  # which take long, and read the records that they add to by the s
             "peers",
             "ceiling",
             "patches",
-            "planes",
         )
     ),
     ("stress", "records"),

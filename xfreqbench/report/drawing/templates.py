@@ -6,24 +6,27 @@ import re
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from xfreqbench.report.drawing.three_js import three_js
 
+_REPORT = "xfreqbench.report"
 
-def render(template: str, **values: Any) -> str:
-    """A page as HTML from a template of `xfreqbench.report`, such as `leaderboard/page.html`, and its values.
 
-    Equal values give equal text. A value that the template names and nobody gives is an error.
+def render(template: str, package: str = _REPORT, **values: Any) -> str:
+    """A page as HTML from a template of a package, such as `leaderboard/page.html` of `xfreqbench.report`.
+
+    A template of another package may extend and import those of `xfreqbench.report`. Equal values give equal text. A
+    value that the template names and nobody gives is an error.
     """
-    return _environment().get_template(template).render(values)
+    return _environment(package).get_template(template).render(values)
 
 
 @cache
-def _environment() -> Environment:
+def _environment(package: str = _REPORT) -> Environment:
     environment = Environment(
-        loader=PackageLoader("xfreqbench.report", "."),
+        loader=ChoiceLoader([PackageLoader(name, ".") for name in (package, _REPORT)]),
         autoescape=True,
         undefined=StrictUndefined,
         keep_trailing_newline=True,

@@ -133,9 +133,6 @@ def _add_path(
         x * mirror[0, 1] + y * mirror[1, 1] + z * mirror[2, 1],
         x * mirror[0, 2] + y * mirror[1, 2] + z * mirror[2, 2],
     )
-    steep = min(
-        x * x + y * y, image[1] ** 2 + image[2] ** 2
-    )  # squared horizontal distance, as both ends see it
     has_slabs = has_mirrors = False
     for f in range(num_carriers):
         if share and reach == MIXED:

@@ -1,0 +1,182 @@
+"""The learned room of a record: refined on its training rows, scored at tested rows, and written as a scene."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.protocols import find_split
+from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.report.drawing.figures import is_own_drawing
+from xfreqbench.report.drawing.glb import GlbModel
+from xfreqbench.report.drawing.materials import material_colour
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.scoring import BATCH_SIZE
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
+from xfreqbench.system.files import require_own, require_space, write_text
+from xfreqbench.tracing.image.tracer import can_solve
+from xfreqbench.tracing.tracer import TraceSettings
+
+from ..room.refine import Refinement
+from ..room.surfaces import MIN_SEEN, NO_PLANE, RoomSurface, surface_from_json
+from ..room.traced import channels_in
+from .compared import ComparedFindings
+from .residual import drawn_rows
+
+NUM_TESTED_TX = 60
+ROOM_HEADER = ("maps", "median SSIM", "mean SSIM", "tested rows")
+ROOM, SHAPE = "room.toml", "room.glb"
+_OPACITY = 140
+
+
+@dataclass(frozen=True)
+class ScoredRoom:
+    """The room that was made of findings, and how maps traced in it score: cells under `ROOM_HEADER`."""
+
+    surfaces: Sequence[RoomSurface]
+    scores: Sequence[tuple[str, ...]]
+
+
+def settings_in_room(dataset: PasDataset) -> TraceSettings:
+    """How learned rooms are traced: as the data were, by solver `image`."""
+    return replace(dataset.trace_settings, solver="image", materials="extrapolate")
+
+
+def refinement_of(compared: ComparedFindings) -> Refinement:
+    """The refinement of a record's room; `found` is the room before it, `room` the room after its steps.
+
+    No step remains where the record holds the room that the run itself refined. Raises `DataError` for findings without
+    faces, or data whose interactions the image method does not trace in a room.
+    """
+    dataset, job = compared.dataset, compared.record.job
+    train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
+    refinement = Refinement.of(compared.findings, train)
+    if refinement is None:
+        raise DataError(
+            f"Record {compared.record.id} has no faces from which a room could be made: the run found no plane that "
+            "holds anything, or the record was written before faces were stored. Run virtual-source again."
+        )
+    if compared.findings.room:
+        refinement.take([surface_from_json(each.model_dump()) for each in compared.findings.room])
+    geometry = Geometry([surface.mesh for surface in refinement.room])
+    if not can_solve(geometry, settings_in_room(dataset)):
+        raise DataError(
+            f"{dataset.path} was traced with {', '.join(dataset.trace_settings.interactions)}, which the image method "
+            f"does not trace among the {len(refinement.room)} surfaces that were learned. Leave out --room."
+        )
+    return refinement
+
+
+def score_rooms(
+    results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]
+) -> ScoredRoom:
+    """The last of some rooms, with the SSIM of tested rows: of each room, and of the predictions if they are stored.
+
+    Rooms are traced as the data were. The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where
+    there are fewer.
+    """
+    dataset, record = compared.dataset, compared.record
+    tested = find_split(dataset, record.job.protocol, record.job.split).test
+    rows = drawn_rows(dataset, tested, NUM_TESTED_TX)
+    samples = dataset.subset(rows)
+    truth, scores = samples.pas(), {}
+    try:
+        predicted = ResultsFolder.holding(results).predictions(record).maps_of(rows, BATCH_SIZE)
+        scores[f"{record.job.method}, as predicted"] = ssim(predicted, truth, samples.grid)
+    except (DataError, KeyError):  # not kept, or of other rows
+        pass
+    for label, room in rooms.items():
+        cfr = channels_in(room, samples, settings_in_room(samples))
+        maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
+        scores[label] = ssim(maps, truth, samples.grid)
+    cells = [
+        (label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each)))
+        for label, each in scores.items()
+    ]
+    return ScoredRoom(list(rooms.values())[-1], cells)
+
+
+def claim_room(record_id: str, folder: Path) -> None:
+    """Raise `OutputExistsError` where a folder holds other files of these names, and `StorageError`."""
+    scene = (folder / ROOM).read_text("utf-8", "replace") if (folder / ROOM).is_file() else ""
+    is_same = scene.partition("\n")[0] == _first_line(record_id)
+
+    def fault_of(path: Path) -> str | None:
+        is_ours = is_same and (path.name == ROOM or is_own_drawing(path))
+        return None if is_ours else f"was not written for record {record_id}"
+
+    for name in (SHAPE, ROOM):
+        require_own(folder / name, fault_of)
+    require_space(folder / ROOM, 1)
+
+
+def write_room(compared: ComparedFindings, room: ScoredRoom, folder: Path) -> list[Path]:
+    """Write a room with the data's array and transmitters into a folder, which `claim_room` has looked at.
+
+    The scene's file tells the scores in comments. Returns the paths of the scene and of its shape. Raises
+    `StorageError`.
+    """
+    model = GlbModel()
+    for surface in room.surfaces:
+        colour = material_colour(surface.slab.material, _OPACITY)
+        model.add_surface(surface.mesh, colour, surface.slab_name)
+    write_text(folder / ROOM, _toml(compared, room))
+    model.write(folder / SHAPE)
+    return [folder / ROOM, folder / SHAPE]
+
+
+def _first_line(record_id: str) -> str:
+    return f"# The room that record {record_id} has learned."
+
+
+def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
+    """The scene: its array and transmitters are those of the data, its materials those of the room."""
+    scene, job = compared.dataset.scene, compared.record.job
+    receiver = TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")
+    transmitters = TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")
+    told = {
+        "name": f"{scene.name}-learned",
+        "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
+        "scene": SHAPE,
+        "mirrors": "facets",
+    }
+    scores = [
+        f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n"
+        for what, median, mean, number in room.scores
+    ]
+    parts = [
+        _first_line(compared.record.id),
+        "".join(scores) + _table(told),
+        f"[receiver]\n{_table(receiver)}",
+        f"[transmitters]\n{_table(transmitters)}",
+    ]
+    by_slab = defaultdict[str, list[RoomSurface]](list)
+    for surface in room.surfaces:
+        by_slab[surface.slab_name].append(surface)
+    for name, own in sorted(by_slab.items()):
+        unseen = [surface.name for surface in own if surface.seen < MIN_SEEN]
+        learned = [surface.slab.distance for surface in own if surface.plane != NO_PLANE]
+        note = (
+            f"|ΔR| {max(learned):.3f} from what was learned"
+            if learned
+            else "of those tried, nearest to the maps"
+        )
+        note += f"; unseen: {', '.join(unseen)}" if unseen else ""
+        entry = {"name": name, "itu": own[0].slab.material, "thickness_m": own[0].slab.thickness_m}
+        parts.append(f"[[material]]  # {note}\n{_table(entry)}")
+    return "\n".join(parts)
+
+
+def _table(content: Mapping[str, Any]) -> str:
+    """Lines of TOML, which writes numbers, texts and lists of them as JSON does."""
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in content.items())

@@ -1,0 +1,121 @@
+"""Commands that other packages bring by the entry-point group `xfreqbench.commands`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cyclopts import App
+
+from xfreqbench.cli.plugins import add_plugin_commands
+from xfreqbench.errors import XFreqBenchError
+
+THEIRS = """
+from cyclopts import App
+
+print("imported")
+rooms = App(name="count-rooms", help="Count rooms.", group="Results")
+
+
+@rooms.default
+def count(number: int, *, twice: bool = False) -> None:
+    print(f"{number * (2 if twice else 1)} rooms")
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of packages, each with a `.dist-info` as pip writes it, on the path of this process."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "their_rooms.py").write_text(THEIRS)
+    return tmp_path
+
+
+def install(folder: Path, package: str, **commands: str) -> None:
+    information = folder / f"{package}-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    lines = [f"{name.replace('_', '-')} = {value}" for name, value in commands.items()]
+    (information / "entry_points.txt").write_text("\n".join(["[xfreqbench.commands]", *lines, ""]))
+
+
+def program(*built_in: str) -> tuple[App, list[str]]:
+    """An app with commands of its own and those of plug-ins, and what is said of those that are ignored."""
+    app = App(name="xfreqbench", result_action="return_value")
+    for name in built_in:
+        app.command(App(name=name))
+    return app, add_plugin_commands(app)
+
+
+def xfreqbench(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    call = f"import sys; sys.path.insert(0, {str(folder)!r}); from xfreqbench.cli.main import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", call, *words], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_lists_it(
+    installed: Path,
+) -> None:
+    install(installed, "their-rooms", count_rooms="their_rooms:rooms")
+    other = xfreqbench(installed, "scenes")
+    assert (other.returncode, other.stderr) == (0, "")
+    assert "imported" not in other.stdout
+    own = xfreqbench(installed, "count-rooms", "3", "--twice")
+    assert (own.returncode, own.stdout, own.stderr) == (0, "imported\n6 rooms\n", "")
+    shown = xfreqbench(installed, "--help").stdout
+    assert shown.index("Results") < shown.index("Count rooms.") < shown.index("Exchange with others")
+    refused = xfreqbench(installed, "count-rooms")
+    assert refused.returncode == 2
+    assert "count-rooms needs NUMBER" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("rooms = 3", "their_rooms:rooms is no App(name='count-rooms') of cyclopts"),
+        ("from cyclopts import App\nrooms = App(name='other')", "is no App(name='count-rooms') of cyclopts"),
+        ("other = 3", "has no attribute 'rooms'"),
+    ],
+)
+def test_a_broken_plugin_says_in_one_line_why_and_breaks_no_other_command(
+    code: str, fault: str, installed: Path
+) -> None:
+    install(installed, "their-rooms", count_rooms="their_rooms:rooms")
+    (installed / "their_rooms.py").write_text(code)
+    own = xfreqbench(installed, "count-rooms", "3", "--twice")
+    assert own.returncode == 2
+    assert own.stderr.startswith("xfreqbench: Command 'count-rooms' cannot be loaded: ")
+    assert fault in own.stderr
+    assert own.stderr.count("\n") == 1
+    listed = xfreqbench(installed, "--help")
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert "count-rooms" in listed.stdout
+    assert "generate" in listed.stdout
+
+
+def test_two_packages_with_one_command_are_refused(installed: Path) -> None:
+    install(installed, "first-rooms", count_rooms="their_rooms:rooms")
+    install(installed, "second-rooms", count_rooms="other_rooms:rooms")
+    app, ignored = program()
+    with pytest.raises(XFreqBenchError, match="command 'count-rooms': first-rooms, second-rooms"):
+        app(["count-rooms", "3"])
+    assert ignored == []
+
+
+def test_a_plugin_takes_no_name_of_ours(installed: Path) -> None:
+    install(installed, "their-rooms", **{"run": "their_rooms:rooms", "--help": "their_rooms:rooms"})
+    app, ignored = program("run")
+    own = app["run"]
+    assert [line.partition(" is ignored")[0] for line in ignored] == [
+        "The command '--help' of their-rooms",
+        "The command 'run' of their-rooms",
+    ]
+    assert app["run"] is own
+    said = xfreqbench(installed, "scenes")
+    assert said.returncode == 0
+    assert "'run' of their-rooms is ignored" in said.stderr

@@ -1,6 +1,0 @@
-"""Search for reflecting planes in training maps; no geometry of the room is used.
-
-In comes a `PasDataset` of training rows, and for later searches the channels explained so far. Out come `Plane`s,
-strongest first, with standard deviations. `cross_terms` extracts the terms of reflections from maps, `coarse` and
-`fine` find candidates, `selection` rejects false ones, and `range_profile` measures distances precisely.
-"""
