@@ -15,7 +15,6 @@ from xfreqbench.cli import data, exchange, findings, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
-from xfreqbench.system.waiting import choose_spinning
 
 __all__ = [
     "app",
@@ -35,7 +34,6 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
-    choose_spinning()
     try:
         require_thread_count()
         with interruptions_kept():

@@ -58,26 +58,11 @@ def stress(
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="Records file that the table is appended to.")
     ] = None,
-    chaos: Annotated[
-        int | None,
-        Parameter(
-            help="Instead, so many times, disturb a command that writes: kill it, fill the disk, damage a file."
-        ),
-    ] = None,
 ) -> None:
     """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
-    from xfreqbench.bench.chaos.run import stress_by_chaos
     from xfreqbench.bench.stress.run import stress as run_stress
 
-    if chaos is None:
-        is_clean = run_stress(only, output, say)
-    elif chaos < 1 or only is not None:
-        raise XFreqBenchError(f"--chaos takes a number of rounds from 1 on, without --only, but got {chaos}.")
-    else:
-        from xfreqbench.cli.main import main
-
-        is_clean = stress_by_chaos(main, chaos, output, say)
-    if not is_clean:
+    if not run_stress(only, output, say):
         sys.exit(1)
 
 
@@ -141,23 +126,10 @@ def bench_scale_out(
     tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64,
     output: BenchOutput = None,
 ) -> None:
-    """Print the time of the same work on processes and clusters, and an estimate for up to a million transmitters."""
+    """Print the time of the same work in one process, on several processes, and on a Dask cluster."""
     from xfreqbench.bench import executors as scale_out
 
     scale_out.bench_scale_out(_bench("scale-out", output, tx=tx), tx)
-
-
-@bench.command(name="load", help_epilogue=example("bench load --methods aperture-gs"))
-def bench_load(
-    *,
-    methods: Annotated[str, Parameter(help="Methods to fit, comma-separated.")] = "xfreq-gs,aperture-gs",
-    output: BenchOutput = None,
-) -> None:
-    """Print how much slower fits get beside other busy programs, against the share of the processor that they lose."""
-    from xfreqbench.bench import load
-
-    names = [name.strip() for name in methods.split(",")]
-    load.bench_load(_bench("load", output, methods=",".join(names)), names)
 
 
 @bench.command(name="peers", help_epilogue=example("bench peers --solvers sionna,PathSolver --orders 1,2"))

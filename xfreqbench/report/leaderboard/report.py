@@ -50,7 +50,6 @@ _BENCH_SECTIONS = {
     "savings": "Savings",
     "scale-out": "Scale-out",
     "stress": "Stress",
-    "chaos": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
 _MEASUREMENTS_PAGE, _PAPER_PAGE = "measurements.md", "paper.md"
