@@ -8,8 +8,8 @@ import os
 
 import lazy_loader as lazy
 
-os.environ.setdefault(  # before OpenMP starts; `system.waiting` says what for
-    "GOMP_SPINCOUNT",
-    {"PASSIVE": "0", "ACTIVE": "infinite"}.get(os.getenv("OMP_WAIT_POLICY", "").upper(), "1001"),
-)
+# Before OpenMP starts: threads that wait give their core up at once, or fits beside each other run at a hundredth of
+# their speed.
+if "OMP_WAIT_POLICY" not in os.environ:
+    os.environ.setdefault("GOMP_SPINCOUNT", "1")
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

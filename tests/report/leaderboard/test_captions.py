@@ -18,7 +18,7 @@ def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
 
 def test_a_board_says_its_maps_its_rays_and_whose_times_these_are() -> None:
     markdown = leaderboard_markdown(make_records())
-    assert "Data set `aaaaaaaaaaaaaaaa`: power maps, image solver, specular, depth 1. **Tested" in markdown
+    assert "Data set `office@1-aaaaaaaa`: power maps, image solver, specular, depth 1. **Tested" in markdown
     assert "** Times were taken on AMD EPYC, 2 cores. Commit ?; seed 0." in markdown
 
 

@@ -34,9 +34,9 @@ def test_the_report_links_its_figures(tmp_path: Path) -> None:
     store_all(tmp_path)
     output, *figures = write_report(tmp_path, tmp_path / "BENCHMARK.md").paths
     assert [path.name for path in figures] == [
-        "office-lofo-aaaaaaaa-cdf.svg",
-        "office-lofo-aaaaaaaa-64steps-cdf.svg",
-        "office-lofo-aaaaaaaa-64steps-time.svg",
+        "office-lofo-1-aaaaaaaa-cdf.svg",
+        "office-lofo-1-aaaaaaaa-64steps-cdf.svg",
+        "office-lofo-1-aaaaaaaa-64steps-time.svg",
         "bench-generate-error-against-run-time.svg",
     ]
     for figure in figures:
@@ -131,7 +131,7 @@ def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
 
 def test_a_figure_of_somebody_else_is_left_and_named(tmp_path: Path) -> None:
     store_all(tmp_path)
-    theirs = tmp_path / "figures" / "office-lofo-aaaaaaaa-64steps-time.svg"
+    theirs = tmp_path / "figures" / "office-lofo-1-aaaaaaaa-64steps-time.svg"
     theirs.parent.mkdir()
     theirs.write_bytes(b"<svg>mine</svg>")
     with pytest.raises(OutputExistsError, match=r"aaaaaaaa-64steps-time\.svg exists and is no figure of"):

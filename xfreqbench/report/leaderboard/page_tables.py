@@ -85,7 +85,7 @@ def _link(comparison: Comparison) -> BoardLink:
 def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     """Data sets, machines, commits and dates of all records, each fact with its lines."""
     records = list({record_key(each): each for board in ranked for each in board.records}.values())
-    data = {f"{board.scene}, {board.pas_kind} maps, {_told(board)}" for board in ranked}
+    data = {f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}
     commits = {short_commit(record.git_commit) for record in records}
     days = sorted({record.time_utc[:10] for record in records})
     return {
@@ -94,10 +94,6 @@ def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
         "Commits": [", ".join(sorted(commits))],
         "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
     }
-
-
-def _told(board: Board) -> str:
-    return board.data_name if "@" in board.data_name else f"sha256 {board.data_name}"
 
 
 def _set_table(comparison: Comparison) -> SetTable:
