@@ -23,7 +23,6 @@ _SLOW = (
     "residual",
     "benchmark",
     "bench ceiling",
-    "bench patches",
 )  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
@@ -73,7 +72,6 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench scale-out": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
     "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
-    "bench patches": {"scene": SCENE, "output": ("records",)},
     "bench planes": {"output": ("records",)},
 }
 READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
@@ -87,7 +85,6 @@ MEASURING = {  # which take long, and read the records that they add to by the s
             "scale-out",
             "peers",
             "ceiling",
-            "patches",
             "planes",
         )
     ),
@@ -154,7 +151,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench generate": ("bench generate ./room.toml",),
         "bench reference": ("bench reference ./room.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./room.toml -o taken.h5 -q",),
-        "bench patches": ("bench patches ./room.toml --freqs 10 --tx 1 -q",),
     },
     "mesh": {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
@@ -166,7 +162,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),
-        "bench patches": ("bench patches ./mesh.toml --freqs 10 --tx 1 -q",),
     },
 }
 

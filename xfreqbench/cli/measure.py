@@ -190,39 +190,6 @@ def bench_ceiling(
     ceiling.bench_ceiling(bench, plan, scores)
 
 
-@bench.command(name="patches", help_epilogue=example("bench patches lounge --tx 27"))
-def bench_patches(
-    scene: str = "lounge",
-    *,
-    freqs: Annotated[str, Parameter(help="Carriers in GHz, comma-separated.")] = "2.4,5,24.25",
-    tx: Annotated[int, Parameter(help="Transmitters, which are chosen as by `generate`.")] = 27,
-    output: BenchOutput = None,
-    quiet: Quiet = False,
-) -> None:
-    """Print how much channels change with the least size of a patch that mirrors, in a scene with meshes.
-
-    Parameters
-    ----------
-    scene
-        A shipped scene's name, or the path of a scene TOML.
-    """
-    from dataclasses import replace
-    from functools import partial
-
-    from xfreqbench.bench import patches
-    from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
-
-    bench = replace(
-        _bench("patches", output, scene, freqs=freqs, tx=tx),
-        say=partial(say, quiet=quiet),
-    )
-    plan = patches.plan_patches(load_scene(scene), parse_carriers_hz(freqs), tx)
-    bench.introduce()
-    with progress_bars("sizes", ["patches"], quiet) as (progress,):
-        patches.bench_patches(bench, plan, progress)
-
-
 @bench.command(name="planes", help_epilogue=example("bench planes --rooms 5"))
 def bench_planes(
     *,

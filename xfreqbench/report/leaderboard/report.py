@@ -43,7 +43,6 @@ _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
     "ceiling": "No methods: what is left for whom",
     "generate": "Generator",
-    "patches": "Generator",
     "peers": "Generator",
     "plain": "Generator",
     "render": "Rendering and training",
