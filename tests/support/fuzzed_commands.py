@@ -22,7 +22,6 @@ _SLOW = (
     "findings",
     "residual",
     "benchmark",
-    "bench ceiling",
 )  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
@@ -63,7 +62,6 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "new-method": {"output": WRITTEN},
     "findings": {"results": ("records",), "data": ("data set",), "output": WRITTEN, "room": WRITTEN},
     "residual": {"results": ("records", "stored predictions"), "data": ("data set",), "output": WRITTEN},
-    "stress": {"output": ("records",)},
     "bench generate": {"scene": SCENE, "output": ("records",)},
     "bench reference": {"scene": SCENE, "output": WRITTEN},
     "bench fingerprint": {"scene": SCENE, "output": WRITTEN},
@@ -71,10 +69,10 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench savings": {"output": ("records",)},
     "bench scale-out": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
-    "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
+    "bench stress": {"output": ("records",)},
     "bench planes": {"output": ("records",)},
 }
-READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
+READ_NOTHING = ("scenes", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
     *(
         (f"bench {name}", "records")
@@ -84,11 +82,10 @@ MEASURING = {  # which take long, and read the records that they add to by the s
             "savings",
             "scale-out",
             "peers",
-            "ceiling",
+            "stress",
             "planes",
         )
     ),
-    ("stress", "records"),
 }
 
 _FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {each}' for each in FITTED)}"
@@ -113,7 +110,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "report": (_REPORT, _MAPS),
         "findings": (f"findings results --data {DATA} -o new -q",),
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
-        "bench ceiling": (f"bench ceiling {DATA} --freqs 10 --transmitters 1 -q",),
     },
     "stored predictions": {
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
@@ -158,7 +154,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "info": ("info mesh.h5 --retrace 1",),
         "plot": ("plot mesh.h5 -o new.svg --of power",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
-        "bench ceiling": ("bench ceiling mesh.h5 --freqs 10 --transmitters 1 -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),

@@ -9,14 +9,11 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
-    ADVANCED,
     Interactions,
     Output,
     Quiet,
-    app,
     bench,
     example,
-    parse_carriers_hz,
     parse_interactions,
     say,
 )
@@ -49,21 +46,6 @@ def _bench(
         flag = f"--{option.replace('_', '-')}"
         words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
     return Bench(kind or name, shlex.join(words), say, output)
-
-
-@app.command(group=ADVANCED, help_epilogue=example("stress --only scores"))
-def stress(
-    *,
-    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
-    output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Records file that the table is appended to.")
-    ] = None,
-) -> None:
-    """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
-    from xfreqbench.bench.stress.run import stress as run_stress
-
-    if not run_stress(only, output, say):
-        sys.exit(1)
 
 
 @bench.command(name="generate", help_epilogue=example("bench generate office --solvers image"))
@@ -151,43 +133,17 @@ def bench_peers(
     run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds, limit)
 
 
-@bench.command(name="ceiling", help_epilogue=example("bench ceiling office.h5 --freqs 24.25"))
-def bench_ceiling(
-    data: Path,
+@bench.command(name="stress", help_epilogue=example("bench stress --only scores"))
+def bench_stress(
     *,
-    freqs: Annotated[
-        str | None,
-        Parameter(help="Carriers in GHz, comma-separated; of 2.4,24.25,77 those in the data if absent."),
-    ] = None,
-    transmitters: Annotated[
-        int, Parameter(help="Transmitters, drawn at random; all where there are fewer.")
-    ] = 192,
-    seed: Annotated[int, Parameter(help="Which transmitters are drawn, and which phases.")] = 0,
+    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
     output: BenchOutput = None,
-    quiet: Quiet = False,
 ) -> None:
-    """Print the SSIM of maps made of the true paths, with unknown phases or few reflections: what is left to win.
+    """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
+    from xfreqbench.bench.stress.run import stress
 
-    Parameters
-    ----------
-    data
-        A data set of `generate`; its paths are traced again.
-    """
-    from dataclasses import replace
-    from functools import partial
-
-    from xfreqbench.bench import ceiling
-    from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.system.bars import progress_bars
-
-    bench = _bench("ceiling", output, str(data), freqs=freqs, transmitters=transmitters, seed=seed)
-    carriers_hz = None if freqs is None else parse_carriers_hz(freqs)
-    bench = replace(bench, say=partial(say, quiet=quiet))
-    plan = ceiling.plan_ceiling(open_dataset(data), carriers_hz, transmitters, seed)
-    bench.introduce()
-    with progress_bars("transmitters", ["ceiling"], quiet) as (progress,):
-        scores = ceiling.compute_ceiling(plan, progress)
-    ceiling.bench_ceiling(bench, plan, scores)
+    if not stress(only, output, say):
+        sys.exit(1)
 
 
 @bench.command(name="planes", help_epilogue=example("bench planes --rooms 5"))

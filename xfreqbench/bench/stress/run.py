@@ -1,4 +1,4 @@
-"""What `xfreqbench stress` does: it runs the cases, prints a row for each, and stores the table as a record."""
+"""What `bench stress` does: it runs the cases, prints a row for each, and stores the table as a record."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchReco
     return BenchRecord(
         bench="stress",
         title="Numerical stability" + (f", {only}" if only else ""),
-        command="xfreqbench stress" + (f" --only {only!r}" if only else ""),
+        command="xfreqbench bench stress" + (f" --only {only!r}" if only else ""),
         note=(
             "Errors against references that share constants, and no code, with what they check, and the limits they "
             "keep; cases of seeds, threads and shared visibility compare two ways of the same code."

@@ -20,7 +20,6 @@ from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.runs.records import BenchRecord
 
 _BRIEFLY = {  # measurements of which the first rows are shown
-    "ceiling": "No methods: what is left for whom",
     "generate": "Generator",
     "render": "Rendering",
     "stress": "Stability",
