@@ -9,8 +9,6 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from xfreqbench.report.drawing.three_js import three_js
-
 
 def render(template: str, **values: Any) -> str:
     """A page as HTML from a template of `xfreqbench.report`, such as `leaderboard/page.html`, and its values.
@@ -32,7 +30,6 @@ def _environment() -> Environment:
     )
     environment.filters["prose"] = prose
     environment.globals["file_text"] = _file_text
-    environment.globals["three_js"] = lambda: Markup(three_js() or "")
     json_options = {"ensure_ascii": False, "allow_nan": False, "separators": (",", ":")}
     environment.policies["json.dumps_kwargs"] = json_options  # the filter `tojson` escapes < > & '
     return environment
@@ -44,7 +41,7 @@ def prose(text: str) -> Markup:
 
 
 def _file_text(name: str) -> Markup:
-    """A style sheet or script of the package, such as `drawing/page.css`, as it is: both are our own."""
+    """A style sheet or script of the package, such as `drawing/page.css`, as it is."""
     loader = _environment().loader
     assert loader is not None
     return Markup(loader.get_source(_environment(), name)[0])
