@@ -1,4 +1,8 @@
-"""Shapes and materials of a Mitsuba XML, as Blender, Sionna RT and people write them."""
+"""Shapes and materials of a Mitsuba XML, as Blender, Sionna RT and people write them.
+
+`mitsuba.parser` (3.9) does not serve: it follows `<include>` out of the scene's folder, puts no bound on what `$name`
+becomes, and refuses unknown properties only where shapes are made. Files of strangers are read within bounds here.
+"""
 
 from __future__ import annotations
 
