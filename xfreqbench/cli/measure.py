@@ -83,7 +83,7 @@ def bench_render(
     *,
     gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, up to 1000000.")] = "1000,4000,16000",
     batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated, up to 1000.")] = "1,8,32",
-    step: Annotated[bool, Parameter(help="Also take the training step of xfreq-gs apart.")] = True,
+    step: Annotated[bool, Parameter(help="Also time the training steps of methods.")] = True,
     output: BenchOutput = None,
 ) -> None:
     """Print the speed of splatting and training, with errors, against dense rendering."""
@@ -96,7 +96,7 @@ def bench_render(
 
 @bench.command(name="savings", help_epilogue=example("bench savings -o records.jsonl"))
 def bench_savings(*, output: BenchOutput = None) -> None:
-    """Print the time of every saving of generator, renderer and training, off and on, and what it changes."""
+    """Print the time of every saving of the generator, off and on, and what it changes."""
     from xfreqbench.bench import savings as efficiency
 
     efficiency.bench_savings(_bench("savings", output))
