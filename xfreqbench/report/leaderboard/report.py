@@ -15,6 +15,7 @@ from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
     leak_statement,
+    legend,
     origin_statement,
 )
 from xfreqbench.report.leaderboard.columns import BRIEF
@@ -26,12 +27,15 @@ from xfreqbench.report.leaderboard.figures import (
     figure_links,
     require_own_figures,
 )
-from xfreqbench.report.leaderboard.legend import legend
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
-from xfreqbench.report.leaderboard.paper import has_counterparts, paper_markdown
-from xfreqbench.report.leaderboard.paper_figures import paper_figures
-from xfreqbench.report.leaderboard.paper_maps import MapGrid, paper_maps
+from xfreqbench.report.leaderboard.paper import (
+    MapGrid,
+    has_counterparts,
+    paper_figures,
+    paper_maps,
+    paper_markdown,
+)
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
