@@ -17,7 +17,7 @@ from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.exchange.png_images import MAX_PIXELS
+from xfreqbench.exchange.png_folder import MAX_PIXELS
 from xfreqbench.tracing.tracer import MAX_DEPTH, MAX_RAYS
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}

@@ -154,7 +154,7 @@ def export(
 
 def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], quiet: bool) -> None:
     from xfreqbench.exchange.deepmimo import export_deepmimo
-    from xfreqbench.exchange.sionna_npz import export_sionna_npz
+    from xfreqbench.exchange.path_arrays import export_sionna_npz
     from xfreqbench.system.bars import progress_bars
 
     if changed:

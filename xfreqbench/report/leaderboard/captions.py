@@ -1,4 +1,4 @@
-"""The sentences around a board's tables: its data, its machines, and what training and test share."""
+"""The sentences around a board's tables: its data, its machines, what training and test share, and what columns say."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the paper of XFreq-GS reports beside what was measured here: its tables and figures, and whether its claims hold.
+"""What the paper of XFreq-GS reports beside what was measured here, and whether its claims hold.
 
 The figure of maps needs predictions, or the maps that `ship_maps` stores of them in a file beside the records.
 """
