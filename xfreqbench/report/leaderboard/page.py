@@ -197,8 +197,17 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
             split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)}
             for split in board.splits
         },
-        "rows": {row.label: _row_content(row) for row in board.rows},
-        "sets": [_set_content(each) for each in comparisons],
+        "rows": {
+            row.label: {
+                "family": row.family,
+                "splits": {split: _curves(records) for split, records in row.by_split.items()},
+            }
+            for row in board.rows
+        },
+        "sets": [
+            {"splits": list(each.splits), "rows": {row.label: _standing(each, row) for row in each.rows}}
+            for each in comparisons
+        ],
         "metrics": {name: metric_title(name) for name in METRICS},
         "gallery": pictures.content(),
     }
@@ -221,13 +230,6 @@ def _trivial_ssim(board: Board, split: str) -> float:
     return _rounded(trivial.ssim) if trivial else nan
 
 
-def _row_content(row: BoardRow) -> Content:
-    return {
-        "family": row.family,
-        "splits": {split: _curves(records) for split, records in row.by_split.items()},
-    }
-
-
 def _curves(records: Sequence[RunRecord]) -> Content:
     return {
         "cdf": {
@@ -246,13 +248,6 @@ def _by_carrier(records: Sequence[RunRecord]) -> list[list[float]]:
         [float(carrier) / 1e9, _rounded(float(np.mean([each.get(carrier, nan) for each in medians])))]
         for carrier in carriers
     ]
-
-
-def _set_content(comparison: Comparison) -> Content:
-    return {
-        "splits": list(comparison.splits),
-        "rows": {row.label: _standing(comparison, row) for row in comparison.rows},
-    }
 
 
 def _standing(comparison: Comparison, row: BoardRow) -> Content:

@@ -106,7 +106,11 @@ def write_report(
     and `StorageError`.
     """
     found = read_results(results)
-    pages = [_whole(found, output_md)] if details is None else _pages(found, output_md, details)
+    if details is None:
+        text = report_markdown(found.boards, found.benches)
+        pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
+    else:
+        pages = _pages(found, output_md, details)
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
@@ -134,12 +138,6 @@ def _require_files_of_their_own(paths: Sequence[Path]) -> None:
         )
 
 
-def _whole(found: RankedResults, output_md: Path) -> _Page:
-    """The one page of a report without details."""
-    text = report_markdown(found.boards, found.benches)
-    return _Page(output_md, "Benchmark", text, found.boards, found.benches)
-
-
 def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     """The short report, a page for each scene, one of the paper's claims if it has any, and one of the measurements."""
     by_scene: dict[str, list[Board]] = {}
@@ -162,7 +160,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
-            _measurements_markdown(found.benches),
+            "\n\n".join([*_what_was_run(found.benches), *_bench_sections(found.benches)]) + "\n",
             (),
             found.benches,
         ),
@@ -187,10 +185,6 @@ def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> 
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
     sections = [_what_was_run(benches), map(_board_section, ranked), _bench_sections(benches), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
-
-
-def _measurements_markdown(benches: Sequence[BenchRecord]) -> str:
-    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
 
 
 def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:

@@ -63,7 +63,10 @@ def compare_results(a: Path, b: Path) -> str:
     options and budget) are paired, and of the others those of a method that has one row in either set, or the only
     rows of both. Raises `DataError` where there are no records, or none that may be compared.
     """
-    of_a, of_b = (_boards(records_at(path)) for path in (a, b))
+    of_a, of_b = (
+        {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)}
+        for path in (a, b)
+    )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
         raise DataError(f"Nothing in {a} and {b} can be compared: {_told(of_a)}; and {_told(of_b)}.")
@@ -88,10 +91,6 @@ def records_at(path: Path) -> Sequence[RunRecord]:
             f"records there, where one is needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
         )
     return list(chosen.values())
-
-
-def _boards(records: Sequence[RunRecord]) -> _Boards:
-    return {comparable(board.records[0]): board for board in boards(records, by_budget=False)}
 
 
 def _section(a: Board, b: Board) -> str:
