@@ -29,7 +29,7 @@ HOMES = {
     "jax": {"bench/peers/differt.py"},
     "jinja2": {"report/drawing/templates.py"},
     "lazy_loader": {"__init__.py", "maps/__init__.py"},
-    "markupsafe": {"report/drawing/document.py", "report/drawing/templates.py"},
+    "markupsafe": {"report/drawing/templates.py"},
     "matplotlib": {
         "report/drawing/figures.py",
         "report/findings/figures.py",

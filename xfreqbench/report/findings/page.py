@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface, fan_of
-from xfreqbench.report.drawing.document import PageTable, Picture, owner_mark
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
-from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.scene.meshes import SurfaceMesh
 

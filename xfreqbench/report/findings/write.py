@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.report.drawing.document import PageTable, Picture, is_of_subject
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
+from xfreqbench.report.drawing.templates import PageTable, Picture, is_of_subject
 from xfreqbench.report.findings.compared import ComparedFindings
 from xfreqbench.report.findings.figures import DrawnPlane, DrawnScene, plot_materials, plot_scene
 from xfreqbench.report.findings.match import MATCH_DISTANCE_M, MATCH_TILT_RAD, share_in_sight
