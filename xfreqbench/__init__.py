@@ -8,8 +8,8 @@ import os
 
 import lazy_loader as lazy
 
-# Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. As they are by default,
-# two fits beside each other on two cores run at a hundredth of their speed.
+# Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep
+# it, and two fits beside each other on two cores run at a hundredth of their speed.
 os.environ.setdefault(
     "GOMP_SPINCOUNT", "infinite" if os.getenv("OMP_WAIT_POLICY", "").upper() == "ACTIVE" else "1"
 )
