@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
-from tests.support.places import ROOT
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
@@ -178,11 +177,6 @@ def test_a_file_has_the_recipe_of_its_plan(tmp_path: Path, usual: Recipe) -> Non
     dataset = open_dataset(generate_planned(planned(), tmp_path / "rooms.h5"))
     assert dataset.recipe == usual
     assert dataset.isolated()[:1].recipe == usual
-
-
-def test_a_file_of_version_0_1_has_the_recipe_that_it_always_had() -> None:
-    """A change of this number takes every result that was stored away from its board."""
-    assert open_dataset(ROOT / "tests" / "stored" / "data.h5").recipe.name == "empty@1-7fbee5e9"
 
 
 def test_data_that_do_not_say_how_they_were_made_are_named_by_their_content(tmp_path: Path) -> None:

@@ -3,33 +3,24 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
-from tests.support.places import ROOT
 from tests.support.synthetic import append_all, make_header, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.hdf5 import text_attributes
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError
 from xfreqbench.scene.model import load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
-STORED_BEFORE = ROOT / "tests" / "stored" / "data.h5"
-
 
 def test_the_header_comes_back_as_it_was_written(tmp_path: Path) -> None:
     header, written = write_dataset(tmp_path / "data.h5").header, make_header()
     np.testing.assert_array_equal(header.carrier_hz, written.carrier_hz)
     assert header.attributes() == written.attributes()
-
-
-def test_the_header_of_a_file_of_version_0_1_comes_back_letter_for_letter() -> None:
-    with h5py.File(STORED_BEFORE) as file:
-        stored, carrier_hz = text_attributes(file), file["carrier_hz"][...]
-    assert DatasetHeader.from_attributes(stored, carrier_hz).attributes() == stored
 
 
 def test_attributes_are_written_in_the_order_that_gives_the_same_bytes() -> None:
@@ -87,10 +78,12 @@ def with_header(path: Path, **changes: object) -> PasDataset:
     return open_dataset(path)
 
 
-def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays() -> None:
-    dataset = open_dataset(STORED_BEFORE)
+def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays(tmp_path: Path) -> None:
+    settings = TraceSettings(solver="image", max_depth=2)
+    plan = plan_generation(load_scene("empty"), [1e9], settings, num_transmitters=1, maps=False)
+    dataset = open_dataset(generate_planned(plan, tmp_path / "data.h5"))
     assert replace(dataset.scene, folder=load_scene("empty").folder) == load_scene("empty")
-    assert dataset.trace_settings == TraceSettings(solver="image")
+    assert dataset.trace_settings == settings
 
 
 def test_data_that_do_not_say_their_scene_are_refused_by_name(tmp_path: Path) -> None:

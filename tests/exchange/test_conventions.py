@@ -201,7 +201,7 @@ def test_what_cannot_come_in_is_answered_with_the_reason(name: str, tmp_path: Pa
     told = xfreqbench("import", tmp_path, "-o", tmp_path / "out.h5", "--convention", name)
     assert told.code == 2
     assert f"There is no convention {name!r}. {NO_CONVENTIONS[name]}" in told.stderr
-    assert f"{name}: none. {NO_CONVENTIONS[name]}" in xfreqbench("conventions").stdout
+    assert f"{name}: none. {NO_CONVENTIONS[name]}" in xfreqbench("import", "--conventions").stdout
     assert f"`{name}`" in (ROOT / "docs" / "data-format.md").read_text("utf-8")
 
 

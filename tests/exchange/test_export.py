@@ -349,7 +349,7 @@ def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
         ["import", str(tmp_path / "first"), "-o", data, *stated, "--freq", "0.915"],
         ["export", data, "-o", output, *stated],
         ["export", data, "-o", output, *stated],
-        ["conventions"],
+        ["import", "--conventions"],
     ]
     brought_in, out, again, table = (
         subprocess.run([command_line(), *command], capture_output=True, text=True) for command in commands

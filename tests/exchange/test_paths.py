@@ -16,7 +16,7 @@ from tests.support.sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
 from xfreqbench.exchange.deepmimo import export_deepmimo
-from xfreqbench.exchange.sionna_npz import export_sionna_npz
+from xfreqbench.exchange.path_arrays import export_sionna_npz
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 

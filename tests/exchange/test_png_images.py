@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from xfreqbench.errors import DataError
-from xfreqbench.exchange.png_images import MAX_PIXELS, read_levels, shape_of, write_levels
+from xfreqbench.exchange.png_folder import MAX_PIXELS, read_levels, shape_of, write_levels
 
 
 @pytest.mark.parametrize("side", [1001, 12_000, 20_000])  # Pillow warns of the second, and refuses the third

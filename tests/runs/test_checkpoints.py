@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from pydantic_core import from_json
 
 from tests.support import descent
 from tests.support.clock import set_clock
@@ -29,6 +30,7 @@ from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.run import run_job, run_jobs
+from xfreqbench.runs.sealed import SEAL, content_sha256
 
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
 
@@ -287,8 +289,9 @@ def test_a_checkpoint_with_a_time_or_step_that_no_fit_has_is_refused(
     save(folder, 7)
     state = folder.path / "1" / "checkpoint.json"
     content = json.loads(state.read_text())
-    del content["content_sha256"]
-    state.write_text(json.dumps(content | {name: value}))
+    del content[SEAL]
+    content = from_json(json.dumps(content | {name: value}))
+    state.write_text(json.dumps(content | {SEAL: content_sha256(content)}))
     with pytest.raises(DataError, match=f"cannot be read: {name}: "):
         folder.read()
 

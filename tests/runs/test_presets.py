@@ -141,10 +141,12 @@ def test_a_measurement_that_fails_is_named_and_made_again(
 ) -> None:
     """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
     planned = plan_benchmark("small", folder / "data", folder / "measured")
-    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("stress", "--only", "no such case"), 1))
+    monkeypatch.setitem(
+        benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "no such case"), 1)
+    )
     (failure,) = benchmarks.measure(planned, "stress")
-    assert "`xfreqbench stress --only no such case` ended with 2" in failure
-    fails = ("stress", "--only", "skill")
+    assert "`xfreqbench bench stress --only no such case` ended with 2" in failure
+    fails = ("bench", "stress", "--only", "skill")
     monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (fails, 1))
     with monkeypatch.context() as patch:
         patch.setattr(benchmarks.subprocess, "run", lambda command: _ended_with_1(command))

@@ -1,18 +1,23 @@
 from __future__ import annotations
 
+import base64
 import json
 import math
 import multiprocessing
+import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydantic_core import from_json
 
 from tests.support.leaderboard_records import make_bench
 from tests.support.stored_records import make_record, make_summary
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.contract import Budget
+from xfreqbench.runs.packed import pack, unpack
 from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunRecord, append, read
-from xfreqbench.runs.sealed import SealedModel
+from xfreqbench.runs.sealed import SEAL, SealedModel, content_sha256
 
 
 def test_records_come_back_in_order_with_infinite_scores(tmp_path: Path) -> None:
@@ -37,8 +42,8 @@ def test_a_job_comes_back_with_its_budget_and_options(tmp_path: Path) -> None:
 
 def test_a_learning_curve_without_a_loss_comes_back(tmp_path: Path) -> None:
     points = (
-        CurvePoint(step=1, seconds=0.5, loss=math.nan, ssim=0.4),
-        CurvePoint(step=2, seconds=1, loss=0.1, ssim=0.5),
+        CurvePoint(step=1, seconds=0.5, loss=math.nan, ssim=0.4, share=0.5),
+        CurvePoint(step=2, seconds=1, loss=0.1, ssim=0.5, share=1),
     )
     append(tmp_path / "records.jsonl", make_record(curve=points, counts={"gaussians": 1024}))
     (stored,) = read(tmp_path / "records.jsonl").records
@@ -47,22 +52,38 @@ def test_a_learning_curve_without_a_loss_comes_back(tmp_path: Path) -> None:
     assert stored.counts == {"gaussians": 1024}
 
 
-def test_a_record_from_before_curves_and_counts_is_still_read(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
-    content = json.loads(make_record().model_dump_json())
-    del content["curve"], content["counts"]
-    path.write_text(json.dumps(content) + "\n")
-    (stored,) = read(path).records
-    assert (stored.curve, stored.counts) == ((), {})
+def test_numbers_are_those_that_are_stored(tmp_path: Path) -> None:
+    """To 1e-4 where there are many of a kind; findings to 1e-7, and small ones to three digits."""
+    ssim_by_tx = ((0.1234, -0.5), (1.0,), (0.9999,))
+    findings = {"planes": [{"distance_m": 2.59996491812, "std_m": 1.70976e-05}], "blend": "none"}
+    summary = make_summary(0.123456789)
+    record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings)
+    append(tmp_path / "records.jsonl", record)
+    assert read(tmp_path / "records.jsonl").records == (record,)
+    assert record.ssim_by_tx == ssim_by_tx
+    assert record.scores["ssim"].median == 0.12345679
+    np.testing.assert_allclose(record.scores["ssim"].quantiles, summary.quantiles, atol=0.5e-4)
+    assert record.findings == {"planes": [{"distance_m": 2.5999649, "std_m": 1.71e-05}], "blend": "none"}
 
 
-def test_a_record_with_the_intervals_of_version_0_1_is_still_read(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
-    content = json.loads(make_record().model_dump_json())
-    for summary in content["scores"].values():
-        summary["interval"] = [0.8, "Infinity"]
-    path.write_text(json.dumps(content) + "\n")
-    assert read(path).records == (make_record(),)
+@pytest.mark.parametrize(
+    "numbers", [[], [0.0], [1.0, -1.0, 0.25], np.linspace(-30, 90, 1001).round(4).tolist()]
+)
+def test_a_packed_list_comes_back(numbers: list[float]) -> None:
+    assert unpack(pack(numbers, 1e-4), 1e-4) == pytest.approx(numbers, abs=1e-12)
+
+
+def test_a_list_of_what_is_infinite_or_far_is_not_packed() -> None:
+    for number in (math.inf, math.nan, 1e9):
+        assert pack([0.5, number], 1e-4)[0] == 0.5
+
+
+@pytest.mark.parametrize(
+    "text", ["", "?", "AAAA", pack([0.5, 0.25], 1e-4)[:-8], base64.b64encode(zlib.compress(b"123")).decode()]
+)
+def test_a_text_that_is_no_packed_list_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        unpack(text, 1e-4)
 
 
 def test_no_file_holds_no_records(tmp_path: Path) -> None:
@@ -72,7 +93,7 @@ def test_no_file_holds_no_records(tmp_path: Path) -> None:
 def test_a_broken_line_is_named(tmp_path: Path) -> None:
     path = tmp_path / "records.jsonl"
     append(path, make_record())
-    path.write_text(path.read_text() + '{"id": "x"}\n')
+    path.write_text(path.read_text() + edited(make_record(), "job", None))
     append(path, make_record())
     with pytest.raises(DataError, match=r"records\.jsonl, line 2, is no run record: job"):
         read(path)
@@ -113,14 +134,15 @@ def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> No
 
 
 def edited(record: SealedModel, place: str, value: object) -> str:
-    """The record as a line of JSON without a hash, as earlier versions wrote it, with one field changed."""
+    """The record as a line of JSON with one field changed, and with the hash that it then has."""
     content = json.loads(record.model_dump_json())
     *parents, last = [int(each) if each.isdigit() else each for each in place.split(".")]
     part = content
     for each in parents:
         part = part[each]
     part[last] = value
-    return json.dumps(content) + "\n"
+    line = json.dumps(content)
+    return f'{line[:-1]}, "{SEAL}": "{content_sha256(from_json(line))}"}}\n'
 
 
 @pytest.mark.parametrize(
@@ -139,8 +161,10 @@ def edited(record: SealedModel, place: str, value: object) -> str:
         ("peak_memory_mib", -1),
         ("parameters", 10**400),
         ("nearest_trained_m", -0.5),
-        ("ssim_by_tx.0.0", "NaN"),
-        ("ssim_by_tx.0", []),
+        ("ssim_by_tx", [["NaN"]]),
+        ("ssim_by_tx", [[]]),
+        ("ssim_by_tx", ["", ""]),
+        ("ssim_by_tx.0", pack([2], 1)),
         ("curve.0.seconds", "NaN"),
         ("curve.0.seconds", -1.0),
         ("curve.0.ssim", "Infinity"),
@@ -154,7 +178,7 @@ def edited(record: SealedModel, place: str, value: object) -> str:
 def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
     tmp_path: Path, place: str, value: object
 ) -> None:
-    point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4)
+    point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4, share=1)
     whole = make_record(curve=(point,), ssim_by_tx=((0.5,),), external=External(sha256="a" * 64))
     path = tmp_path / "records.jsonl"
     append(path, make_record())
@@ -171,6 +195,12 @@ def test_a_table_with_other_cells_than_columns_is_refused(tmp_path: Path, place:
     path.write_text(edited(make_bench(), place, value).replace('{"bench": ', '{"bench":'))
     with pytest.raises(DataError, match=r"records\.jsonl, line 1, is no run record"):
         read(path)
+
+
+def test_a_line_without_its_hash_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "records.jsonl").write_text(make_record().model_dump_json() + "\n")
+    with pytest.raises(DataError, match=r"line 1, .*it has no content_sha256.*Delete the line"):
+        read(tmp_path / "records.jsonl")
 
 
 @pytest.mark.parametrize("record", [make_record(), make_bench()], ids=["run", "bench"])

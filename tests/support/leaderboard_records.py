@@ -59,7 +59,7 @@ def of_three_seeds(method, shift, first):
 def make_followed(method="ours", seed=0, end=0.7):
     """A fit of 64 steps with a learning curve that has no point at half of its shares."""
     points = [
-        CurvePoint(step=step, seconds=step / 10, loss=0.1, ssim=ssim)
+        CurvePoint(step=step, seconds=step / 10, loss=0.1, ssim=ssim, share=step / 64)
         for step, ssim in ((1, 0.5), (9, 0.6), (64, end))
     ]
     record = make_record(method, 0.7, SPLITS[0], curve=points)

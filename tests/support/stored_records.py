@@ -30,6 +30,7 @@ def make_record(
         "id": f"{method}-{split}",
         "job": job,
         "dataset_sha256": "a" * 64,
+        "recipe": f"1-{changes.get('dataset_sha256', 'a' * 64)}",
         "scene": "office",
         "pas_kind": "power",
         "settings": {"solver": "image", "interactions": ["specular"], "max_depth": 1},

@@ -45,7 +45,13 @@ def check_line(ended: subprocess.CompletedProcess[bytes], *words: str) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["scenes", "--help", "methods", "conventions", "generate office --freqs 2.4 --tx 2 -o x.h5 --dry-run"],
+    [
+        "scenes",
+        "--help",
+        "methods",
+        "import --conventions",
+        "generate office --freqs 2.4 --tx 2 -o x.h5 --dry-run",
+    ],
 )
 def test_a_locale_of_ascii_reads_and_prints_all_the_same(tmp_path: Path, command: str) -> None:
     ended = run(*command.split(), **ASCII)
@@ -64,9 +70,11 @@ def test_a_locale_of_ascii_writes_the_same_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
-@pytest.mark.parametrize("command", ["scenes", "--help", "conventions"])
+@pytest.mark.parametrize("command", ["scenes", "--help", "import --conventions"])
 def test_a_full_device_as_output_is_said_in_one_line(command: str) -> None:
-    check_line(run(command, stdout=Path("/dev/full")), "what is printed cannot be written: No space left")
+    check_line(
+        run(*command.split(), stdout=Path("/dev/full")), "what is printed cannot be written: No space left"
+    )
 
 
 @pytest.mark.parametrize("number", ["0", "-1", "9999", "many", ""])

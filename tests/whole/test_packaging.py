@@ -27,5 +27,3 @@ def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     needed = [Requirement(each) for each in project["dependencies"]]
     allowed = {each.name: each.specifier.contains(pinned[canonicalize_name(each.name)]) for each in needed}
     assert all(allowed.values()), allowed
-    (trimesh,) = (each for each in needed if each.name == "trimesh")
-    assert not trimesh.specifier.contains("4.8.2")  # the last one whose three.js names no licence

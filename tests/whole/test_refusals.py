@@ -34,7 +34,7 @@ def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> Non
         ["report", tmp_path, "-q", "-o", tmp_path / "mine.md"],
         ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--html", tmp_path / "mine.html"],
         ["bench", "savings", "-o", tmp_path / "notes"],
-        ["stress", "--only", "no such case", "-o", tmp_path / "notes"],
+        ["bench", "stress", "--only", "no such case", "-o", tmp_path / "notes"],
         ["split", "--data", tmp_path / "data.h5", "--targets", "10", "-o", tmp_path / "mine.h5", "-q"],
         ["generate", "empty", "-q", "-o", tmp_path / "mine.h5"],
     ]

@@ -2,5 +2,5 @@
 
 In come a scene or settings of a method; tables and figures come out, printed row by row and stored as records for a
 report. `solvers` measures error against run time, `savings` what each optimisation gains, `rendering` splatting and
-training steps, `executors` and `planning` distributed work. `tables` prints and stores all of them.
+training steps, `executors` distributed work. `tables` prints and stores all of them.
 """

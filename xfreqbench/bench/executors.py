@@ -1,4 +1,4 @@
-"""What `bench scale-out` prints: the cost of executors on the same work, and estimates for large data sets."""
+"""What `bench scale-out` prints: the cost of executors on the same work."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from xfreqbench.bench.planning import SCENE, office_plan, paper_hz, tabulate_costs, tabulate_plans
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import BATCH, Plan
+from xfreqbench.data.plan import BATCH, Plan, plan_generation
 from xfreqbench.data.protocols import make_splits
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget
@@ -25,13 +24,16 @@ from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.on_workers import run_on
 from xfreqbench.runs.records import BenchFigure, BenchPoint, Job
+from xfreqbench.scene.model import load_scene
 from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
 from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
 from xfreqbench.tracing.versions import software_versions
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
+SCENE = "office"
 NUM_WORKERS = 2
 NUM_SPLITS = 2  # of protocol lofo, for the runs
 NUM_EMPTY_CALLS = 100
@@ -39,17 +41,21 @@ EXECUTOR_COLUMNS = ("work", "executor", "start-up, s", "wall, s", "rate", "an em
 
 
 def bench_scale_out(bench: Bench, num_tx: int) -> None:
-    """Print the cost of executors, the cost of a transmitter, and estimates for many transmitters."""
+    """Print what each executor costs beside the work: generation of `num_tx` transmitters, and runs on them."""
     if num_tx < BATCH:
         raise XFreqBenchError(f"--tx is {num_tx}; give at least {BATCH}, which is one batch.")
     bench.introduce()
     with tempfile.TemporaryDirectory() as folder:
         generate_planned(
-            office_plan(1, paper_hz()), Path(folder) / "compiled.h5"
+            office_plan(1), Path(folder) / "compiled.h5"
         )  # compiles kernels for all measurements
         _tabulate_executors(bench, num_tx, Path(folder))
-        costs = tabulate_costs(bench, num_tx, Path(folder))
-    tabulate_plans(bench, costs)
+
+
+def office_plan(num_tx: int) -> Plan:
+    """The generation that is measured: the office at the defaults and the paper's carriers."""
+    carrier_hz = [ghz_to_hz(carrier_ghz) for carrier_ghz in PAPER_CARRIERS_GHZ]
+    return plan_generation(load_scene(SCENE), carrier_hz, num_transmitters=num_tx)
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ WAYS = (
 
 def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
     """Print the cost of each executor for generation and for runs."""
-    plan, points, first = office_plan(num_tx, paper_hz()), [], dict[str, str]()
+    plan, points, first = office_plan(num_tx), [], dict[str, str]()
     note = (
         f"Generation: {num_tx} transmitters × {len(plan.header.carrier_hz)} carriers of {SCENE} at the defaults, "
         f"batches of {BATCH}, every process shooting its own rays, maps stored. Runs: {', '.join(NEEDED_TRIVIAL)} on "

@@ -1,56 +1,41 @@
-"""What `bench render` prints: the time of splatting and of training steps, with the errors of splatting."""
+"""What `bench render` prints: the time of splatting and of training steps, with the errors of splatting.
+
+Splatting is compared with dense accumulation. Each time is the smallest of a few, because other programs on the machine
+can only add to it.
+"""
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor, autograd
 
-from xfreqbench.bench.splatting import DIRECTIONS_PER_GAUSSIAN, SplatCost, num_threads, splat_costs
 from xfreqbench.bench.tables import Bench
-from xfreqbench.bench.training_step import METHOD, StepCost, loop_s, step_cost
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import plane_wave_data
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.learning.targets import GridView
 from xfreqbench.methods.registry import build_method
+from xfreqbench.methods.splatting.composite import Backend, PixelLists, composite
+from xfreqbench.methods.splatting.field import SUPPORT
+from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.methods.splatting.projection import Projection
 from xfreqbench.units import ghz_to_hz
 
-STEPS: tuple[tuple[str, ...], ...] = (  # settings of xfreq-gs-paper
-    ("batch_size=32",),
-    ("num_gaussians=1000", "batch_size=32"),
-    ("batch_size=8",),
-    (),
+METHODS = (
+    *("xfreq-gs", "fixed-frequency-gs", "frequency-embedded-gs", "aperture-gs"),
+    *("gsrf", "swift-wrf", "wideband-3dgs", "wrf-gs-plus"),
 )
-GOAL_SAMPLES_PER_S = 100
-FIRST = (  # settings of xfreq-gs that come nearest to its defaults in version 0.1
-    "network=pairwise",
-    "width=64",
-    "layers=4",
-    "max_spread=2",
-    "start=random",
-    "direct_wave=false",
-    "band=false",
-    "num_gaussians=256",
-    "angular_size_deg=6",
-    "move_from=0",
-    "position_rate=10",
-    "densify_every=200",
-    "averaging=0",
-    "batch_size=32",
-    "stride=5",
-    "ssim_window=3",
-)
-FITS: tuple[
-    tuple[str, str, tuple[str, ...]], ...
-] = (  # methods whose steps are compared, with how they are named
-    ("xfreq-gs", "xfreq-gs", ()),
-    ("xfreq-gs, all pairs", "xfreq-gs", ("network=pairwise", "width=64", "layers=4")),
-    ("xfreq-gs as in version 0.1", "xfreq-gs", FIRST),
-    *((name, name, ()) for name in ("fixed-frequency-gs", "frequency-embedded-gs", "aperture-gs")),
-    *((name, name, ()) for name in ("gsrf", "swift-wrf", "wideband-3dgs", "wrf-gs-plus")),
-)
-FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s", "maps/s, of xfreq-gs as in version 0.1")
+FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s")
 CARRIERS_HZ = np.array([ghz_to_hz(carrier) for carrier in (1.0, 10.0)])  # of the training data
 SPLATTING_COLUMNS = (
     "N",
@@ -66,20 +51,23 @@ SPLATTING_COLUMNS = (
     "error of values",
     "of gradients",
 )
+REPEATS = 2
+DIRECTIONS_PER_GAUSSIAN = 200
+_FEWER = GridView(stride=5)  # directions for timing dense accumulation where all of them are too many
+_FEW = GridView(stride=9)  # directions for measuring errors
+_MOST_DENSE_PAIRS = 100_000_000
+_FAR = 1e4  # squared distance for Gaussians that a direction does not see; G is zero in double precision
 
 
 def bench_render(
     bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int], with_step: bool
 ) -> None:
-    """Print the table of splatting alone and, with `with_step`, tables of training steps."""
+    """Print the table of splatting alone and, with `with_step`, that of training steps of methods."""
     bench.introduce()
     tabulate_splatting(bench, num_gaussians, batch_sizes)
     if with_step:
         with tempfile.TemporaryDirectory() as folder:
-            train = plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32)
-            tabulate_fits(bench, train)
-            for settings in STEPS:
-                tabulate_step(bench, train, settings)
+            tabulate_fits(bench, plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32))
 
 
 def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> None:
@@ -97,34 +85,20 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
 
 
 def tabulate_fits(bench: Bench, train: PasDataset) -> None:
-    """Print the maps that training steps of methods see a second, and their ratio to those of a named setting."""
+    """Print the maps that training steps of methods see a second."""
     note = f"The method's own loop on a data set of 64 maps, {num_threads()} threads, after its first step."
-    rates = {}
-    for title, method, settings in FITS:
-        batch_size = build_method(method, settings).config.batch_size
-        rates[title] = batch_size, loop_s(train, method, settings)
-    first_size, first_s = rates["xfreq-gs as in version 0.1"]
     with bench.table("Training steps of methods", note, FIT_COLUMNS) as table:
-        for title, (size, seconds) in rates.items():
-            ratio = size / seconds / (first_size / first_s)
-            table.add(title, str(size), f"{1e3 * seconds:.1f}", f"{size / seconds:,.0f}", f"{ratio:.2f}")
+        for method in METHODS:
+            size, seconds = build_method(method).config.batch_size, step_s(train, method)
+            table.add(method, str(size), f"{1e3 * seconds:.1f}", f"{size / seconds:,.0f}")
 
 
-def tabulate_step(bench: Bench, train: PasDataset, settings: Sequence[str]) -> None:
-    """Print the time of a training step and of each part of it."""
-    cost = step_cost(train, settings)
-    whole_ms, parts_ms = cost.sample_ms(cost.step_s), cost.sample_ms(sum(cost.parts_s.values()))
-    parts = {name: cost.sample_ms(seconds) for name, seconds in cost.parts_s.items()}
-    sums = {"sum of the parts": parts_ms, "whole step as `fit` takes it": whole_ms}
-    title = f"Training step of {METHOD}, {named(settings)}"
-    with bench.table(title, _step_note(cost), ("part", "ms a sample", "share")) as table:
-        for name, part_ms in (parts | sums).items():
-            table.add(name, f"{part_ms:.2f}", f"{part_ms / parts_ms:.0%}")
-
-
-def named(settings: Sequence[str]) -> str:
-    """Settings of a method as a table shows them."""
-    return " ".join(settings) or "defaults"
+def step_s(train: PasDataset, method: str) -> float:
+    """Time of a step of `fit` in seconds, at half of the budget, where the loss has its final weights."""
+    fit = build_method(method).fit(train, Budget(), 0)
+    assert isinstance(fit, Generator)
+    next(fit)
+    return least_s(lambda: fit.send(0.5))
 
 
 def _splatting_cells(cost: SplatCost) -> tuple[str, ...]:
@@ -146,16 +120,203 @@ def _splatting_cells(cost: SplatCost) -> tuple[str, ...]:
     )
 
 
-def _step_note(cost: StepCost) -> str:
-    """The sizes of the step, its rate, and how its time compares with the goal."""
-    network_ms, others_ms = (
-        cost.sample_ms(sum(s for name, s in cost.parts_s.items() if name.startswith("network") == is_network))
-        for is_network in (True, False)
+def num_threads() -> int:
+    """Number of threads of torch, which is also that of the kernels."""
+    return torch.get_num_threads()
+
+
+def least_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Smallest time of `work` in seconds, after one call that compiles and warms up."""
+    work()
+    return min(_seconds(work) for _ in range(repeats))
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Time of one call."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """Inputs of accumulation by which it is differentiated, for N Gaussians and B samples."""
+
+    distance: Float[Tensor, "..."]
+    inverse_spread: Float[Tensor, "N B"]
+    signal: Complex[Tensor, "N B"]
+    attenuation: Complex[Tensor, "N B"]
+
+
+@dataclass(frozen=True)
+class SplatCost:
+    """Time of forward and backward for N Gaussians and B samples, and the largest errors of the compiled kernels.
+
+    Times are in ms per sample. Errors are relative to the largest value of each tensor. Dense accumulation is timed
+    for a single sample on every `dense_stride`-th row and column, and scaled to all directions.
+    """
+
+    num_gaussians: int
+    batch_size: int
+    num_pairs: int
+    numba_ms: float
+    torch_ms: float
+    dense_ms: float
+    dense_stride: int
+    value_error: float
+    gradient_error: float
+
+
+def splat_costs(num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> Iterator[SplatCost]:
+    """Costs of both backends and of dense accumulation, on random footprints of equal size."""
+    grid = AngularGrid.hemisphere()
+    for number in num_gaussians:
+        projection = random_projection(number)
+        stride = 1 if number * math.prod(grid.shape) <= _MOST_DENSE_PAIRS else _FEWER.stride
+        dense_ms = dense_s(projection, GridView(stride).of_grid(grid)) * stride**2 * 1e3
+        lists = bin_footprints(projection, grid, SUPPORT)
+        distance = squared_distance(projection, lists, grid)
+        for size in batch_sizes:
+            leaves = random_leaves(distance, number, size)
+            numba_s = accumulation_s(lists, leaves, "numba")
+            torch_s = accumulation_s(lists, leaves, "torch")
+            errors = accumulation_errors(projection, size)
+            per_sample = numba_s / size * 1e3, torch_s / size * 1e3
+            yield SplatCost(number, size, len(distance), *per_sample, dense_ms, stride, *errors)
+
+
+def random_projection(num_gaussians: int) -> Projection:
+    """Random circular footprints of `DIRECTIONS_PER_GAUSSIAN` directions each, spread over the hemisphere."""
+    generator = torch.Generator().manual_seed(0)
+    azimuth, elevation, distance = torch.rand(3, num_gaussians, generator=generator)
+    variance = DIRECTIONS_PER_GAUSSIAN / (math.pi * SUPPORT) * math.radians(1.0) ** 2
+    covariance = (variance * torch.eye(2)).repeat(num_gaussians, 1, 1)
+    return Projection(2 * math.pi * azimuth, math.pi / 2 * elevation, covariance, 1 + distance)
+
+
+def random_leaves(distance: Float[Tensor, "P"], num_gaussians: int, batch_size: int) -> Leaves:
+    """Distances with random attributes, like those of an untrained network."""
+    generator = torch.Generator().manual_seed(1)
+    shape = num_gaussians, batch_size
+    phase_rad = 2 * math.pi * torch.rand(shape, generator=generator)
+    return Leaves(
+        distance,
+        0.5 + torch.rand(shape, generator=generator),
+        torch.randn(shape, generator=generator, dtype=torch.complex64),
+        torch.polar(torch.full(shape, 0.9), phase_rad),
     )
-    return (
-        f"{cost.num_gaussians} Gaussians, {cost.batch_size} samples, {cost.num_pairs:,} pairs, "
-        f"{num_threads()} threads. {cost.samples_per_s:.1f} samples/s. {GOAL_SAMPLES_PER_S} samples/s allow "
-        f"{1e3 / GOAL_SAMPLES_PER_S:.1f} ms a sample, and the step takes {cost.sample_ms(cost.step_s):.1f}: the "
-        f"network {network_ms:.1f}, of which the products of its hidden layers need "
-        f"{cost.sample_ms(cost.products_s):.1f} at this machine's rate, and all else {others_ms:.1f}."
+
+
+def differentiated(
+    accumulate: Callable[[Leaves], Tensor], leaves: Leaves, weights: Tensor
+) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """The field R, and the gradients of Re Σ conj(w) R by the leaves, with weights w."""
+    free = Leaves(*(getattr(leaves, field.name).detach().requires_grad_() for field in fields(leaves)))
+    field = accumulate(free)
+    inputs = [free.distance, free.inverse_spread, free.signal, free.attenuation]
+    return field.detach(), autograd.grad(field, inputs, weights)
+
+
+def accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float:
+    """Time of forward and backward for a minibatch, in seconds."""
+    generator = torch.Generator().manual_seed(2)
+    shape = leaves.signal.shape[1], len(lists.start) - 1
+    weights = torch.randn(shape, generator=generator, dtype=torch.complex64)
+    return least_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))
+
+
+def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[Tensor, "B K"]:
+    """The result of `composite` for these leaves."""
+    return composite(
+        lists, leaves.distance, leaves.inverse_spread, leaves.signal, leaves.attenuation, backend
     )
+
+
+def dense_field(leaves: Leaves) -> Complex[Tensor, "B K"]:
+    """Eq. 11 with every Gaussian on every direction; `distance` is (K, N), Gaussians are sorted, nearest first."""
+    samples = leaves.inverse_spread.T, leaves.signal.T, leaves.attenuation.T
+    return torch.stack([_dense_sample(leaves.distance, *sample) for sample in zip(*samples, strict=True)])
+
+
+def _dense_sample(
+    distance: Float[Tensor, "K N"],
+    inverse_spread: Float[Tensor, "N"],
+    signal: Complex[Tensor, "N"],
+    attenuation: Complex[Tensor, "N"],
+) -> Complex[Tensor, "K"]:
+    """The field of one sample."""
+    footprint = torch.exp(-0.5 * distance * inverse_spread)
+    through = torch.cumprod(1 - footprint * (1 - attenuation), dim=1)
+    in_front = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
+    return (footprint * in_front) @ signal
+
+
+def dense_s(projection: Projection, grid: AngularGrid) -> float:
+    """Time of forward and backward for one sample on a grid in seconds, one row of directions after the other.
+
+    It is that on one thread or on all, whichever is smaller, because tensors of a row are small.
+    """
+    order = projection.range_m.argsort()
+    near_first = Projection(*(getattr(projection, field.name)[order] for field in fields(projection)))
+    leaves = random_leaves(torch.zeros(0), len(order), 1)
+    weights = torch.ones(1, len(grid.azimuth_rad), dtype=torch.complex64)
+
+    def render() -> None:
+        for elevation_rad in grid.elevation_rad.tolist():
+            distance = _dense_distance(near_first, elevation_rad, grid)
+            differentiated(dense_field, replace(leaves, distance=distance), weights)
+
+    all_threads, times_s = num_threads(), []
+    try:
+        for number in {1, all_threads}:
+            torch.set_num_threads(number)
+            times_s.append(_seconds(render))
+    finally:
+        torch.set_num_threads(all_threads)
+    return min(times_s)
+
+
+def _dense_distance(projection: Projection, elevation_rad: float, grid: AngularGrid) -> Float[Tensor, "A N"]:
+    """Squared Mahalanobis distances between one row of directions and N circular footprints."""
+    azimuth_rad = torch.as_tensor(grid.azimuth_rad, dtype=torch.float32)
+    across = torch.remainder(azimuth_rad[:, None] - projection.azimuth_rad + math.pi, 2 * math.pi) - math.pi
+    along = elevation_rad - projection.elevation_rad
+    return (across**2 + along**2) / projection.covariance[:, 0, 0]
+
+
+def accumulation_errors(projection: Projection, batch_size: int) -> tuple[float, float]:
+    """Largest errors of values and of gradients of "numba" against dense float64, on a part of the directions.
+
+    Only the first and the last sample have weights, so dense accumulation can leave out the others.
+    """
+    grid = _FEW.of_grid(AngularGrid.hemisphere())
+    lists = bin_footprints(projection, grid, SUPPORT)
+    leaves = random_leaves(squared_distance(projection, lists, grid), lists.num_gaussians, batch_size)
+    ends = sorted({0, batch_size - 1})
+    weights = torch.zeros(batch_size, len(lists.start) - 1, dtype=torch.complex64)
+    weights[ends] = torch.randn(len(ends), weights.shape[1], dtype=torch.complex64)
+    field, gradients = differentiated(lambda free: accumulated(lists, free, "numba"), leaves, weights)
+    order = projection.range_m.argsort(stable=True)
+    pixel = torch.repeat_interleave(lists.start.diff())
+    rank = order.argsort()[lists.gaussian]
+    true, true_gradients = _dense_truth(leaves, order, (pixel, rank), ends, weights[ends])
+    of_ends = (gradients[0], *(gradient[order][:, ends] for gradient in gradients[1:]))
+    worst = max(_error(one, other) for one, other in zip(of_ends, true_gradients, strict=True))
+    return _error(field[ends], true), worst
+
+
+def _dense_truth(
+    leaves: Leaves, order: Tensor, pair: tuple[Tensor, Tensor], ends: list[int], weights: Tensor
+) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """Field and gradients of the samples `ends` by dense accumulation in double precision."""
+    distance = torch.full((weights.shape[1], len(order)), _FAR, dtype=torch.float64)
+    distance[pair] = leaves.distance.double()
+    attributes = leaves.inverse_spread, leaves.signal, leaves.attenuation
+    spread, signal, attenuation = (value[order][:, ends] for value in attributes)
+    exact = Leaves(distance, spread.double(), signal.to(torch.complex128), attenuation.to(torch.complex128))
+    true, (of_distance, *others) = differentiated(dense_field, exact, weights.to(torch.complex128))
+    return true, (of_distance[pair], *others)
+
+
+def _error(value: Tensor, truth: Tensor) -> float:
+    return float((value - truth).abs().max() / truth.abs().max())

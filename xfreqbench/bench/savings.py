@@ -1,4 +1,4 @@
-"""What `bench savings` prints: the time and the effect of each saving of generator, renderer and training.
+"""What `bench savings` prints: the time and the effect of each saving of the generator.
 
 Each saving is switched off alone, while all others stay on. Where the code has no switch for a saving, its public
 functions are called as they would have to be without it.
@@ -6,11 +6,9 @@ functions are called as they would have to be without it.
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -18,11 +16,7 @@ from jaxtyping import Complex, Float
 from numba import get_num_threads
 from numpy.typing import NDArray
 
-from xfreqbench.bench.learning_savings import Saving, savings
-from xfreqbench.bench.rendering import CARRIERS_HZ, named
-from xfreqbench.bench.splatting import num_threads
 from xfreqbench.bench.tables import Bench
-from xfreqbench.data.plane_waves import plane_wave_data
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr
@@ -37,15 +31,28 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 NUM_TX = 48
-TRAINING = ("batch_size=8",)  # settings of xfreq-gs-paper
 FEW_RAYS = 100_000  # where each transmitter shoots its own rays
-COLUMNS = ("part", "saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
+COLUMNS = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
 _REPEATS = 2  # the smallest time counts, because other programs can only add to it
 SCENE_AND_RAYS = "meshes read, rays shot, channels"
 
 ChannelArray = Complex[NDArray[np.complex128], "T F M"]
 Answer = TypeVar("Answer")
 MapArray = Float[NDArray[np.float32], "N E A"]
+
+
+@dataclass(frozen=True)
+class Saving:
+    """Milliseconds per sample without and with a saving (`off_ms`, `on_ms`), and how it changes the result.
+
+    A saving may also spend time for accuracy; then `off_ms` is smaller.
+    """
+
+    name: str
+    timed: str
+    off_ms: float
+    on_ms: float
+    change: str
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,7 @@ class Workload:
         on_s, with_it = timed_s(on)
         change = channel_change(self.scene, with_it, without)
         per_sample = off_s / self.num_samples * 1e3, on_s / self.num_samples * 1e3
-        return Saving("generator", name, f"{timed}; {self.size}", *per_sample, change)
+        return Saving(name, f"{timed}; {self.size}", *per_sample, change)
 
 
 def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
@@ -119,11 +126,10 @@ def bench_savings(bench: Bench) -> None:
     """Print the time of each saving off and on."""
     bench.introduce()
     note = (
-        f"ms a sample, the least of {_REPEATS} warm runs; the others stay on while one is off. Generator: the "
+        f"ms a sample, the least of {_REPEATS} warm runs; the others stay on while one is off. The "
         "office at the defaults; changes are the largest error of a sample's channel relative to its norm, and PSNR "
-        "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. "
-        f"Renderer and training: {named(TRAINING)}, on {num_threads()} threads; changes are relative to the "
-        "largest value of a field, or absolute in maps of peak 1. A saving may buy accuracy with time."
+        "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. A saving "
+        "may buy accuracy with time."
     )
     versions = software_versions("image") | software_versions("sionna")
     with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
@@ -132,19 +138,16 @@ def bench_savings(bench: Bench) -> None:
 
 
 def all_savings() -> Iterator[Saving]:
-    """All savings: of the generator, then of the renderer and of training."""
+    """All savings: of both solvers, and of maps."""
     yield from image_savings(office_workload("image"))
     yield from map_savings(office_workload("image", num_tx=6))
     yield from sionna_savings(office_workload("sionna"))
-    with tempfile.TemporaryDirectory() as folder:
-        train = plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32)
-        yield from savings(train, TRAINING)
 
 
 def saving_cells(saving: Saving) -> tuple[str, ...]:
     """A row of the table."""
     times = f"{saving.off_ms:.2f}", f"{saving.on_ms:.2f}", f"{saving.off_ms / saving.on_ms:.2f}"
-    return saving.part, saving.name, saving.timed, *times, saving.change
+    return saving.name, saving.timed, *times, saving.change
 
 
 def image_savings(work: Workload) -> Iterator[Saving]:
@@ -292,13 +295,7 @@ def map_savings(work: Workload) -> Iterator[Saving]:
         ("maps: one product for all samples", singly_s, together_s, singly, together),
     ):
         per_sample = off_s / len(cfr) * 1e3, on_s / len(cfr) * 1e3
-        yield Saving(
-            "generator",
-            name,
-            f"maps; {work.size}",
-            *per_sample,
-            f"maps: at most {np.abs(on - off).max():.0e}",
-        )
+        yield Saving(name, f"maps; {work.size}", *per_sample, f"maps: at most {np.abs(on - off).max():.0e}")
 
 
 def _beam(scene: Scene) -> BartlettBeam:

@@ -22,23 +22,11 @@ from xfreqbench.cli.options import (
 from xfreqbench.errors import XFreqBenchError
 
 Convention = Annotated[
-    str, Parameter(help="Whose angles, values and array: a name from `xfreqbench conventions`.")
+    str, Parameter(help="Whose angles, values and array: a name from `xfreqbench import --conventions`.")
 ]
 Changed = Annotated[
     tuple[str, ...], Parameter(name="--set", help="Change a field of the convention, as in plane=yz.")
 ]
-
-
-@app.command(group=EXCHANGE, help_epilogue=example("conventions"))
-def conventions() -> None:
-    """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
-    from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_rows
-
-    print_table("", ("field", *CONVENTIONS), convention_rows())
-    for name, convention in CONVENTIONS.items():
-        print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
-    for name, reason in NO_CONVENTIONS.items():
-        print(f"{name}: none. {reason}")
 
 
 @app.command(
@@ -95,6 +83,18 @@ def import_(
     say_written(output, is_new, quiet)
 
 
+@app["import"].command(name="--conventions", group="Parameters")
+def conventions() -> None:
+    """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
+    from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_rows
+
+    print_table("", ("field", *CONVENTIONS), convention_rows())
+    for name, convention in CONVENTIONS.items():
+        print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
+    for name, reason in NO_CONVENTIONS.items():
+        print(f"{name}: none. {reason}")
+
+
 def _import_deepmimo(folder: Path, output: Path, pair: str | None, is_of_maps: bool, quiet: bool) -> None:
     from xfreqbench.exchange.deepmimo_import import import_deepmimo
     from xfreqbench.system.bars import progress_bars
@@ -120,7 +120,9 @@ def export(
     ] = "png",
     convention: Annotated[
         str | None,
-        Parameter(help="For PNG maps: whose angles and values, a name from `xfreqbench conventions`."),
+        Parameter(
+            help="For PNG maps: whose angles and values, a name from `xfreqbench import --conventions`."
+        ),
     ] = None,
     set_: Changed = (),
     quiet: Quiet = False,
@@ -134,7 +136,7 @@ def export(
     """
     if (to == "png") != (convention is not None):
         raise XFreqBenchError(
-            "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench conventions`."
+            "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench import --conventions`."
             if to == "png"
             else f"--to {to} writes paths, which no convention of maps changes: leave out --convention."
         )
@@ -152,7 +154,7 @@ def export(
 
 def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], quiet: bool) -> None:
     from xfreqbench.exchange.deepmimo import export_deepmimo
-    from xfreqbench.exchange.sionna_npz import export_sionna_npz
+    from xfreqbench.exchange.path_arrays import export_sionna_npz
     from xfreqbench.system.bars import progress_bars
 
     if changed:

@@ -16,7 +16,6 @@ from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
-from xfreqbench.system.waiting import choose_spinning
 
 __all__ = [
     "app",
@@ -36,7 +35,6 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
-    choose_spinning()
     for ignored in _IGNORED:
         print(f"xfreqbench: {ignored}", file=sys.stderr)
     try:

@@ -9,14 +9,11 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
-    ADVANCED,
     Interactions,
     Output,
     Quiet,
-    app,
     bench,
     example,
-    parse_carriers_hz,
     parse_interactions,
     say,
 )
@@ -49,36 +46,6 @@ def _bench(
         flag = f"--{option.replace('_', '-')}"
         words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
     return Bench(kind or name, shlex.join(words), say, output)
-
-
-@app.command(group=ADVANCED, help_epilogue=example("stress --only scores"))
-def stress(
-    *,
-    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
-    output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Records file that the table is appended to.")
-    ] = None,
-    chaos: Annotated[
-        int | None,
-        Parameter(
-            help="Instead, so many times, disturb a command that writes: kill it, fill the disk, damage a file."
-        ),
-    ] = None,
-) -> None:
-    """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
-    from xfreqbench.bench.chaos.run import stress_by_chaos
-    from xfreqbench.bench.stress.run import stress as run_stress
-
-    if chaos is None:
-        is_clean = run_stress(only, output, say)
-    elif chaos < 1 or only is not None:
-        raise XFreqBenchError(f"--chaos takes a number of rounds from 1 on, without --only, but got {chaos}.")
-    else:
-        from xfreqbench.cli.main import main
-
-        is_clean = stress_by_chaos(main, chaos, output, say)
-    if not is_clean:
-        sys.exit(1)
 
 
 @bench.command(name="generate", help_epilogue=example("bench generate office --solvers image"))
@@ -116,7 +83,7 @@ def bench_render(
     *,
     gaussians: Annotated[str, Parameter(help="Numbers of Gaussians, up to 1000000.")] = "1000,4000,16000",
     batch: Annotated[str, Parameter(help="Samples a minibatch, comma-separated, up to 1000.")] = "1,8,32",
-    step: Annotated[bool, Parameter(help="Also take the training step of xfreq-gs apart.")] = True,
+    step: Annotated[bool, Parameter(help="Also time the training steps of methods.")] = True,
     output: BenchOutput = None,
 ) -> None:
     """Print the speed of splatting and training, with errors, against dense rendering."""
@@ -129,7 +96,7 @@ def bench_render(
 
 @bench.command(name="savings", help_epilogue=example("bench savings -o records.jsonl"))
 def bench_savings(*, output: BenchOutput = None) -> None:
-    """Print the time of every saving of generator, renderer and training, off and on, and what it changes."""
+    """Print the time of every saving of the generator, off and on, and what it changes."""
     from xfreqbench.bench import savings as efficiency
 
     efficiency.bench_savings(_bench("savings", output))
@@ -141,23 +108,10 @@ def bench_scale_out(
     tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64,
     output: BenchOutput = None,
 ) -> None:
-    """Print the time of the same work on processes and clusters, and an estimate for up to a million transmitters."""
+    """Print the time of the same work in one process, on several processes, and on a Dask cluster."""
     from xfreqbench.bench import executors as scale_out
 
     scale_out.bench_scale_out(_bench("scale-out", output, tx=tx), tx)
-
-
-@bench.command(name="load", help_epilogue=example("bench load --methods aperture-gs"))
-def bench_load(
-    *,
-    methods: Annotated[str, Parameter(help="Methods to fit, comma-separated.")] = "xfreq-gs,aperture-gs",
-    output: BenchOutput = None,
-) -> None:
-    """Print how much slower fits get beside other busy programs, against the share of the processor that they lose."""
-    from xfreqbench.bench import load
-
-    names = [name.strip() for name in methods.split(",")]
-    load.bench_load(_bench("load", output, methods=",".join(names)), names)
 
 
 @bench.command(name="peers", help_epilogue=example("bench peers --solvers sionna,PathSolver --orders 1,2"))
@@ -179,76 +133,17 @@ def bench_peers(
     run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds, limit)
 
 
-@bench.command(name="ceiling", help_epilogue=example("bench ceiling office.h5 --freqs 24.25"))
-def bench_ceiling(
-    data: Path,
+@bench.command(name="stress", help_epilogue=example("bench stress --only scores"))
+def bench_stress(
     *,
-    freqs: Annotated[
-        str | None,
-        Parameter(help="Carriers in GHz, comma-separated; of 2.4,24.25,77 those in the data if absent."),
-    ] = None,
-    transmitters: Annotated[
-        int, Parameter(help="Transmitters, drawn at random; all where there are fewer.")
-    ] = 192,
-    seed: Annotated[int, Parameter(help="Which transmitters are drawn, and which phases.")] = 0,
+    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
     output: BenchOutput = None,
-    quiet: Quiet = False,
 ) -> None:
-    """Print the SSIM of maps made of the true paths, with unknown phases or few reflections: what is left to win.
+    """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
+    from xfreqbench.bench.stress.run import stress
 
-    Parameters
-    ----------
-    data
-        A data set of `generate`; its paths are traced again.
-    """
-    from dataclasses import replace
-    from functools import partial
-
-    from xfreqbench.bench import ceiling
-    from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.system.bars import progress_bars
-
-    bench = _bench("ceiling", output, str(data), freqs=freqs, transmitters=transmitters, seed=seed)
-    carriers_hz = None if freqs is None else parse_carriers_hz(freqs)
-    bench = replace(bench, say=partial(say, quiet=quiet))
-    plan = ceiling.plan_ceiling(open_dataset(data), carriers_hz, transmitters, seed)
-    bench.introduce()
-    with progress_bars("transmitters", ["ceiling"], quiet) as (progress,):
-        scores = ceiling.compute_ceiling(plan, progress)
-    ceiling.bench_ceiling(bench, plan, scores)
-
-
-@bench.command(name="patches", help_epilogue=example("bench patches lounge --tx 27"))
-def bench_patches(
-    scene: str = "lounge",
-    *,
-    freqs: Annotated[str, Parameter(help="Carriers in GHz, comma-separated.")] = "2.4,5,24.25",
-    tx: Annotated[int, Parameter(help="Transmitters, which are chosen as by `generate`.")] = 27,
-    output: BenchOutput = None,
-    quiet: Quiet = False,
-) -> None:
-    """Print how much channels change with the least size of a patch that mirrors, in a scene with meshes.
-
-    Parameters
-    ----------
-    scene
-        A shipped scene's name, or the path of a scene TOML.
-    """
-    from dataclasses import replace
-    from functools import partial
-
-    from xfreqbench.bench import patches
-    from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
-
-    bench = replace(
-        _bench("patches", output, scene, freqs=freqs, tx=tx),
-        say=partial(say, quiet=quiet),
-    )
-    plan = patches.plan_patches(load_scene(scene), parse_carriers_hz(freqs), tx)
-    bench.introduce()
-    with progress_bars("sizes", ["patches"], quiet) as (progress,):
-        patches.bench_patches(bench, plan, progress)
+    if not stress(only, output, say):
+        sys.exit(1)
 
 
 def _counts(option: str, text: str, most: int) -> list[int]:

@@ -325,7 +325,7 @@ def report(
     if written.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
     if maps is not None:
-        from xfreqbench.report.leaderboard.paper_maps import ship_maps
+        from xfreqbench.report.leaderboard.paper import ship_maps
 
         say(f"wrote {ship_maps(results, maps)}", quiet)
     if html is not None:

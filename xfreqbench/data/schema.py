@@ -91,7 +91,7 @@ class DatasetHeader:
         return sum(variable.num_bytes for variable in variables(self, AngularGrid.hemisphere()))
 
     def attributes(self) -> dict[str, str]:
-        """The header as texts of HDF5 attributes; what has a default stays out where it is as in older files."""
+        """The header as texts of HDF5 attributes; what has its default stays out."""
         stored = TypeAdapter(DatasetHeader).dump_python(
             self, by_alias=True, exclude={"carrier_hz"}, exclude_defaults=True
         )

@@ -30,6 +30,7 @@ from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.conventions import Convention
 from xfreqbench.exchange.png_folder import (
+    BRIGHTEST,
     CARRIERS,
     CONVENTION,
     MAPS,
@@ -37,8 +38,8 @@ from xfreqbench.exchange.png_folder import (
     RECEIVER,
     PngFolder,
     map_path,
+    write_levels,
 )
-from xfreqbench.exchange.png_images import BRIGHTEST, write_levels
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, ProgressCallback, ignore_progress

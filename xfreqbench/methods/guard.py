@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ _IMPORTING = Path(importlib.__file__).parent
 @contextmanager
 def method_code(
     failed: str,
-    advice: str | Callable[[BaseException], str],
+    advice: str,
     passed: tuple[type[XFreqBenchError], ...] = (XFreqBenchError,),
 ) -> Iterator[None]:
     """A block that runs a method's own code, in which whatever it raises becomes a `MethodError`.
@@ -40,8 +40,7 @@ def method_code(
     except BaseException as error:
         if was_interrupted(error):
             raise KeyboardInterrupt from error
-        end = advice if isinstance(advice, str) else advice(error)
-        raise MethodError(f"{failed} {described(error)}. {end}".rstrip()) from error
+        raise MethodError(f"{failed} {described(error)}. {advice}".rstrip()) from error
     finally:
         if os.getpid() != process:
             print(

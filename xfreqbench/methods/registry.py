@@ -15,7 +15,6 @@ from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import OptionRow, option_rows, override
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.guard import method_code, readable
-from xfreqbench.methods.moved import new_places
 from xfreqbench.system.source import reachable_sha256
 
 ENTRY_POINT_GROUP = "xfreqbench.methods"
@@ -70,11 +69,7 @@ def resolve_method(name: str) -> Callable[..., Method]:
         module, _, attribute = _entry_value(name).partition(":")
     elif str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # last, so that a module of the working folder hides no other
-
-    def advice(error: BaseException) -> str:
-        moved = new_places(error, module, attribute) if isinstance(error, ImportError) else ""
-        return moved or "Install it, or mend it or its name."
-
+    advice = "Install it, or mend it or its name."
     with method_code(f"Method {name!r} cannot be imported:", advice, passed=()):
         method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)

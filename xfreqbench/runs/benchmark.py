@@ -41,7 +41,7 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
     "plain": (("bench", "generate", "--against-plain", "--plain-tx", "8"), 4),
     "render": (("bench", "render"), 2),
     "savings": (("bench", "savings"), 5),
-    "stress": (("stress",), 1),
+    "stress": (("bench", "stress"), 1),
     "scale-out": (("bench", "scale-out"), 4),
     "peers": (("bench", "peers", "--orders", "1,2,3", "--seconds", "5", "--limit", "100"), 9),
 }

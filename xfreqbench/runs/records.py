@@ -7,6 +7,8 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
+from itertools import pairwise
 from math import nan
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,10 +16,20 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Int
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    model_validator,
+)
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
+from xfreqbench.runs.packed import pack, unpack
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
@@ -30,9 +42,57 @@ CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; t
 CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+_STEP = 1e-4  # of scores of which there are many; tables print medians to 1e-5, which are therefore finer
+
+
+def _rounded(number: float) -> float:
+    """Seven decimals of a number, or three digits of one below 1e-4."""
+    return float(f"{number:.3g}") if abs(number) < 1e-4 else round(number, 7)
+
+
+def _rounded_within(found: Any) -> Any:
+    """Dictionaries and lists with every number in them rounded."""
+    if isinstance(found, dict):
+        return {name: _rounded_within(value) for name, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_rounded_within(value) for value in found]
+    return _rounded(found) if isinstance(found, float) else found
+
+
+def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
+    """The number of samples of each transmitter, and the scores of all, each as one text."""
+    every = [score for each in scores for score in each]
+    return [pack([len(each) for each in scores], 1), pack(every, _STEP)]
+
+
+def _unpack_by_tx(packed: Any) -> Any:
+    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(each, str) for each in packed)):
+        return packed
+    ends = np.cumsum(unpack(packed[0], 1), dtype=np.int64)
+    scores = unpack(packed[1], _STEP)
+    if len(scores) != (ends[-1] if len(ends) else 0):
+        raise ValueError("there are not as many scores as samples")
+    return [scores[start:end] for start, end in pairwise([0, *ends.tolist()])]
+
+
+# The digits that mean something. Numbers are rounded where a record is made or read, so that both are the same.
 Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Quantiles = Annotated[list[float], Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES)]
+Seconds = Annotated[Amount, AfterValidator(partial(round, ndigits=6))]
+Score = Annotated[float, AfterValidator(partial(round, ndigits=8))]
+FiniteScore = Annotated[Score, Field(allow_inf_nan=False)]
+Quantiles = Annotated[
+    list[Annotated[float, AfterValidator(partial(round, ndigits=4))]],
+    Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES),
+    BeforeValidator(partial(unpack, step=_STEP)),
+    PlainSerializer(partial(pack, step=_STEP), when_used="json"),
+]
+ScoresByTransmitter = Annotated[
+    tuple[Annotated[tuple[FiniteScore, ...], Field(min_length=1)], ...],
+    BeforeValidator(_unpack_by_tx),
+    PlainSerializer(_pack_by_tx, when_used="json"),
+]
+Findings = Annotated[dict[str, Any], AfterValidator(_rounded_within)]
 
 
 @dataclass(frozen=True)
@@ -56,34 +116,26 @@ class Summary(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    mean: float
-    median: float
-    p10: float
+    mean: Score
+    median: Score
+    p10: Score
     quantiles: Quantiles
-    median_by_carrier_hz: dict[Annotated[str, Field(pattern=r"^\d{1,18}$")], float]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_interval(cls, fields: Any) -> Any:
-        """Records of version 0.1 also hold an `interval` of the median, which nothing shows; it is not read."""
-        if isinstance(fields, dict):
-            return {name: value for name, value in fields.items() if name != "interval"}
-        return fields
+    median_by_carrier_hz: dict[Annotated[str, Field(pattern=r"^\d{1,18}$")], Score]
 
 
 class CurvePoint(BaseModel):
     """How a fit stood at one step: `ssim` is the median over a sample of test maps, `seconds` is the fitting time.
 
-    `share` is the part of the budget that was spent; None in records written before it was kept.
+    `share` is the part of the budget that was spent.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     step: Count
-    seconds: Amount
-    loss: float
-    ssim: Finite
-    share: Amount | None = None
+    seconds: Seconds
+    loss: Annotated[float, AfterValidator(_rounded)]
+    ssim: FiniteScore
+    share: Amount
 
 
 class External(BaseModel):
@@ -104,7 +156,7 @@ class RunRecord(SealedModel):
     """One run: what was run, on which data, with which result. `id` is the hash of all that determines the result.
 
     * `recipe` is the `Recipe.id` of the data set, the same on every machine, where `dataset_sha256` is the hash of
-      its bytes, whose last digits depend on the processor. It is None in records that were written before.
+      its bytes, whose last digits depend on the processor.
     * `pas_kind` and `settings` are those of the data set: the kind of its maps, and the settings of the tracer.
     * `counts` are the last that the method reported, such as its number of Gaussians.
     * `curve` has a point at each of `CURVE_SHARES` of the budget that was reached and one at the end of the fit. It is
@@ -126,6 +178,7 @@ class RunRecord(SealedModel):
     id: str
     job: Job
     dataset_sha256: Sha256
+    recipe: Annotated[str, Field(pattern=r"^([0-9]{1,9}|data)-[0-9a-f]{64}$")]
     scene: str
     pas_kind: str
     settings: dict[str, Any]
@@ -134,7 +187,7 @@ class RunRecord(SealedModel):
     metrics_version: str
     config: dict[str, Any]
     step: Count
-    fit_seconds: Amount | None
+    fit_seconds: Seconds | None
     predict_ms_per_map: Amount | None
     peak_memory_mib: Amount | None
     parameters: Count | None
@@ -148,13 +201,12 @@ class RunRecord(SealedModel):
     time_utc: str
     counts: dict[str, float] = Field(default_factory=dict)
     curve: tuple[CurvePoint, ...] = ()
-    ssim_by_tx: tuple[Annotated[tuple[Finite, ...], Field(min_length=1)], ...] = ()
+    ssim_by_tx: ScoresByTransmitter = ()
     nearest_trained_m: Amount | None = None
     code_sha256: str | None = None
-    findings: dict[str, Any] = Field(default_factory=dict)
+    findings: Findings = Field(default_factory=dict)
     external: External | None = None
-    recipe: Annotated[str, Field(pattern=r"^([0-9]{1,9}|data)-[0-9a-f]{64}$")] | None = None
-    fit_processor_seconds: Amount | None = None
+    fit_processor_seconds: Seconds | None = None
 
     @property
     def core_share(self) -> float:

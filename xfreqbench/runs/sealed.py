@@ -13,10 +13,7 @@ SEAL = "content_sha256"  # the last field of the JSON, and no field of the model
 
 
 class SealedModel(BaseModel):
-    """A model that `sealed_json` writes with its hash, and that is refused where its hash is that of other content.
-
-    JSON without a hash, as earlier versions wrote it, is read as it is.
-    """
+    """A model that `sealed_json` writes with its hash; JSON with another hash, or without one, is refused."""
 
     def sealed_json(self) -> bytes:
         """The model as JSON on one line, its hash last."""
@@ -25,9 +22,11 @@ class SealedModel(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _as_sealed(cls, fields: Any) -> Any:
-        if not isinstance(fields, dict) or SEAL not in fields:
+    def _as_sealed(cls, fields: Any, info: Any) -> Any:
+        if not isinstance(fields, dict) or info.mode != "json":
             return fields
+        if SEAL not in fields:
+            raise ValueError(f"it has no {SEAL}, the hash that this version writes")
         content = {name: value for name, value in fields.items() if name != SEAL}
         if fields[SEAL] != content_sha256(content):
             raise ValueError(f"it was changed after it was written, for its {SEAL} is that of other content")

@@ -40,7 +40,7 @@ Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 _STRICT = ConfigDict(extra="forbid")
-_LATER = {
+_SAID_IF_GIVEN = {
     "up",
     "material",
     "rooms",
@@ -48,7 +48,7 @@ _LATER = {
     "mirrors",
     "least_patch_area_m2",
     "least_patch_width_m",
-}  # fields of a scene that the first data sets did not have
+}  # what the JSON of a scene says only where it is given
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -101,10 +101,13 @@ class ReceiverArray:
     orientation: Quaternion | None = None
 
     @model_serializer(mode="wrap")
-    def _without_later_defaults(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        content = serialize(self)  # so that JSON, and every hash of it, is as it was before these two existed
-        later = {"plane": "xy", "orientation": None}
-        return {key: value for key, value in content.items() if key not in later or value != later[key]}
+    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        default = {"plane": "xy", "orientation": None}
+        return {
+            key: value
+            for key, value in serialize(self).items()
+            if key not in default or value != default[key]
+        }
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ReceiverArray:
@@ -236,9 +239,8 @@ class Scene:
     folder: Annotated[Path, Field(exclude=True)] = Path()
 
     @model_serializer(mode="wrap")
-    def _without_later_defaults(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        content = serialize(self)  # so that JSON, and every hash of it, is as it was before these existed
-        return {key: value for key, value in content.items() if key not in _LATER or value}
+    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in serialize(self).items() if key not in _SAID_IF_GIVEN or value}
 
     @model_validator(mode="after")
     def _receiver_faces_its_pole(self) -> Scene:

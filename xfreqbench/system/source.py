@@ -5,7 +5,8 @@ depend on in turn. Statements are followed within `xfreqbench`, within the packa
 and into every other file that is not part of an installed library. An `__init__` counts if it holds code; names
 that it only offers lazily, by `lazy_loader`, are looked up where it, or the `.pyi` file beside it, imports them.
 
-Not seen are modules that are imported by a name made at run time, and files that are not Python.
+Not seen are modules that are imported by a name made at run time, and files that are not Python. Grimp, which finds the
+imports of packages too, would be one more library that a user has to install.
 """
 
 from __future__ import annotations

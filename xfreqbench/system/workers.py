@@ -20,7 +20,6 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
-from xfreqbench.system.waiting import choose_spinning
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -232,7 +231,6 @@ def _settle(place: Cores, is_alone: bool) -> None:
         os.sched_setaffinity(0, place)
     elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it
         os.environ.update(dict.fromkeys(_THREADS, "1"))
-    choose_spinning()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

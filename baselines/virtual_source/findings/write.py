@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from xfreqbench.report.drawing.document import PageTable, Picture, is_of_subject, owner_mark
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
-from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.drawing.templates import PageTable, Picture, is_of_subject, owner_mark, render
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import read_text, require_own, require_space, write_text
 

@@ -119,7 +119,7 @@ def test_a_selection_takes_areas_and_parts_of_names() -> None:
 
 
 def test_the_command_prints_a_line_for_each_case_and_their_number() -> None:
-    command = [command_line(), "stress", "--only", "encoding"]
+    command = [command_line(), "bench", "stress", "--only", "encoding"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     *rows, last = done.stdout.splitlines()[1:]
     assert len(rows) > 3
@@ -133,7 +133,7 @@ from xfreqbench.cli import main as cli
 from xfreqbench.bench.stress import run as stress
 from xfreqbench.bench.stress.case import StressCase
 stress.cases = lambda: (StressCase("bad", "made up", 0, "rad", lambda: 1.0),)
-cli.app(["stress"])
+cli.app(["bench", "stress"])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr

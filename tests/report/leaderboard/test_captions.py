@@ -2,6 +2,23 @@ from __future__ import annotations
 
 from tests.support.leaderboard_records import leaderboard_markdown, make_records, rows_of
 from tests.support.stored_records import external, make_record
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
+
+
+def test_samples_without_a_path_are_said_to_be_left_out() -> None:
+    assert "100 samples; 7 without any path" in leaderboard_markdown([make_record(num_without_path=7)])
+
+
+def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
+    legend = leaderboard_markdown(make_records()).partition("## What the columns say")[2]
+    for words in ("7×7 uniform window", "−40 dB", *EVERY_TRIVIAL):
+        assert words in legend
+
+
+def test_a_board_says_its_maps_its_rays_and_whose_times_these_are() -> None:
+    markdown = leaderboard_markdown(make_records())
+    assert "Data set `office@1-aaaaaaaa`: power maps, image solver, specular, depth 1. **Tested" in markdown
+    assert "** Times were taken on AMD EPYC, 2 cores. Commit ?; seed 0." in markdown
 
 
 def test_scores_of_transmitters_that_were_trained_on_are_said_to_tell_nothing_of_unseen_places() -> None:

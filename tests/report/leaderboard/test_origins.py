@@ -14,7 +14,6 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.origins import data_identities
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
 from xfreqbench.runs.benchmark import plan_benchmark
@@ -44,20 +43,6 @@ def test_data_of_one_recipe_are_one_board_whatever_their_bytes() -> None:
     assert {row.label for row in board.rows} == {"ours", "other method"}
     assert len(boards([ours(), theirs(recipe="1-" + "0" * 64)])) == 2
     assert len(boards([ours(), theirs(scene="two_rooms")])) == 2
-
-
-def test_records_without_a_recipe_are_told_apart_by_the_bytes_of_their_data() -> None:
-    assert len(boards([make_record(), make_record(dataset_sha256="c" * 64)])) == 2
-    (board,) = boards([make_record()])
-    assert (board.data, board.data_name) == ("a" * 64, "a" * 16)
-
-
-def test_an_older_record_joins_the_recipe_that_another_record_names_for_its_bytes() -> None:
-    older = make_record("older")
-    assert len(boards([older, theirs()])) == 2  # nothing says that these bytes are of that recipe
-    (board,) = boards([older, ours(), theirs("third")])
-    assert {row.label for row in board.rows} == {"older", "ours", "third"}
-    assert data_identities([older, ours()])(older) == RECIPE
 
 
 def test_each_row_says_which_machine_and_code_made_it_where_there_are_several() -> None:

@@ -16,7 +16,7 @@ from tests.support.leaderboard_records import with_job
 from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
 from tests.support.stored_records import external, make_record
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.paper_maps import ship_maps
+from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.runs.records import append
 
 LEARNED_NAMES = [name for name, *_ in LEARNED]

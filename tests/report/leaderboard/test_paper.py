@@ -10,8 +10,7 @@ from tests.support.leaderboard_records import make_records, of_three_seeds, rows
 from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
-from xfreqbench.report.leaderboard.paper import paper_markdown
-from xfreqbench.report.leaderboard.paper_figures import paper_figures
+from xfreqbench.report.leaderboard.paper import paper_figures, paper_markdown
 from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.runs.records import RunRecord, append
 

@@ -30,6 +30,23 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
+def test_the_report_links_its_figures(tmp_path: Path) -> None:
+    store_all(tmp_path)
+    output, *figures = write_report(tmp_path, tmp_path / "BENCHMARK.md").paths
+    assert [path.name for path in figures] == [
+        "office-lofo-1-aaaaaaaa-cdf.svg",
+        "office-lofo-1-aaaaaaaa-64steps-cdf.svg",
+        "office-lofo-1-aaaaaaaa-64steps-time.svg",
+        "bench-generate-error-against-run-time.svg",
+    ]
+    for figure in figures:
+        assert f"](figures/{figure.name})" in output.read_text()
+    cdf, _, time, bench = (figure.read_text() for figure in figures)
+    assert "mean-over-frequency" in cdf
+    assert "ours (≤ 64 steps)" in time
+    assert "ms a sample" in bench
+
+
 def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_path: Path) -> None:
     store_all(tmp_path)
     output = tmp_path / "BENCHMARK.md"
@@ -99,7 +116,7 @@ def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
 
 def test_a_figure_of_somebody_else_is_left_and_named(tmp_path: Path) -> None:
     store_all(tmp_path)
-    theirs = tmp_path / "figures" / "office-lofo-aaaaaaaa-64steps-time.svg"
+    theirs = tmp_path / "figures" / "office-lofo-1-aaaaaaaa-64steps-time.svg"
     theirs.parent.mkdir()
     theirs.write_bytes(b"<svg>mine</svg>")
     with pytest.raises(OutputExistsError, match=r"aaaaaaaa-64steps-time\.svg exists and is no figure of"):

@@ -17,7 +17,7 @@ from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.paper_maps import ship_maps
+from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.report.leaderboard.shown_maps import NUM_SHOWN, chosen_samples, power_levels, read_maps
 from xfreqbench.runs.folder import ResultsFolder

@@ -121,7 +121,9 @@ def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: P
 def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
     a = stored(tmp_path / "a", [make_record("ours")])
     b = stored(tmp_path / "b", [make_record("ours", dataset_sha256="c" * 64)])
-    with pytest.raises(DataError, match=r"data a{16}, versions 1 and 1 .*\(ours\).* data c{16}"):
+    with pytest.raises(
+        DataError, match=r"data office@1-a{8}, versions 1 and 1 .*\(ours\).* data office@1-c{8}"
+    ):
         compare_results(a, b)
     later = stored(tmp_path / "later", [make_record("ours", metrics_version="9")])
     with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.chromium import canvas_pixels, launched, needs_chromium, opened, set_screen
-from xfreqbench.report.drawing.document import Picture
+from xfreqbench.report.drawing.templates import Picture
 from xfreqbench.report.view.figures import ray_colour
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan

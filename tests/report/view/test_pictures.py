@@ -17,10 +17,10 @@ from xfreqbench.cli.data import plot
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError
 from xfreqbench.report.drawing import figures as drawing
-from xfreqbench.report.view import figures, power
+from xfreqbench.report.view import figures, pictures
 from xfreqbench.report.view.figures import plot_room, ray_colour
+from xfreqbench.report.view.pictures import plot_power, received_power
 from xfreqbench.report.view.plan import ViewPlan
-from xfreqbench.report.view.power import plot_power, received_power
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         save(figure, path, kind)
 
     save = drawing.save_figure
-    for module in (drawing, figures, power):
+    for module in (drawing, figures, pictures):
         monkeypatch.setattr(module, "save_figure", keep)
     return kept
 

@@ -19,7 +19,7 @@ from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.maps.metrics import ssim
-from xfreqbench.report.drawing.document import Picture, is_of_subject
+from xfreqbench.report.drawing.templates import Picture, is_of_subject
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.summary import similarity, summarize

@@ -23,8 +23,6 @@ _SLOW = (
     "findings",
     "residual",
     "benchmark",
-    "bench ceiling",
-    "bench patches",
 )  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
@@ -65,19 +63,16 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "new-method": {"output": WRITTEN},
     "findings": {"results": ("records",), "data": ("data set",), "output": WRITTEN, "room": WRITTEN},
     "residual": {"results": ("records", "stored predictions"), "data": ("data set",), "output": WRITTEN},
-    "stress": {"output": ("records",)},
     "bench generate": {"scene": SCENE, "output": ("records",)},
     "bench reference": {"scene": SCENE, "output": WRITTEN},
     "bench fingerprint": {"scene": SCENE, "output": WRITTEN},
     "bench render": {"output": ("records",)},
     "bench savings": {"output": ("records",)},
     "bench scale-out": {"output": ("records",)},
-    "bench load": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
-    "bench ceiling": {"data": ("data set", "mesh"), "output": ("records",)},
-    "bench patches": {"scene": SCENE, "output": ("records",)},
+    "bench stress": {"output": ("records",)},
 }
-READ_NOTHING = ("scenes", "conventions", "methods", "check-method")
+READ_NOTHING = ("scenes", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
     *(
         (f"bench {name}", "records")
@@ -86,13 +81,10 @@ MEASURING = {  # which take long, and read the records that they add to by the s
             "render",
             "savings",
             "scale-out",
-            "load",
             "peers",
-            "ceiling",
-            "patches",
+            "stress",
         )
     ),
-    ("stress", "records"),
 }
 
 _FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {each}' for each in FITTED)}"
@@ -117,7 +109,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "report": (_REPORT, _MAPS),
         "findings": (f"findings results --data {DATA} -o new -q",),
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
-        "bench ceiling": (f"bench ceiling {DATA} --freqs 10 --transmitters 1 -q",),
     },
     "stored predictions": {
         "residual": (f"residual results --data {DATA} -o new.md --tx 2 -q",),
@@ -152,7 +143,6 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench generate": ("bench generate ./room.toml",),
         "bench reference": ("bench reference ./room.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./room.toml -o taken.h5 -q",),
-        "bench patches": ("bench patches ./room.toml --freqs 10 --tx 1 -q",),
     },
     "mesh": {
         "generate": ("generate mesh.toml -o taken.h5 --freqs 1,10 -q",),
@@ -160,11 +150,9 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "info": ("info mesh.h5 --retrace 1",),
         "plot": ("plot mesh.h5 -o new.svg --of power",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
-        "bench ceiling": ("bench ceiling mesh.h5 --freqs 10 --transmitters 1 -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),
-        "bench patches": ("bench patches ./mesh.toml --freqs 10 --tx 1 -q",),
     },
 }
 

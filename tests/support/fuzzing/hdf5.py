@@ -32,7 +32,7 @@ def sound_dataset() -> bytes:
 
 def sound_records() -> bytes:
     records = [make_record(), make_record("line-of-sight"), make_record(split="lofo-77GHz")]
-    return b"".join(record.model_dump_json().encode() + b"\n" for record in records)
+    return b"".join(record.sealed_json() + b"\n" for record in records)
 
 
 def hdf5_files(content: bytes) -> st.SearchStrategy[bytes | Callable[[], bytes]]:

@@ -1,4 +1,4 @@
-"""Numerical stability as a list of named cases, one file for each subject, run by `xfreqbench stress`.
+"""Numerical stability as a list of named cases, one file for each subject, run by `xfreqbench bench stress`.
 
 A case is a function that returns one error, decorated with its name, limit and unit. Nothing comes in; a verdict
 for each case comes out.

@@ -1,4 +1,4 @@
-"""What `xfreqbench stress` does: it runs the cases, prints a row for each, and stores the table as a record."""
+"""What `bench stress` does: it runs the cases, prints a row for each, and stores the table as a record."""
 
 from __future__ import annotations
 
@@ -17,17 +17,11 @@ _WIDTHS = (13, 68, 8, 8, 10, 0)
 def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
     from xfreqbench.bench.stress.channels import MATERIALS, PHASE
-    from xfreqbench.bench.stress.composite import COMPOSITE
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
-    from xfreqbench.bench.stress.encoding import ENCODING
-    from xfreqbench.bench.stress.facets import FACETS
-    from xfreqbench.bench.stress.footprints import FOOTPRINTS
-    from xfreqbench.bench.stress.geometry import GEOMETRY
-    from xfreqbench.bench.stress.maps import MAPS
-    from xfreqbench.bench.stress.projection import PROJECTION
-    from xfreqbench.bench.stress.scores import SCORES
-    from xfreqbench.bench.stress.seeds import SEEDS
-    from xfreqbench.bench.stress.training import TRAINING
+    from xfreqbench.bench.stress.geometry import FACETS, GEOMETRY
+    from xfreqbench.bench.stress.maps import MAPS, SCORES
+    from xfreqbench.bench.stress.splatting import COMPOSITE, FOOTPRINTS, PROJECTION
+    from xfreqbench.bench.stress.training import ENCODING, SEEDS, TRAINING
 
     physics = (PHASE, MATERIALS, GEOMETRY, FACETS, DIFFRACTION, MAPS, SCORES)
     learning = (COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING, SEEDS)
@@ -81,7 +75,7 @@ def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchReco
     return BenchRecord(
         bench="stress",
         title="Numerical stability" + (f", {only}" if only else ""),
-        command="xfreqbench stress" + (f" --only {only!r}" if only else ""),
+        command="xfreqbench bench stress" + (f" --only {only!r}" if only else ""),
         note=(
             "Errors against references that share constants, and no code, with what they check, and the limits they "
             "keep; cases of seeds, threads and shared visibility compare two ways of the same code."

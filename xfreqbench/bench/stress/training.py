@@ -1,7 +1,8 @@
-"""Training: targets, losses, networks and fits of fields whose numbers are extreme."""
+"""Training at extremes: targets, losses, networks and fits, encodings of carriers, and seeds."""
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,14 +16,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.bench.stress.channels import data_of
+from xfreqbench.bench.stress.channels import CARRIERS_GHZ, data_of
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import DivergenceError
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.aperture import ApertureField
+from xfreqbench.methods.learning.encoding import Scaling, positional_encoding
 from xfreqbench.methods.learning.loss import map_loss, mean_ssim
 from xfreqbench.methods.learning.low_rank import LowRankConfig
 from xfreqbench.methods.learning.network import PairwiseMLP, WideFreqNetwork
@@ -30,7 +34,10 @@ from xfreqbench.methods.learning.targets import Beams, GridView, Targets, as_kin
 from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField
 from xfreqbench.scene.array import planar_array
+from xfreqbench.scene.model import load_scene
+from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import Maps
+from xfreqbench.units import ghz_to_hz
 
 Arguments = ParamSpec("Arguments")
 TRAINING = Area("training")
@@ -44,6 +51,17 @@ _SINGLE = 5e-6  # as of maps: sums of 136 pairs of elements in float32, of a pea
 _CPU = torch.device("cpu")
 _GRID = AngularGrid.hemisphere()
 _ELEMENTS = planar_array(4, 4, 0.5)
+ENCODING = Area("encoding")
+_BANDS_HZ = {  # lowest and highest carrier of the training band, carriers to be scaled
+    "carriers within the training band": (1e9, 94e9, [1e9, 94e9, 24.25e9]),
+    "carriers outside the training band": (1e9, 94e9, [0.5e9, 300e9]),
+    "band of one carrier": (1e9, 1e9, [1e9, 2e9]),
+    "band of 100 kHz at 24.25 GHz": (24.25e9, 24.25e9 + 1e5, [24.25e9, 24.25e9 + 1e5]),
+}
+
+
+# float64 keeps 4e-15 of a logarithm of 24, and 1 Hz is 4e-11 of it
+SEEDS = Area("seeds")
 
 
 def on_random_channels(
@@ -288,3 +306,94 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
         torch.tensor(carrier_hz, dtype=torch.float64),
     )
     return field.power(tx_m, carrier, GridView(5), Beams(BartlettBeam(_ELEMENTS, _GRID), _CPU))
+
+
+@ENCODING.case(
+    "band of 1 Hz at 24.25 GHz",
+    *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]),
+    limit=3e-4,
+    unit="absolute",
+)
+@ENCODING.each(_BANDS_HZ, limit=1e-6, unit="absolute")  # some roundings of 6e-8
+def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:
+    """Error of carriers on the logarithmic axis of a training band, against ratios of logarithms.
+
+    For a band of one carrier, the reference is twice the logarithm of the ratio to it.
+    """
+    scaling = Scaling()
+    scaling.log_band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
+    found = scaling.unit_carrier(torch.tensor(carrier_hz, dtype=torch.float64))[:, 0]
+    if low_hz == high_hz:
+        expected = [2 * math.log(carrier / low_hz) for carrier in carrier_hz]
+    else:
+        width = math.log1p((high_hz - low_hz) / low_hz)
+        expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 for carrier in carrier_hz]
+    return float((found - torch.tensor(expected)).abs().max())
+
+
+# the finest octave reaches 2⁹π rad, where float32 is 6e-8 of 1608 off
+@ENCODING.case("positions in ten octaves", limit=2e-4, unit="absolute")
+def _finest_octave() -> float:
+    """Error of ten octaves of positions in [−1, 1] in float32, against double precision."""
+    x = torch.linspace(-1, 1, 501)[:, None]
+    found = positional_encoding(x, 10).double().numpy()
+    angle = x.double().numpy() * math.pi * 2.0 ** np.arange(10)
+    return float(np.abs(found - np.concatenate([x, np.sin(angle), np.cos(angle)], axis=-1)).max())
+
+
+def _refit(train: PasDataset, seeds: tuple[int, int]) -> float:
+    """Largest difference between the maps of two fits of three steps, which have these seeds."""
+    maps, num_threads = [], torch.get_num_threads()
+    torch.set_num_threads(1)  # so that sums have the same order in both fits
+    try:
+        for seed in seeds:
+            method = build_method("xfreq-gs", TINY_FIT)
+            for _, _ in zip(range(3), method.fit(train, Budget(), seed), strict=False):
+                continue
+            maps.append(method.predict(train.tx_position_m[:4], train.carrier_hz[:4]))
+    finally:
+        torch.set_num_threads(num_threads)
+    return float(np.abs(maps[0] - maps[1]).max())
+
+
+@SEEDS.case("two fits with one seed", limit=0, unit="absolute")
+@on_random_channels
+def _equal_fits(train: PasDataset) -> float:
+    return _refit(train, (1, 1))
+
+
+@SEEDS.case("two fits with two seeds differ", limit=0, unit="fits")
+@on_random_channels
+def _unequal_fits(train: PasDataset) -> float:
+    """1 where another seed gives the same maps, else 0."""
+    return float(_refit(train, (1, 2)) == 0)
+
+
+@SEEDS.case("two data sets with one seed", limit=0, unit="bytes")
+def _same_seed() -> float:
+    """Number of bytes that differ between two files."""
+    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
+        first, second = _generated(1, one), _generated(1, other)
+    assert len(first) == len(second), f"files of {len(first)} and {len(second)} bytes"
+    return float((np.frombuffer(first, np.uint8) != np.frombuffer(second, np.uint8)).sum())
+
+
+def _generated(seed: int, folder: str) -> bytes:
+    """The file of a data set of three transmitters in free space."""
+    settings = TraceSettings(solver="image", rays=1000, seed=seed)
+    carriers = [ghz_to_hz(ghz) for ghz in (CARRIERS_GHZ[0], CARRIERS_GHZ[-1])]
+    plan = plan_generation(load_scene("empty"), carriers, settings, num_transmitters=3, maps=False)
+    return generate_planned(plan, Path(folder) / "data.h5").read_bytes()
+
+
+@SEEDS.case("two data sets with two seeds differ", limit=0, unit="data sets")
+def _other_seed() -> float:
+    """1 where another seed chooses the same transmitters, else 0."""
+    scene = load_scene("empty")
+    chosen = [
+        plan_generation(
+            scene, [1e9], TraceSettings(solver="image", seed=seed), num_transmitters=3
+        ).tx_position_m
+        for seed in (1, 2)
+    ]
+    return float(np.array_equal(chosen[0], chosen[1]))

@@ -19,8 +19,8 @@ from PIL import Image
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.document import SOFTWARE
 from xfreqbench.report.drawing.markdown import plain
+from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
 from xfreqbench.types import FloatArray
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
-from xfreqbench.report.drawing.document import SOFTWARE
+from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import atomic_path, storage_errors
 from xfreqbench.types import FloatArray

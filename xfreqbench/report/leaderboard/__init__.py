@@ -2,5 +2,5 @@
 
 `boards` groups records into rows that may be ranked together, `comparison` says which row beats which, and `columns`
 defines what is shown of a row. `report` writes Markdown by means of `tables`, `figures` and `plots`; `page` writes HTML
-by means of `page_tables`, `page_content` and `gallery`.
+by means of `gallery`.
 """

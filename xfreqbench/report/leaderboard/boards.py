@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
@@ -14,17 +14,11 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import PROTOCOLS, VALIDATIONS
+from xfreqbench.data.recipe import recipe_name
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.origins import (
-    Origin,
-    RecordKey,
-    data_identities,
-    data_name,
-    origin_labels,
-    record_key,
-)
+from xfreqbench.report.leaderboard.origins import Origin, RecordKey, origin_labels, record_key
 from xfreqbench.report.leaderboard.rows import (
     LANE_NAMES,
     NO_LANE,
@@ -36,8 +30,7 @@ from xfreqbench.report.leaderboard.rows import (
 )
 from xfreqbench.runs.records import NUM_QUANTILES, RunRecord
 
-GroupKey = tuple[str, str, str]  # scene, identity of the data, protocol
-Identity = Callable[[RunRecord], str]
+GroupKey = tuple[str, str, str]  # scene, recipe of the data, protocol
 _MAX_STEM_BYTES = 150  # a name of a file may have 255
 
 
@@ -45,10 +38,9 @@ _MAX_STEM_BYTES = 150  # a name of a file may have 255
 class Board:
     """Rows that may be ranked together: they share data, protocol, budget, and the versions of protocol and metrics.
 
-    `data` identifies the data set by its recipe, or by the sha256 of its bytes; see `data_identities`. `settings` are
-    those of the data of the oldest record. `sources` names the results that a record lies in, where those of
-    the board lie in several. `lane` is the budget of its fits as text, `NO_LANE` where none has a budget; trivial
-    predictors, which are not fitted, stand on the board of every lane.
+    `data` is the recipe of the data set. `settings` are those of the data of the oldest record. `sources` names the
+    results that a record lies in, where those of the board lie in several. `lane` is the budget of its fits as text,
+    `NO_LANE` where none has a budget; trivial predictors, which are not fitted, stand on the board of every lane.
     """
 
     scene: str
@@ -80,8 +72,8 @@ class Board:
 
     @property
     def data_name(self) -> str:
-        """The data set as it is shown: `office@1-3f9c2ab1`, or digits of a hash."""
-        return data_name(self.scene, self.data)
+        """The data set as it is shown: `office@1-3f9c2ab1`."""
+        return recipe_name(self.scene, self.data)
 
     def is_of(self, dataset: PasDataset) -> bool:
         """Whether the records are of a data set, whatever processor made its last digits."""
@@ -101,7 +93,7 @@ class Board:
     def slug(self) -> str:
         """What the file names of its figures begin with."""
         named = slug_of(f"{self.scene}-{self.protocol}")
-        data = self.data_name.rpartition("@")[2] if "-" in self.data else self.data[:8]
+        data = self.data_name.rpartition("@")[2]
         lane = re.sub("[^0-9a-z_]+", "", self.lane.replace(".", "_"))
         return f"{named}-{data}" + (f"-{lane}" if lane else "")
 
@@ -148,26 +140,23 @@ class Board:
 def boards(
     records: Iterable[RunRecord],
     sources: Mapping[RecordKey, str] | None = None,
-    identity: Identity | None = None,
     *,
     by_budget: bool = True,
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 
     They stand in the order of scenes, data sets, `PROTOCOLS` and then `VALIDATIONS`, the board with most runs first.
-    Without `by_budget` rows of all budgets share a board. Data sets are told apart by `identity`, which is
-    `data_identities` of the records where it is absent, and `sources` tells which results records lie in. Of a job
+    Without `by_budget` rows of all budgets share a board. Data sets are told apart by their
+    recipes, and `sources` tells which results records lie in. Of a job
     that was run twice, the later record counts; of the same job on other bytes of the same data there is another row,
     but for trivial predictors, whose first stays. Raises `DataError` where records of a board are of different
     versions of the protocol or of the metrics, or test other samples.
     """
-    every = list(records)
-    data = identity or data_identities(every)
 
     def key(record: RunRecord) -> GroupKey:
-        return record.scene, data(record), record.job.protocol
+        return record.scene, record.recipe, record.job.protocol
 
-    ordered = sorted(every, key=lambda record: (*key(record), record.time_utc, record.id))
+    ordered = sorted(records, key=lambda record: (*key(record), record.time_utc, record.id))
     grouped = [
         _board(of, lane, each, sources or {})
         for of, group in groupby(ordered, key)
@@ -209,10 +198,10 @@ def short_name(split: str) -> str:
     return split.removeprefix(max(starts, key=len, default=""))
 
 
-def comparable(record: RunRecord, identity: Identity) -> tuple[object, ...]:
-    """What two records have to have in common to be ranked together; `identity` is that of their data."""
+def comparable(record: RunRecord) -> tuple[object, ...]:
+    """What two records have to have in common to be ranked together."""
     versions = record.protocol_version, record.metrics_version
-    return record.scene, identity(record), record.job.protocol, *versions
+    return record.scene, record.recipe, record.job.protocol, *versions
 
 
 def _by_lane(records: Sequence[RunRecord], by_budget: bool) -> dict[str, list[RunRecord]]:
@@ -255,7 +244,7 @@ def require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
         known = first.setdefault(each.job.split, each)
         if each.dataset_sha256 != known.dataset_sha256 and each.split_sha256 != known.split_sha256:
             raise DataError(
-                f"Records {known.id} and {each.id} of {data_name(*key[:2])} test other samples on the split "
+                f"Records {known.id} and {each.id} of {recipe_name(*key[:2])} test other samples on the split "
                 f"{each.job.split!r} ({known.num_test} and {each.num_test}), so that they cannot be ranked together: "
                 "the data of one lack paths that those of the other have. Generate them anew with the default solver "
                 "and number of rays, or leave out the results of one."

@@ -10,7 +10,6 @@ from typing import Literal
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
 from xfreqbench.report.leaderboard.boards import or_nan, short_name
-from xfreqbench.report.leaderboard.captions import span
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_cell
 from xfreqbench.report.leaderboard.rows import BoardRow, Quantity, median_ssim
@@ -290,3 +289,9 @@ def _number(value: float, form: str) -> str:
     if isnan(value):
         return ABSENT
     return ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}"
+
+
+def span(numbers: tuple[int, int]) -> str:
+    """A range as text, `2–4`, or one number where both ends are equal."""
+    low, high = numbers
+    return str(low) if low == high else f"{low}–{high}"

@@ -113,18 +113,9 @@ def _learning_curve(row: BoardRow, split: str, trivial: Reached | None) -> Learn
 def _by_share(record: RunRecord) -> list[CurvePoint | None]:
     *points, end = record.curve
     reached = {
-        max(filter(_share(record, point).__ge__, CURVE_SHARES), default=CURVE_SHARES[0]): point
-        for point in points
+        max(filter(point.share.__ge__, CURVE_SHARES), default=CURVE_SHARES[0]): point for point in points
     }
     return [*map(reached.get, CURVE_SHARES), end]
-
-
-def _share(record: RunRecord, point: CurvePoint) -> float:
-    """The part of the budget spent at a point; where it was not kept, as if all steps had shown equally many maps."""
-    if point.share is not None:
-        return point.share
-    maps = record.counts.get("maps", 0.0) / max(1, record.step)  # of a step
-    return record.job.budget.share(point.step, point.seconds, maps * point.step)
 
 
 def _mean_point(label: str, points: Sequence[CurvePoint | None]) -> Reached | None:

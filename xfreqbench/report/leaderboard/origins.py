@@ -5,16 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from xfreqbench.data.recipe import recipe_name
 from xfreqbench.runs.records import Job, RunRecord
 
 RecordKey = tuple[str, Job, str]  # id, job and time: no two records have all in common
-_SHOWN_DIGITS = 16
-_RECORDED = {  # recipes of the data that the reference records are of, which were written before records named any
-    "f422ecef971e33553863078d19d95103ac1aeed35b16db9d4c4a72abd942ceb7": "1-360896628df9c1cc458cd3f353817023331f8fb49fffe5b116fe7d604c005946",  # noqa: E501
-    "617e230f790dd51b7f0ef78113e2a4cf874ab7b487b423315d9a6cb79c0e4303": "1-908fa85f448fb0d14af3bdce3af26e9009ab73264b10c598625c0a50a90cac37",  # noqa: E501
-    "ff1e5019d4e6eb5ce358283b05fa53b485e3529d3d4a45a65f40cf629898da2d": "1-90ec89545357f591aa210a9dfdd5817a1d6e509572f5f278c7f00fbbfff5b6ce",  # noqa: E501
-}
 
 
 class Origin(NamedTuple):
@@ -60,27 +53,6 @@ def short_commit(commit: str | None) -> str:
 def record_key(record: RunRecord) -> RecordKey:
     """What tells a record from all others, in whatever file it lies."""
     return record.id, record.job, record.time_utc
-
-
-def data_identities(records: Iterable[RunRecord]) -> Callable[[RunRecord], str]:
-    """A function from a record to what its data are told apart by: their recipe, or else the sha256 of their bytes.
-
-    A record that was written before records named recipes has that of its bytes, where any of `records` tells it;
-    the recipes of the reference records are known besides, and serve where any of `records` has them.
-    """
-    told = {record.dataset_sha256: record.recipe for record in records if record.recipe}
-    named = set(told.values())
-    recipes = {sha256: recipe for sha256, recipe in _RECORDED.items() if recipe in named} | told
-
-    def identity(record: RunRecord) -> str:
-        return record.recipe or recipes.get(record.dataset_sha256, record.dataset_sha256)
-
-    return identity
-
-
-def data_name(scene: str, identity: str) -> str:
-    """What is shown of an identity of data: the recipe's name, or the first digits of the sha256 of their bytes."""
-    return recipe_name(scene, identity) if "-" in identity else identity[:_SHOWN_DIGITS]
 
 
 def origin_labels(

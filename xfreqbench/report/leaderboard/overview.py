@@ -10,17 +10,15 @@ from math import isnan, nan
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
-from xfreqbench.report.leaderboard.captions import leak_statement
+from xfreqbench.report.leaderboard.captions import leak_statement, short_legend
 from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import figure_links
-from xfreqbench.report.leaderboard.legend import short_legend
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.runs.records import BenchRecord
 
 _BRIEFLY = {  # measurements of which the first rows are shown
-    "ceiling": "No methods: what is left for whom",
     "generate": "Generator",
     "render": "Rendering",
     "stress": "Stability",

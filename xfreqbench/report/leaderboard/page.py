@@ -3,34 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from xfreqbench.errors import DataError
+from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import render
-from xfreqbench.report.leaderboard.columns import COSTS
-from xfreqbench.report.leaderboard.comparison import comparisons_of
-from xfreqbench.report.leaderboard.gallery import gallery, scales
-from xfreqbench.report.leaderboard.origins import machine_name
+from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
+from xfreqbench.report.leaderboard.columns import (
+    COSTS,
+    PAGE,
+    LeaderboardColumn,
+    leaderboard_columns,
+    metric_title,
+)
+from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
+from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
+from xfreqbench.report.leaderboard.learning_curves import best_trivial
+from xfreqbench.report.leaderboard.origins import machine_name, record_key, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene
-from xfreqbench.report.leaderboard.page_content import (
-    CHART_COSTS,
-    board_content,
-    figure_content,
-    ordered_labels,
-)
-from xfreqbench.report.leaderboard.page_tables import (
-    board_tables,
-    overview_protocols,
-    overview_rows,
-    page_facts,
-)
 from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
 _TITLE = "xfreqbench results"  # by which a page is known that may be written over
+Content = dict[str, Any]
+CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
+_DIGITS = 4
 
 
 def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
@@ -86,3 +92,173 @@ def _finite(content: Any) -> Any:
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
     return None if isinstance(content, float) and not isfinite(content) else content
+
+
+@dataclass(frozen=True)
+class SetTable:
+    """The leaderboard of one set of splits; `best_trivial` is the row to be marked, None without a trivial one."""
+
+    splits: Sequence[str]
+    columns: Sequence[LeaderboardColumn]
+    rows: Sequence[BoardRow]
+    best_trivial: BoardRow | None
+    notes: Sequence[str]
+
+
+@dataclass(frozen=True)
+class BoardTables:
+    """A board: what its data are in words, and a leaderboard for each of its sets of splits."""
+
+    slug: str
+    title: str
+    conditions: str
+    sets: Sequence[SetTable]
+
+
+def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
+    """Tables of a board, from one comparison for each of its sets of splits."""
+    board = comparisons[0].board
+    counts = " or ".join(f"{count:,}" for count in sorted({record.num_test for record in board.records}))
+    conditions = f"{data_statement(board)}; {counts} test maps a split. {leak_statement(board)}"
+    return BoardTables(board.slug, board.title, conditions, [_set_table(each) for each in comparisons])
+
+
+@dataclass(frozen=True)
+class BoardLink:
+    """A link of the overview: the board, its budget in words, and the best method there with its skill."""
+
+    slug: str
+    text: str
+    standing: str
+
+
+def overview_protocols(ranked: Sequence[Board]) -> list[str]:
+    """The protocols of all boards, each once, in their order."""
+    return list(dict.fromkeys(board.protocol for board in ranked))
+
+
+def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
+    """For each scene, for each protocol, links to the boards; given are the first comparisons of all boards."""
+    protocols = overview_protocols([each.board for each in compared])
+    scenes = dict.fromkeys(each.board.scene for each in compared)
+    return {
+        scene: [
+            [_link(each) for each in compared if (each.board.scene, each.board.protocol) == (scene, protocol)]
+            for protocol in protocols
+        ]
+        for scene in scenes
+    }
+
+
+def _link(comparison: Comparison) -> BoardLink:
+    board = comparison.board
+    best = next((row for row in comparison.rows if not row.is_trivial and row.family != "ablation"), None)
+    standing = "trivial predictors alone"
+    if best is not None:
+        skill = best.average(comparison.splits, board.skill)
+        ssim = f"average {best.average(comparison.splits, median_ssim):.4f}"
+        told = ", ".join([ssim, *([f"skill {skill:.3f}"] if isfinite(skill) else [])])
+        standing = f"{best.short_label}: {told.replace('-', '−')}"
+    return BoardLink(board.slug, board.lane_title or "without budget", standing)
+
+
+def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
+    """Data sets, machines, commits and dates of all records, each fact with its lines."""
+    records = list({record_key(each): each for board in ranked for each in board.records}.values())
+    data = {f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}
+    commits = {short_commit(record.git_commit) for record in records}
+    days = sorted({record.time_utc[:10] for record in records})
+    return {
+        "Data": sorted(data),
+        "Machines": machine_names(records) or ["none: every row is external"],
+        "Commits": [", ".join(sorted(commits))],
+        "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
+    }
+
+
+def _set_table(comparison: Comparison) -> SetTable:
+    trivial = [row for row in comparison.rows if row.is_trivial]  # the best first
+    return SetTable(
+        splits=[short_name(split) for split in comparison.splits],
+        columns=leaderboard_columns(comparison, PAGE),
+        rows=comparison.rows,
+        best_trivial=trivial[0] if trivial else None,
+        notes=notes(comparison.board, comparison.rows),
+    )
+
+
+def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Content:
+    """A board's curves and pictures, and the averages of its rows in each comparison, one for each set of splits."""
+    board = comparisons[0].board
+    return {
+        "slug": board.slug,
+        "title": board.title,
+        "splits": {
+            split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)}
+            for split in board.splits
+        },
+        "rows": {
+            row.label: {
+                "family": row.family,
+                "splits": {split: _curves(records) for split, records in row.by_split.items()},
+            }
+            for row in board.rows
+        },
+        "sets": [
+            {"splits": list(each.splits), "rows": {row.label: _standing(each, row) for row in each.rows}}
+            for each in comparisons
+        ],
+        "metrics": {name: metric_title(name) for name in METRICS},
+        "gallery": pictures.content(),
+    }
+
+
+def ordered_labels(boards: Sequence[Board]) -> list[str]:
+    """The labels of all rows, by which a method has the same colour on every board: ablations come last."""
+    rows = {row.label: row for board in boards for row in board.rows}
+    return sorted(rows, key=lambda label: (rows[label].family == "ablation", label))
+
+
+def figure_content(bench: BenchRecord) -> Content | None:
+    """The points of a measurement's figure; None where it has none."""
+    return {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None
+
+
+def _trivial_ssim(board: Board, split: str) -> float:
+    """Median SSIM of the best trivial predictor on the maps of the learning curves, nan where it is unknown."""
+    trivial = best_trivial(board, split)
+    return _rounded(trivial.ssim) if trivial else nan
+
+
+def _curves(records: Sequence[RunRecord]) -> Content:
+    return {
+        "cdf": {
+            name: [_rounded(each) for each in pooled_quantiles(records, name)] for name in records[0].scores
+        },
+        "carriers": _by_carrier(records),
+        "curve": [[_rounded(point.seconds), _rounded(point.ssim)] for point in records[0].curve],
+    }
+
+
+def _by_carrier(records: Sequence[RunRecord]) -> list[list[float]]:
+    """Pairs of a carrier in GHz and the median SSIM there, mean over the seeds."""
+    medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
+    carriers = sorted(medians[0], key=float)
+    return [
+        [float(carrier) / 1e9, _rounded(float(np.mean([each.get(carrier, nan) for each in medians])))]
+        for carrier in carriers
+    ]
+
+
+def _standing(comparison: Comparison, row: BoardRow) -> Content:
+    splits = comparison.splits
+    return {
+        "ssim": _rounded(row.average(splits, median_ssim)),
+        "interval": [_rounded(bound) for bound in comparison.interval(row)],
+        "skill": _rounded(row.average(splits, comparison.board.skill)),
+        **{name: row.average(splits, COSTS[name].quantity) for name in CHART_COSTS},
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}") if isfinite(value) else value

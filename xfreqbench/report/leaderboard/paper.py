@@ -1,22 +1,37 @@
-"""What the paper of XFreq-GS reports beside what was measured here: its tables, and whether its claims hold."""
+"""What the paper of XFreq-GS reports beside what was measured here, and whether its claims hold.
+
+The figure of maps needs predictions, or the maps that `ship_maps` stores of them in a file beside the records.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from math import isnan
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
+import numpy as np
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, short_name
+from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
-from xfreqbench.report.leaderboard.columns import BRIEF
+from xfreqbench.report.leaderboard.columns import BRIEF, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, Interval, Resampling
-from xfreqbench.report.leaderboard.paper_figures import cdf_link, level_table
-from xfreqbench.report.leaderboard.paper_maps import MapGrid
+from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
+from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
+from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import published_content, published_value, stands_for
+from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
 from xfreqbench.report.leaderboard.tables import ranking_table
+from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
+from xfreqbench.types import IntArray
 
 _HOLDS = "holds"
 _MEDIAN_SSIM = "SSIM median"
@@ -33,6 +48,13 @@ _INTRODUCTION = (
     "where the whole 95 % interval of the difference, paired by transmitters and with three seeds of each, lies above "
     "zero, and *does not hold* where it lies below."
 )
+_LEVEL = 90  # per cent of the maps, as in the paper
+_METRICS = {"ssim": 4, "psnr": 2}  # with decimals
+NUM_CARRIERS, NUM_TX = 5, 5
+_PAPERS = "XFreq-GS"
+_SAME_M = 1e-3  # positions are rounded
+
+Value = TypeVar("Value")
 
 
 def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
@@ -223,3 +245,168 @@ def _ours(
     if statistic != _MEDIAN_SSIM:
         return number(value, decimals)
     return with_interval(value, Comparison(board, splits, resampling[board.slug]).interval(row), decimals)
+
+
+def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
+    """For each figure of the page its link from the page, and what draws it to a path and may raise `StorageError`."""
+    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
+
+
+def cdf_link(board: Board) -> str:
+    """The link from the page to the figure of the distributions on a board."""
+    return f"{FIGURES_FOLDER}/paper-{board.slug}-cdf.svg"
+
+
+def level_table(board: Board) -> str:
+    """SSIM and PSNR at the 90 % level of their distributions, theirs and ours; empty where `_splits` are none."""
+    published = published_content()["table"]["cdf"]["rows"]
+    splits = _splits(board)
+    if not splits:
+        return ""
+    rows = _rows(board)
+    cells = [
+        [
+            row.short_label,
+            *([name, *published[name]] if name in published else [ABSENT, ABSENT]),
+            *(number(_pooled(row, splits, metric)[_LEVEL], digits) for metric, digits in _METRICS.items()),
+        ]
+        for name, row in rows.items()
+    ]
+    return table(("method", "theirs", "published SSIM", *map(metric_title, _METRICS)), cells, prose)
+
+
+def _draw_cdf(board: Board, path: Path) -> None:
+    from xfreqbench.report.leaderboard.plots import plot_score_cdf
+
+    rows, splits = _rows(board).values(), _splits(board)
+    panels = {
+        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows}
+        for metric in _METRICS
+    }
+    plot_score_cdf(panels, "", path, _LEVEL / 100)
+
+
+def published_rows(board: Board) -> dict[str, BoardRow]:
+    """Our rows with default options for those whose distribution the paper shows, by its names, the best first."""
+    content = published_content()
+    if board.protocol != content["table"]["cdf"]["protocol"]:
+        return {}
+    found: dict[str, BoardRow] = {}
+    for row in board.rows:
+        for each in content["counterpart"] if row.family == "learned" else ():
+            if each["name"] in content["table"]["cdf"]["rows"] and stands_for(each, row):
+                found.setdefault(each["name"], row)
+    return found
+
+
+def _rows(board: Board) -> dict[str, BoardRow]:
+    """The paper's rows, and beside them the best predictor that learns nothing."""
+    found, splits = published_rows(board), _splits(board)
+    trivial = [row for row in board.rows_on(splits) if row.is_trivial][:1] if found else []
+    return found | {row.label: row for row in trivial}
+
+
+def _splits(board: Board) -> tuple[str, ...]:
+    """The splits that all of the paper's rows were run on; none where there are no such rows."""
+    rows = published_rows(board).values()
+    return tuple(split for split in board.splits if rows and all(split in row.by_split for row in rows))
+
+
+def _pooled(row: BoardRow, splits: Sequence[str], metric: str) -> list[float]:
+    return pooled_quantiles([record for split in splits for record in row.by_split[split]], metric)
+
+
+@dataclass(frozen=True, eq=False)
+class MapGrid:
+    """Levels of the maps of T transmitters, true and predicted, and the SSIM of the latter, for each split by its name.
+
+    `tx_position_m` are the positions of the transmitters, `method` is the label of what predicted the maps.
+    """
+
+    method: str
+    budget: str
+    tx_position_m: Sequence[Position]
+    columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]]
+
+
+def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
+    """Write the maps of a dozen samples of every board of the main scene to a file, and return it.
+
+    They are the maps that the page shows, of all rows but ablations, and those of the paper's method at further
+    carriers. Raises `DataError` where no predictions or no data set are found, `OutputExistsError` and `StorageError`.
+    """
+    found = read_results(results)
+    main, shown, known = main_scene(found.boards), [], set[str]()
+    for board in found.boards:
+        dataset = open_data(board) if board.scene == main else None
+        for each in _maps_of(board, dataset, found.folders) if dataset else ():
+            new = {key: run for key, run in each.predicted.items() if key not in known}
+            known |= new.keys()
+            shown += [each.model_copy(update={"predicted": new})] if new else []
+    if not shown:
+        raise DataError(
+            "No predictions of a data set that is here lie beside these records. Give a results folder that "
+            "`xfreqbench run` or `xfreqbench benchmark` wrote, and leave its data set where it was."
+        )
+    write_maps(path, shown)
+    return path
+
+
+def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
+    """By the links to their figures, the paper's maps of every board whose maps are stored or shipped."""
+    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in ranked}
+    return {link: grid for link, grid in grids.items() if grid}
+
+
+def _maps_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]) -> list[ShownMaps]:
+    """The maps of the shown split, and those of the paper's method and the same transmitters on other splits."""
+    dozen = dozen_of(board, dataset, folders)
+    papers = published_rows(board).get(_PAPERS)
+    if dozen is None or papers is None:
+        return [dozen] if dozen else []
+    distance_m = np.abs(dataset.tx_position_m[:, None] - np.asarray(dozen.tx_position_m)).max(axis=2)
+    is_shown = distance_m.min(axis=1) < _SAME_M
+
+    def choose(rows: IntArray) -> IntArray:
+        return rows[is_shown[rows]]
+
+    others = [
+        stored_maps(dataset, records[:1], folders, choose)
+        for split, records in papers.by_split.items()
+        if split != dozen.split
+    ]
+    return [dozen, *(each for each in others if each)]
+
+
+def _grid(board: Board, found: RankedResults) -> MapGrid | None:
+    row = published_rows(board).get(_PAPERS)
+    if row is None:
+        return None
+    dataset = open_data(board)
+    stored = _maps_of(board, dataset, found.folders) if dataset else []
+    known = found.maps | {key: each for each in stored for key in each.predicted}
+    ids = {split: row.by_split[split][0].id for split in board.splits if split in row.by_split}
+    of_split = {split: known[key] for split, key in ids.items() if key in known}
+    if not of_split:
+        return None
+    splits = _spread(list(of_split), NUM_CARRIERS)
+    first, *others = (of_split[split] for split in splits)
+    common = [each for each in first.tx_position_m if all(each in other.tx_position_m for other in others)]
+    shown = _spread(common, NUM_TX)
+    columns = {short_name(split): _column(of_split[split], ids[split], shown) for split in splits}
+    return MapGrid(row.short_label, board.lane_title or "no budget", shown, columns) if shown else None
+
+
+def _column(
+    maps: ShownMaps, record_id: str, shown: Sequence[Position]
+) -> tuple[Levels, Levels, Sequence[float]]:
+    """The levels of true and of predicted maps at some transmitters, and the SSIM of the latter."""
+    places = [maps.tx_position_m.index(each) for each in shown]
+    ssim = [maps.predicted[record_id].ssim[place] for place in places]
+    return maps.true_levels()[places], maps.levels_of(record_id)[places], ssim
+
+
+def _spread(values: Sequence[Value], most: int) -> list[Value]:
+    """At most so many of some values, equally far apart in their order."""
+    places = np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int)
+    return [values[place] for place in places]

@@ -15,6 +15,7 @@ from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import (
     data_statement,
     leak_statement,
+    legend,
     origin_statement,
 )
 from xfreqbench.report.leaderboard.columns import BRIEF
@@ -26,12 +27,15 @@ from xfreqbench.report.leaderboard.figures import (
     figure_links,
     require_own_figures,
 )
-from xfreqbench.report.leaderboard.legend import legend
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
-from xfreqbench.report.leaderboard.paper import has_counterparts, paper_markdown
-from xfreqbench.report.leaderboard.paper_figures import paper_figures
-from xfreqbench.report.leaderboard.paper_maps import MapGrid, paper_maps
+from xfreqbench.report.leaderboard.paper import (
+    MapGrid,
+    has_counterparts,
+    paper_figures,
+    paper_maps,
+    paper_markdown,
+)
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -41,16 +45,13 @@ from xfreqbench.system.files import require_own, require_space, write_text
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
 _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
-    "ceiling": "No methods: what is left for whom",
     "generate": "Generator",
-    "patches": "Generator",
     "peers": "Generator",
     "plain": "Generator",
     "render": "Rendering and training",
     "savings": "Savings",
     "scale-out": "Scale-out",
     "stress": "Stress",
-    "chaos": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
 _MEASUREMENTS_PAGE, _PAPER_PAGE = "measurements.md", "paper.md"
@@ -105,7 +106,11 @@ def write_report(
     and `StorageError`.
     """
     found = read_results(results)
-    pages = [_whole(found, output_md)] if details is None else _pages(found, output_md, details)
+    if details is None:
+        text = report_markdown(found.boards, found.benches)
+        pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
+    else:
+        pages = _pages(found, output_md, details)
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
@@ -133,12 +138,6 @@ def _require_files_of_their_own(paths: Sequence[Path]) -> None:
         )
 
 
-def _whole(found: RankedResults, output_md: Path) -> _Page:
-    """The one page of a report without details."""
-    text = report_markdown(found.boards, found.benches)
-    return _Page(output_md, "Benchmark", text, found.boards, found.benches)
-
-
 def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     """The short report, a page for each scene, one of the paper's claims if it has any, and one of the measurements."""
     by_scene: dict[str, list[Board]] = {}
@@ -161,7 +160,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
-            _measurements_markdown(found.benches),
+            "\n\n".join([*_what_was_run(found.benches), *_bench_sections(found.benches)]) + "\n",
             (),
             found.benches,
         ),
@@ -186,10 +185,6 @@ def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> 
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
     sections = [_what_was_run(benches), map(_board_section, ranked), _bench_sections(benches), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
-
-
-def _measurements_markdown(benches: Sequence[BenchRecord]) -> str:
-    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
 
 
 def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
-from xfreqbench.report.leaderboard.origins import RecordKey, data_identities, record_key
+from xfreqbench.report.leaderboard.origins import RecordKey, record_key
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
@@ -78,9 +78,8 @@ def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord
     Those of other versions of protocol or metrics, which cannot be ranked beside them, are left out.
     """
     stored = ResultsFolder(results).stored.records
-    identity = data_identities(stored)
-    keys = {comparable(record, identity) for record in records}
-    return [each for each in stored if comparable(each, identity) in keys]
+    keys = {comparable(record) for record in records}
+    return [each for each in stored if comparable(each) in keys]
 
 
 def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

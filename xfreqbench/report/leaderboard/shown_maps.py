@@ -21,7 +21,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.metrics import score_all
 from xfreqbench.runs.predictions import Predictions
-from xfreqbench.runs.records import Finite, RunRecord, fault_of_fields
+from xfreqbench.runs.records import FiniteScore, RunRecord, fault_of_fields
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, require_own, write_text
@@ -33,7 +33,7 @@ _STRIDE = 4
 _DECIMALS = 4
 
 Levels = UInt8[NDArray[np.uint8], "n R C"]
-Position = tuple[Finite, Finite, Finite]
+Position = tuple[FiniteScore, FiniteScore, FiniteScore]
 
 
 class PredictedMaps(BaseModel):
@@ -41,7 +41,7 @@ class PredictedMaps(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    ssim: tuple[Finite, ...]
+    ssim: tuple[FiniteScore, ...]
     psnr: tuple[float, ...]
     maps: str
 
@@ -56,7 +56,7 @@ class ShownMaps(SealedModel):
 
     split: str
     tx_position_m: Annotated[tuple[Position, ...], Field(min_length=1, max_length=NUM_SHOWN)]
-    carrier_hz: tuple[Finite, ...]
+    carrier_hz: tuple[FiniteScore, ...]
     truth: str
     predicted: dict[str, PredictedMaps]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import isnan
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
 from xfreqbench.report.leaderboard.boards import (
     Board,
-    Identity,
     boards,
     comparable,
     require_same_samples,
@@ -21,7 +19,6 @@ from xfreqbench.report.leaderboard.boards import (
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
-from xfreqbench.report.leaderboard.origins import data_identities
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.folder import ResultsFolder
@@ -66,9 +63,10 @@ def compare_results(a: Path, b: Path) -> str:
     options and budget) are paired, and of the others those of a method that has one row in either set, or the only
     rows of both. Raises `DataError` where there are no records, or none that may be compared.
     """
-    records = [records_at(path) for path in (a, b)]
-    identity = data_identities(chain(*records))
-    of_a, of_b = (_boards(each, identity) for each in records)
+    of_a, of_b = (
+        {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)}
+        for path in (a, b)
+    )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
         raise DataError(f"Nothing in {a} and {b} can be compared: {_told(of_a)}; and {_told(of_b)}.")
@@ -93,11 +91,6 @@ def records_at(path: Path) -> Sequence[RunRecord]:
             f"records there, where one is needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
         )
     return list(chosen.values())
-
-
-def _boards(records: Sequence[RunRecord], identity: Identity) -> _Boards:
-    ranked = boards(records, identity=identity, by_budget=False)
-    return {comparable(board.records[0], identity): board for board in ranked}
 
 
 def _section(a: Board, b: Board) -> str:

@@ -11,10 +11,9 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.protocols import PROTOCOLS, make_splits
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import ProtocolError
-from xfreqbench.report.drawing.document import PageTable, Picture, owner_mark
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.orbit import packed
-from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
 from xfreqbench.report.view.orbit import orbit_scene
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB

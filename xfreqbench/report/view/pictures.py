@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
-from xfreqbench.report.drawing.figures import plot_pas_maps, shown
+from xfreqbench.report.drawing.figures import DISPLAY_RANGE_DB, figure_kind, plot_pas_maps, save_figure, shown
+from xfreqbench.report.view.figures import bounds_m, draw_outlines
 from xfreqbench.report.view.plan import plan_view
-from xfreqbench.report.view.power import plot_power, received_power
+from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.report.view.summary import known_line_of_sight
+from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
+
+_MAX_COLUMNS = 3
+_LARGEST_SQUARE_M = 0.5
+_MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the squares
+_SAME_PLACE_M = 1e-3  # in the plan
 
 
 def draw_maps(
@@ -72,3 +84,75 @@ def _title(dataset: PasDataset, tx: int) -> str:
 
 def _name(dataset: PasDataset) -> str:
     return shown(f"{dataset.path.name}, scene {dataset.header.scene_name}")
+
+
+def received_power(dataset: PasDataset, carrier_hz: float) -> Float[FloatArray, "T"]:
+    """Received over transmitted power of each transmitter at a carrier: the mean of |h|² over the array's elements.
+
+    It is 0 where no path arrives. Raises `DataError` for data that hold maps alone.
+    """
+    cfr = dataset.subset(dataset.carrier_hz == carrier_hz).cfr
+    return np.mean(np.abs(cfr.astype(np.complex128)) ** 2, axis=1)
+
+
+def plot_power(
+    room: ShownRoom,
+    power: Float[FloatArray, "F T"],
+    carrier_hz: Sequence[float],
+    path: Path,
+    title: str = "",
+    range_db: float = DISPLAY_RANGE_DB,
+) -> None:
+    """Draw the plan of a room with a square for each transmitter, coloured by its power in dB below the strongest.
+
+    `power` has F carriers and the room's T transmitters; each carrier has a panel, whose title says how strong the
+    strongest is. Of transmitters above each other the mean is shown; no square is drawn where no path arrives. The
+    suffix of `path` says which kind of figure is written. Raises `StorageError`.
+    """
+    place_m, which = _places(room.tx_position_m[:, :2])
+    number = np.bincount(which)
+    columns = min(_MAX_COLUMNS, len(power))
+    rows = -(-len(power) // columns)
+    low_m, high_m = bounds_m(room)
+    width_m, depth_m = (high_m - low_m)[:2]
+    size_in = 3.4 * columns + 1.0, float(np.clip(3.0 * depth_m / width_m + 0.6, 1.5, 7.0)) * rows + 0.4
+    figure = Figure(figsize=size_in, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes[len(power) :]:
+        axis.set_visible(False)
+    for axis, of_carrier, carrier in zip(axes, power, carrier_hz, strict=False):
+        mean = np.bincount(which, of_carrier) / number
+        draw_outlines(axis, room, [0, 1])
+        squares = _draw_squares(axis, place_m, mean, range_db)
+        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), aspect="equal")
+        axis.set(xlabel="x (m)", ylabel="y (m)")
+        strongest = f"strongest {10 * np.log10(mean.max()):.0f} dB" if mean.any() else "no path"
+        axis.set_title(f"{format_ghz(carrier)}, {strongest}", fontsize="medium")
+    figure.colorbar(squares, ax=list(axes), label="dB below the strongest", shrink=0.8)
+    if title:
+        figure.suptitle(title, fontsize="medium")
+    save_figure(figure, path, figure_kind(path))
+
+
+def _places(plan_m: Float[FloatArray, "T 2"]) -> tuple[Float[FloatArray, "P 2"], Any]:
+    """The P different places in the plan, and for each transmitter the number of its place, (T,)."""
+    places, which = np.unique(np.round(plan_m / _SAME_PLACE_M), axis=0, return_inverse=True)
+    return places * _SAME_PLACE_M, which.ravel()
+
+
+def _draw_squares(
+    axis: Any, place_m: Float[FloatArray, "P 2"], power: Float[FloatArray, "P"], range_db: float
+) -> PolyCollection:
+    """Squares that touch where transmitters stand on a grid; the strong ones are drawn over the weak ones."""
+    heard = np.flatnonzero(power > 0)
+    order = heard[np.argsort(power[heard], kind="stable")]
+    apart_m = KDTree(place_m).query(place_m, k=2)[0][:, 1] if len(place_m) > 1 else np.array([np.inf])
+    half_m = min(float(np.median(apart_m)), _LARGEST_SQUARE_M) / 2
+    corners = half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    level_db = 10 * np.log10(power[order] / power.max()) if len(order) else np.zeros(0)
+    outlines_m: Any = place_m[order, None] + corners
+    colours: dict[str, Any] = {"array": level_db, "cmap": "viridis", "clim": (-range_db, 0), "linewidths": 0}
+    above_lines = 3 if len(axis.lines) > _MANY_LINES else 1
+    squares = PolyCollection(outlines_m, zorder=above_lines, **colours)
+    axis.add_collection(squares)
+    return squares

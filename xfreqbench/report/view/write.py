@@ -10,11 +10,11 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
-from xfreqbench.report.drawing.document import Picture, is_of_subject
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
+from xfreqbench.report.drawing.templates import Picture, is_of_subject
 from xfreqbench.report.view.figures import (
     group_colour,
     plot_carriers,

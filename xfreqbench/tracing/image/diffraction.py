@@ -79,7 +79,7 @@ class Diffraction:
         is_opaque = np.zeros(len(geometry.meshes), bool)
         is_opaque[surface] = facets.is_opaque
         reflectors = _reflectors(len(mirrors.planes), facets, corners_m, media)
-        wedges = _wedges(edges, kind[faces], is_opaque[faces].any(axis=1))
+        wedges = _wedges(edges, kind[faces], np.asarray(is_opaque[faces].any(axis=1)))
         self.room = Room(facets, media, wedges, reflectors, aperture)
         can_reflect = "specular" in settings.interactions
         max_planes, share, floor = limits

@@ -29,7 +29,7 @@ from xfreqbench.scene.materials import ITU_MATERIALS, complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 
 ARRAY_M = np.array([4.0, 3.0, 2.6])
-EXACT_M = 1e-12  # a few roundings of metres
+EXACT_M = 3e-7  # findings are stored to 1e-7
 SCENE = Scene(
     name="small",
     receiver=ReceiverArray(position_m=(4.0, 3.0, 2.6), rows=2, cols=2),

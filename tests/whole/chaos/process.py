@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xfreqbench.bench.chaos.commands import use_small_preset
+from tests.whole.chaos.commands import use_small_preset
 from xfreqbench.runs import checkpoints
 
 HANGS_S = 300.0  # far beyond what any of the commands takes on a busy machine

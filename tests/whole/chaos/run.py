@@ -1,4 +1,4 @@
-"""What `xfreqbench stress --chaos N` does: N rounds, each a random disturbance of a random command, and a verdict."""
+"""Rounds: in each a command is disturbed and given once more, and what is then there is judged."""
 
 from __future__ import annotations
 
@@ -6,19 +6,15 @@ import hashlib
 import json
 import random
 import shutil
-import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xfreqbench.bench.chaos.commands import COMMANDS, Command, prepare
-from xfreqbench.bench.chaos.disturbances import DISTURBANCES, Round
-from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
-from xfreqbench.bench.tables import require_records
-from xfreqbench.runs.records import BenchRecord, append, machine_and_time
+from tests.whole.chaos.commands import Command, prepare
+from tests.whole.chaos.disturbances import DISTURBANCES, Round
+from tests.whole.chaos.process import CommandLine, Ended, Running
 
 # What a killed process leaves, hidden, which the next that needs the place removes.
 _LITTER = ".lock", ".partial", ".removed"
@@ -35,7 +31,6 @@ _TIMED = {
     "git_commit",
     "content_sha256",
 }
-COLUMNS = ("command", "rounds", "same bytes", "refusal", "fault")
 Contents = Mapping[str, str]
 
 
@@ -73,12 +68,6 @@ class Chaos:
         self._command_line, self._folder = command_line, folder
         self._undisturbed: dict[str, Undisturbed] = {}
         prepare(folder / "prepared", self._given)
-
-    def rounds(self, seeds: Sequence[int]) -> Iterator[ChaosVerdict]:
-        """The verdict on each round, one after the other."""
-        for seed in seeds:
-            chance = random.Random(seed)
-            yield self.round(chance.choice(COMMANDS), chance.choice(list(DISTURBANCES)), seed)
 
     def round(self, command: Command, disturbance: str, seed: int) -> ChaosVerdict:
         """Disturb a command, give it once more, and judge what is then there."""
@@ -137,16 +126,6 @@ class Chaos:
                 found.append((time.perf_counter() - start, folder / "work"))
             self._undisturbed[command.name] = _undisturbed(found[1][0], found[0][1], found[1][1])
         return self._undisturbed[command.name]
-
-
-def table_rows(verdicts: Sequence[ChaosVerdict]) -> list[tuple[str, ...]]:
-    """A row for each command: rounds, how they ended, and faults."""
-    rows = []
-    for name in dict.fromkeys(verdict.command for verdict in verdicts):
-        own = [verdict for verdict in verdicts if verdict.command == name]
-        ends = Counter("fault" if verdict.faults else verdict.end for verdict in own)
-        rows.append((name, str(len(own)), *(str(ends[end]) for end in ("same", "refusal", "fault"))))
-    return rows
 
 
 def _undisturbed(seconds: float, one: Path, other: Path) -> Undisturbed:
@@ -208,50 +187,3 @@ def _records_in(path: Path) -> dict[str, dict[str, Any]]:
 
 def _is_intact(path: Path) -> bool:
     return path.is_file() and not path.is_symlink() and path.read_bytes() == b"years of work"
-
-
-def stress_by_chaos(
-    command_line: CommandLine, num_rounds: int, output: Path | None, say: Callable[[str], None]
-) -> bool:
-    """Run rounds, say each fault as it is found and a table at the end; return whether there was none.
-
-    The table is appended to the records in `output`. The folders of rounds with faults are kept, and named. Raises
-    `StorageError` or `DataError`, before the first round, where `output` is no file of records.
-    """
-    require_records(output)
-    folder = Path(tempfile.mkdtemp(prefix="xfreqbench-chaos-"))
-    verdicts = []
-    for verdict in Chaos(command_line, folder).rounds(range(num_rounds)):
-        verdicts.append(verdict)
-        if verdict.faults:
-            say(f"{verdict} ({folder / f'round-{verdict.seed}'})")
-        elif len(verdicts) % 25 == 0:
-            say(f"{len(verdicts)} of {num_rounds} rounds")
-    rows = table_rows(verdicts)
-    say(
-        "\n".join(
-            f"{cells[0]:20}" + "".join(f"{cell:>12}" for cell in cells[1:]) for cells in (COLUMNS, *rows)
-        )
-    )
-    if output is not None:
-        append(output, _record_of(num_rounds, rows))
-    is_clean = not any(verdict.faults for verdict in verdicts)
-    if is_clean:
-        shutil.rmtree(folder)
-    return is_clean
-
-
-def _record_of(num_rounds: int, rows: Sequence[tuple[str, ...]]) -> BenchRecord:
-    return BenchRecord(
-        bench="chaos",
-        title="Commands disturbed at random",
-        command=f"xfreqbench stress --chaos {num_rounds}",
-        note=(
-            "Each command is killed, interrupted, given twice, given beside one that writes something else, run out of "
-            "space, or finds a damaged byte, a link or a foreign file; given once more, it leaves the bytes that it "
-            "leaves undisturbed, or refuses in words. A fault is anything else."
-        ),
-        columns=COLUMNS,
-        rows=tuple(rows),
-        **machine_and_time(),
-    )

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from xfreqbench.bench.chaos.commands import Command
-from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
+from tests.whole.chaos.commands import Command
+from tests.whole.chaos.process import CommandLine, Ended, Running
 
 _LEAST_FILE_BYTES = 1 << 13  # what the messages of a command need
 Disturbance = Callable[["Round"], None]

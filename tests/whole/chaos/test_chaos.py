@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support import chaotic
-from xfreqbench.bench.chaos import run as chaos
-from xfreqbench.bench.chaos.commands import COMMANDS
-from xfreqbench.bench.chaos.disturbances import DISTURBANCES
+from tests.whole.chaos import run as chaos
+from tests.whole.chaos import wrong_commands
+from tests.whole.chaos.commands import COMMANDS
+from tests.whole.chaos.disturbances import DISTURBANCES
 from xfreqbench.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -34,20 +34,28 @@ def test_the_next_run_leaves_the_same_predictions_and_records_or_refuses(
     assert not verdict.faults, str(verdict)
 
 
-def test_the_other_commands_are_disturbed_too(rounds: chaos.Chaos) -> None:
-    others = [BY_NAME[name] for name in ("report", "export", "score")]
-    verdicts = [rounds.round(command, "killed", seed=2) for command in others]
-    assert not any(verdict.faults for verdict in verdicts), list(map(str, verdicts))
-    assert chaos.table_rows(verdicts)[0] == ("report", "1", "1", "0", "0")
+@pytest.mark.parametrize(
+    ("name", "disturbance"),
+    [
+        ("report", "killed"),
+        ("export", "killed"),
+        ("score", "killed"),
+        ("view", "linked"),
+        ("findings", "foreign"),
+    ],
+)
+def test_the_other_commands_are_disturbed_too(rounds: chaos.Chaos, name: str, disturbance: str) -> None:
+    verdict = rounds.round(BY_NAME[name], disturbance, seed=2)
+    assert not verdict.faults, str(verdict)
 
 
 @pytest.mark.parametrize(
     ("command_line", "fault"),
     [
-        (chaotic.writing_elsewhere, "the folder outside was touched"),
-        (chaotic.taking_others_data, "out.h5 is another"),
-        (chaotic.speaking_in_tracebacks, "no words for a user"),
-        (chaotic.littering, "rest.tmp is left over"),
+        (wrong_commands.writing_elsewhere, "the folder outside was touched"),
+        (wrong_commands.taking_others_data, "out.h5 is another"),
+        (wrong_commands.speaking_in_tracebacks, "no words for a user"),
+        (wrong_commands.littering, "rest.tmp is left over"),
     ],
 )
 def test_what_is_wrong_is_found(rounds: chaos.Chaos, command_line: chaos.CommandLine, fault: str) -> None:

@@ -1,0 +1,434 @@
+"""Splatting at extremes: accumulation of Gaussians (Eq. 11) over long lists, footprints, and projection."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import product
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xfreqbench.bench.stress.case import Area, needing_two_threads
+from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.methods.splatting.composite import Backend, PixelLists, composite
+from xfreqbench.methods.splatting.composite_kernels import use_threads
+from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
+from xfreqbench.methods.splatting.gaussians import covariance, rotation_matrix
+from xfreqbench.methods.splatting.projection import Projection, project, projection_jacobian
+
+COMPOSITE = Area("composite")
+Attenuations = Literal["clear", "opaque", "denormal", "turning", "reversing", "any"]
+Leaves = tuple[Tensor, Tensor, Tensor, Tensor]  # distance, inverse spread, signal, attenuation
+_NUM_FACTORS = 10_000
+# kind of the attenuations of a list, and whether G = 1, so that products round by their attenuations alone
+_LISTS: tuple[tuple[Attenuations, bool], ...] = (
+    *((kind, True) for kind in get_args(Attenuations)),
+    ("turning", False),
+    ("any", False),
+)
+_IN_WORDS: dict[Attenuations, str] = {
+    "clear": "of exactly 1",
+    "opaque": "of 0",
+    "denormal": "of 1e-42 and 1e-310",
+    "turning": "of modulus 1, any phase",
+    "reversing": "of −1",
+    "any": "of any modulus and phase",
+}
+_BATCH = 2
+_DENORMAL = [1e-42, 1e-310]  # of float32, of float64
+_SINGLE = 1e-6  # some roundings of float32, 6e-8
+# each factor may add a rounding: 6e-8 in float32, the precision of numba, and 1.1e-16 in float64
+_LONG_LIMITS: dict[Backend, float] = {"torch": _NUM_FACTORS * 1.1e-16, "numba": _NUM_FACTORS * 6e-8}
+FOOTPRINTS = Area("footprints")
+_SUPPORT = 9.0
+_TURNS_DEG = (0.0, 30.0, 100.0)
+_BACKENDS: tuple[Backend, ...] = ("torch", "numba")
+_GRID = AngularGrid.hemisphere()
+_SEAM_DEG = [(0.0, 10.0), (359.9999, 20.0), (-1e-7, 30.0), (180.0, 5.0), (360.0, 0.0)]
+_PLACES_AND_SIZES_DEG = {  # centres (azimuth, elevation) and deviations along the axes
+    "at the zenith": (
+        [(10.0, 90.0), (200.0, 89.5), (0.0, 88.0)],
+        [(30.0, 1.0), (5.0, 5.0), (100.0, 0.5)],
+    ),
+    "at the azimuth's seam": (_SEAM_DEG, [(3.0, 2.0), (0.5, 0.5)]),
+    "a turn wide, a little less and more": (_SEAM_DEG, [(59.9, 3.0), (60.1, 3.0)]),
+    "smaller than the grid": (
+        [(0.0, 10.0), (17.2, 33.3), (17.5, 33.5)],
+        [(0.1, 0.1), (1e-3, 1e-3), (0.1, 2.0)],
+    ),
+    "behind the horizon": (
+        [(0.0, -90.0), (40.0, -3.0), (80.0, -3.1), (300.0, -30.0)],
+        [(1.0, 1.0), (9.0, 1.0), (1.0, 9.99)],
+    ),
+}
+PROJECTION = Area("projection")
+
+
+def _of_both_backends(name: str) -> dict[str, tuple[Backend]]:
+    """Arguments of two cases with that name, one for each backend."""
+    return {f"{name}, {backend}": (backend,) for backend in _LONG_LIMITS}
+
+
+def _attenuation(kind: Attenuations, generator: torch.Generator) -> Tensor:
+    """Attenuations of one list in double precision, (L, B)."""
+    shape = _NUM_FACTORS, _BATCH
+    phase = 2 * math.pi * torch.rand(shape, generator=generator, dtype=torch.float64)
+    size = torch.rand(shape, generator=generator, dtype=torch.float64)
+    values = {
+        "clear": torch.ones(shape, dtype=torch.float64),
+        "opaque": torch.zeros(shape, dtype=torch.float64),
+        "denormal": torch.tensor(_DENORMAL, dtype=torch.float64).expand(shape),
+        "turning": torch.polar(torch.ones_like(size), phase),
+        "reversing": -torch.ones(shape, dtype=torch.float64),
+        "any": torch.polar(size, phase),
+    }
+    return values[kind].to(torch.complex128)
+
+
+@cache
+def _leaves() -> Leaves:
+    """Attributes of the Gaussians of all `_LISTS`, one list after the other, in double precision."""
+    generator = torch.Generator().manual_seed(0)
+    number = len(_LISTS) * _NUM_FACTORS
+    is_full = torch.tensor([is_full for _, is_full in _LISTS]).repeat_interleave(_NUM_FACTORS)
+    distance = 9 * torch.rand(number, generator=generator, dtype=torch.float64) * ~is_full
+    spread = 0.5 + torch.rand(number, _BATCH, generator=generator, dtype=torch.float64)
+    signal = torch.randn(number, _BATCH, generator=generator, dtype=torch.complex128)
+    return distance, spread, signal, torch.cat([_attenuation(kind, generator) for kind, _ in _LISTS])
+
+
+def _lists(number: int = 1) -> PixelLists:
+    """Pixel lists of `number` pixels, which see as many Gaussians each as there are factors."""
+    return PixelLists(
+        torch.arange(number + 1) * _NUM_FACTORS, torch.arange(number * _NUM_FACTORS), number * _NUM_FACTORS
+    )
+
+
+def _with_gradients(field: Tensor, leaves: Leaves) -> tuple[Tensor, ...]:
+    """The field, and the gradients of Re(1 − 2j) ΣR by the leaves."""
+    loss = (field * complex(1, -2)).real.sum()
+    return field.detach(), *torch.autograd.grad(loss, leaves)
+
+
+@cache
+def _literal() -> tuple[Tensor, ...]:
+    """R = Σ_i G_i S_i Π_{m<i} (1 − G_m (1 − δ_m)) factor by factor, (lists, B), and its gradients by autograd."""
+    leaves = _tracked(_leaves(), torch.float64)
+    distance, spread, signal, attenuation = leaves
+    footprint = torch.exp(-0.5 * distance[:, None] * spread)
+    of_lists = len(_LISTS), _NUM_FACTORS, _BATCH
+    emitted = (footprint * signal).view(of_lists).unbind(1)
+    factor = (1 - footprint * (1 - attenuation)).view(of_lists).unbind(1)
+    field, product = torch.zeros_like(emitted[0]), torch.ones_like(emitted[0])
+    for own, attenuated in zip(emitted, factor, strict=True):
+        field = field + own * product
+        product = product * attenuated
+    return _with_gradients(field, leaves)
+
+
+@cache
+def _composited(backend: Backend) -> tuple[Tensor, ...]:
+    """The same from `composite`; torch computes in float64, numba in float32."""
+    leaves = _tracked(_leaves(), torch.float32 if backend == "numba" else torch.float64)
+    return _with_gradients(composite(_lists(len(_LISTS)), *leaves, backend).T, leaves)
+
+
+def _tracked(leaves: Leaves, kind: torch.dtype) -> Leaves:
+    """Copies of the leaves in a precision, which require gradients."""
+    distance, spread, signal, attenuation = (
+        leaf.to(kind.to_complex() if leaf.is_complex() else kind).clone().requires_grad_() for leaf in leaves
+    )
+    return distance, spread, signal, attenuation
+
+
+def _long_product(which: int, backend: Backend) -> float:
+    """Largest error of the field and of each gradient of one of `_LISTS`, relative to the largest value of each."""
+    errors = []
+    for found, expected in zip(_composited(backend), _literal(), strict=True):
+        one, other = (values.reshape(len(_LISTS), -1)[which] for values in (found, expected))
+        errors.append(float((one - other).abs().max() / other.abs().max().clamp_min(1e-300)))
+    return max(errors)
+
+
+for _which, (_kind, _is_full) in enumerate(_LISTS):
+    for _backend, _limit in _LONG_LIMITS.items():
+        _name = f"{_NUM_FACTORS:,} attenuations {_IN_WORDS[_kind]}, {'G = 1' if _is_full else 'G < 1'}, {_backend}"
+        COMPOSITE.case(_name, _which, _backend, limit=_limit, unit="relative")(_long_product)
+
+
+@COMPOSITE.each(
+    _of_both_backends(f"{_NUM_FACTORS:,} attenuations of a half: underflow"), limit=_SINGLE, unit="relative"
+)
+def _underflow(backend: Backend) -> float:
+    """R = S (2 − 2^(1−L)) where each of L Gaussians transmits a half: in front of the last one T is 2^−10000."""
+    kind = torch.float32 if backend == "numba" else torch.float64
+    ones = torch.ones(_NUM_FACTORS, _BATCH, dtype=kind)
+    signal, half = ones.to(kind.to_complex()), (ones / 2).to(kind.to_complex())
+    leaves = _tracked((torch.zeros(_NUM_FACTORS, dtype=kind), ones, signal, half), kind)
+    field, *gradients = _with_gradients(composite(_lists(), *leaves, backend)[:, 0], leaves)
+    # the gradient of δ_m is T_m · V = 2^−m · 2
+    expected = 2 * 0.5 ** torch.arange(_NUM_FACTORS, dtype=torch.float64)[:, None]
+    slope = gradients[3].real.double()
+    seen_behind = torch.ones(_NUM_FACTORS, 1, dtype=torch.float64)
+    seen_behind[-1] = 0
+    near = slice(0, 100)  # 2^−100 is a float32 that is not denormal
+    return max(
+        float((field - 2).abs().max()),
+        float((slope / expected - 1)[near].abs().max()),
+        float((slope - expected * seen_behind).abs().max()),
+        float(
+            sum((~torch.isfinite(torch.view_as_real(g) if g.is_complex() else g)).sum() for g in gradients)
+        ),
+    )
+
+
+# the kernels keep G at 2^−124 or more, and the gradient of 1/λ is a distance of 1e12 times that
+@COMPOSITE.each(_of_both_backends("footprints 1e12 deviations² away"), limit=1e-25, unit="absolute")
+def _far_outside(backend: Backend) -> float:
+    """Field and gradients far outside a footprint, where G underflows; the signals are 1."""
+    kind = torch.float32 if backend == "numba" else torch.float64
+    ones = torch.ones(3, 1, dtype=kind)
+    signal, clear = ones.to(kind.to_complex()), (0 * ones).to(kind.to_complex())
+    leaves = _tracked((torch.tensor([1e3, 1e6, 1e12], dtype=kind), ones, signal, clear), kind)
+    values = _with_gradients(
+        composite(PixelLists(torch.tensor([0, 3]), torch.arange(3), 3), *leaves, backend)[:, 0], leaves
+    )
+    return max(float(value.abs().max()) for value in values)
+
+
+@COMPOSITE.each(_of_both_backends("directions without a Gaussian"), limit=0, unit="absolute")
+def _no_gaussians(backend: Backend) -> float:
+    """Field and gradients of directions that see no Gaussian."""
+    lists = PixelLists(torch.zeros(6, dtype=torch.int64), torch.zeros(0, dtype=torch.int64), 2)
+    signal = torch.ones(2, 3, dtype=torch.complex64)
+    leaves = _tracked((torch.zeros(0), torch.ones(2, 3), signal, signal), torch.float32)
+    field, *gradients = _with_gradients(composite(lists, *leaves, backend), leaves)
+    assert field.shape == (3, 5), f"field of shape {tuple(field.shape)}"
+    return float(field.abs().max()) + sum(float(gradient.abs().sum()) for gradient in gradients)
+
+
+@COMPOSITE.case("one thread and two", limit=_SINGLE, unit="relative")
+@needing_two_threads
+def _threads() -> float:
+    """Difference between the fields of one thread and of two, relative to the largest value."""
+    leaves, number = _tracked(_leaves(), torch.float32), len(_LISTS) * _NUM_FACTORS
+    lists = PixelLists(torch.arange(0, number + 1, 100), torch.arange(number), number)
+    one, two = (_composited_on(threads, lists, leaves) for threads in (1, 2))
+    return float((one - two).abs().max() / one.abs().max())
+
+
+def _composited_on(threads: int, lists: PixelLists, leaves: Leaves) -> Tensor:
+    """The field that the kernels compute on so many threads."""
+    before, numba_before = torch.get_num_threads(), use_threads(threads)
+    torch.set_num_threads(threads)
+    try:
+        return composite(lists, *leaves, "numba").detach()
+    finally:
+        torch.set_num_threads(before)
+        use_threads(numba_before)
+
+
+@FOOTPRINTS.each(_PLACES_AND_SIZES_DEG, limit=0, unit="pairs")
+def _misplaced_pairs(
+    centre_deg: list[tuple[float, float]], deviation_deg: list[tuple[float, float]]
+) -> float:
+    """Number of pairs of a direction and a Gaussian that are missing, wrong or double, in both backends.
+
+    All combinations of a centre, a deviation and a turn of the axes are tried.
+    """
+    chosen = list(product(centre_deg, deviation_deg, _TURNS_DEG))
+    angles, size, turn = (
+        torch.tensor(values, dtype=torch.float64).deg2rad() for values in zip(*chosen, strict=True)
+    )
+    axes = torch.stack([turn.cos(), -turn.sin(), turn.sin(), turn.cos()], -1).reshape(-1, 2, 2)
+    projection = _projection(angles, axes @ torch.diag_embed(size**2) @ axes.mT)
+    return float(sum(_misplaced(projection, backend) for backend in _BACKENDS))
+
+
+def _projection(centre_rad: Tensor, covariances: Tensor) -> Projection:
+    """Gaussians with these azimuths and elevations, (N, 2), each farther away than the one before."""
+    azimuth_rad, elevation_rad = centre_rad.unbind(-1)
+    return Projection(azimuth_rad, elevation_rad, covariances, torch.arange(len(centre_rad)).double())
+
+
+def _misplaced(projection: Projection, backend: Backend) -> int:
+    """Wrong entries in the lists of one backend."""
+    lists = bin_footprints(projection, _GRID, _SUPPORT, backend)
+    found = np.zeros((_GRID.directions[..., 0].size, lists.num_gaussians), int)
+    pixel = torch.repeat_interleave(lists.start.diff()).numpy()
+    np.add.at(found, (pixel, lists.gaussian.numpy()), 1)
+    distance = _squared_distances(projection)
+    is_decided = np.abs(distance - _SUPPORT) > 1e-9  # on the ellipse itself rounding decides
+    return int(np.abs(found - (distance <= _SUPPORT))[is_decided].sum())
+
+
+def _squared_distances(projection: Projection) -> NDArray[np.float64]:
+    """Squared Mahalanobis distances of all pairs, (directions, N), azimuths taken the short way round."""
+    precision = np.linalg.inv(projection.covariance.double().numpy())
+    azimuth, elevation = np.meshgrid(_GRID.azimuth_rad, _GRID.elevation_rad)
+    across = azimuth.reshape(-1, 1) - projection.azimuth_rad.double().numpy()
+    across = np.arctan2(np.sin(across), np.cos(across))
+    along = elevation.reshape(-1, 1) - projection.elevation_rad.double().numpy()
+    offset = np.stack([across, along], axis=-1)
+    return np.asarray(np.einsum("kni,nij,knj->kn", offset, precision, offset))
+
+
+@FOOTPRINTS.case("larger than the sphere", limit=0, unit="directions")
+def _larger_than_the_sphere() -> float:
+    """Number of directions that do not see each of three Gaussians, larger than the sphere, exactly once."""
+    angles = torch.tensor([[0.0, 0.5], [3.0, 1.5], [-math.pi, -1.0]]).double()
+    projection = _projection(angles, 1e4 * torch.eye(2).double().expand(3, 2, 2))
+    lists = [bin_footprints(projection, _GRID, _SUPPORT, backend) for backend in _BACKENDS]
+    return float(sum((each.start.diff() != 3).sum() for each in lists))
+
+
+# up to 360 per rad² times 2 · 3e-7 rad, the rounding of π, of roots of distances of 1e-3 and more
+@FOOTPRINTS.case("distances across the seam", limit=1e-4, unit="relative")
+def _seam() -> float:
+    """Relative error of distances across the azimuth's seam in float32, against the same in double precision."""
+    azimuth_rad = torch.tensor([0.0, -1e-7, math.pi, -math.pi, 2 * math.pi - 1e-3])
+    elevation_rad = torch.tensor([0.0, 0.01, 0.0, -0.02, 0.03])
+    covariances = torch.tensor([[0.01, 0.012], [0.012, 0.02]]).expand(5, 2, 2)
+    projection = Projection(azimuth_rad, elevation_rad, covariances, torch.ones(5))
+    start = torch.tensor([0] + [5] * 180 + [10] * 180 + [10] * (89 * 360))  # directions 0° and 180° alone
+    found = squared_distance(projection, PixelLists(start, torch.arange(5).repeat(2), 5), _GRID).double()
+    gap = torch.tensor([0.0, math.pi]).repeat_interleave(5).double() - azimuth_rad.double().repeat(2)
+    across, along = torch.atan2(gap.sin(), gap.cos()), -elevation_rad.double().repeat(2)
+    # the inverse of [[a, b], [b, c]] is [[c, −b], [−b, a]] over ac − b²
+    expected = (0.02 * across**2 - 0.024 * across * along + 0.01 * along**2) / (0.01 * 0.02 - 0.012**2)
+    return float(((found - expected).abs() / (1e-3 + expected)).max())
+
+
+@PROJECTION.case("Gaussians of all places, sizes, and zero quaternions", limit=0, unit="values")
+def _faults_of_strange_gaussians() -> float:
+    """Number of results and gradients that are not finite, and of footprints that are no ellipse."""
+    leaves = [leaf.requires_grad_() for leaf in _strange_gaussians(torch.float32)]
+    projection = project(leaves[0], covariance(leaves[2], leaves[1]))
+    lists = PixelLists(
+        torch.tensor([0, *[len(leaves[0])] * 32400]), torch.arange(len(leaves[0])), len(leaves[0])
+    )
+    distance = squared_distance(projection, lists, _GRID)
+    torch.exp(-distance / 2).sum().backward()
+    gradients = [leaf.grad for leaf in leaves if leaf.grad is not None]
+    values = [projection.azimuth_rad, projection.elevation_rad, projection.covariance, distance, *gradients]
+    faults = sum((~torch.isfinite(value)).sum() for value in values)
+    return float(
+        faults + (distance < 0).sum() + (torch.linalg.eigvalsh(projection.covariance.double()) <= 0).sum()
+    )
+
+
+def _strange_gaussians(kind: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions, log-scales and quaternions: at the receiver, on the pole's axis and beside it, from 1e-8 to 1e4 m."""
+    places = [
+        (0, 0, 0),
+        (0, 0, 3),
+        (0, 0, -3),
+        (1e-7, 0, 3),
+        (1e-3, 1e-3, 1),
+        (0, -2, 0),
+        (-2, 0, 1e-20),
+        (-3, 2, 1),
+    ]
+    scales = [
+        (1e-8, 1e-8, 1e-8),
+        (1e4, 1e-8, 1e-8),
+        (1e4, 1e4, 1e-8),
+        (1e4, 1e4, 1e4),
+        (10, 1e-3, 1e-3),
+        (1, 1, 1),
+    ]
+    turns = torch.randn(20, 4, generator=torch.Generator().manual_seed(0)).tolist()
+    pairs = [(place, scale, turn) for place in places for scale in scales for turn in [(0, 0, 0, 0), *turns]]
+    position_m, scale_m, quaternion = (
+        torch.tensor(column, dtype=kind) for column in zip(*pairs, strict=True)
+    )
+    return position_m, scale_m.log(), quaternion
+
+
+# it is moved by 2 µm to have an azimuth, and seen from 3 m
+@PROJECTION.each(
+    {"Gaussian exactly at the zenith": (3.0,), "Gaussian exactly at the nadir": (-3.0,)},
+    limit=1e-6,
+    unit="rad",
+)
+def _pole(height_m: float) -> float:
+    """Angle in radians between the pole and a Gaussian exactly above or below the receiver."""
+    position_m = torch.tensor([[0.0, 0.0, height_m]])
+    projection = project(position_m, torch.zeros(1, 3, 3))
+    return float((projection.elevation_rad - math.copysign(math.pi / 2, height_m)).abs())
+
+
+@PROJECTION.case("Jacobian up to 1.1° from the pole", limit=_SINGLE, unit="relative")
+def _jacobian() -> float:
+    """Error of the Jacobian in float32 against differences, relative to its largest entry."""
+    elevation = torch.tensor([0.0, 30.0, -45.0, 80.0, 88.0, 88.9]).double().deg2rad()
+    azimuth = torch.tensor([0.0, 1.0, 2.0, 3.0, -1.0, -3.1]).double()
+    horizontal = 5 * elevation.cos()
+    position_m = torch.stack(
+        [horizontal * azimuth.cos(), horizontal * azimuth.sin(), 5 * elevation.sin()], -1
+    )
+
+    def angles(at: Tensor) -> Tensor:
+        return torch.stack([torch.atan2(at[:, 1], at[:, 0]), torch.asin(at[:, 2] / at.norm(dim=-1))], -1)
+
+    step_m = 1e-5 * torch.eye(3, dtype=torch.float64)
+    expected = torch.stack([(angles(position_m + e) - angles(position_m - e)) / 2e-5 for e in step_m], dim=-1)
+    found = projection_jacobian(position_m.float()).double()
+    return float(((found - expected).abs().amax((1, 2)) / expected.abs().amax((1, 2))).max())
+
+
+@PROJECTION.case("Jacobian within 1° of the pole", limit=_SINGLE, unit="relative")
+def _jacobian_at_the_pole() -> float:
+    """Within 1° of the pole the azimuth changes by 1/(sin 1° · range) per metre, the elevation by 1/range."""
+    position_m = torch.tensor([[1e-12, 0, 5], [1e-6, 1e-6, 5], [0.01, -0.01, -5], [0.08, 0, 5]])
+    found = projection_jacobian(position_m).double().norm(dim=-1)
+    range_m = position_m.double().norm(dim=-1, keepdim=True)
+    expected = torch.tensor([1 / math.sin(math.pi / 180), 1.0]).double() / range_m
+    return float((found / expected - 1).abs().max())
+
+
+@PROJECTION.case("covariances of 1e-8 to 1e4 m", limit=5 * _SINGLE, unit="relative")
+def _extreme_scales() -> float:
+    """Σ of a needle turned so that its axes change places is the diagonal matrix with exchanged entries.
+
+    After a turn by 90° about z the error is relative to the largest entry. After a turn by 120° about all three
+    axes, whose quaternion and products are exact, it is relative to each entry of the diagonal.
+    """
+    scale = torch.tensor([[1e-8, 1e4, 1.0], [1e4, 1e-8, 1e-8], [1e4, 1e4, 1e-8]])
+    half = math.sqrt(0.5)
+    found = covariance(torch.tensor([[half, 0.0, 0.0, half]]).expand(3, 4), scale.log()).double()
+    expected = torch.diag_embed(scale.double()[:, [1, 0, 2]] ** 2)
+    off = (found - expected).abs() / expected.amax((1, 2), keepdim=True)
+    exact = covariance(torch.full((3, 4), 0.5), scale.log()).double()
+    entries = scale.double()[:, [2, 0, 1]] ** 2
+    beside = (exact - torch.diag_embed(exact.diagonal(dim1=1, dim2=2))).abs()
+    return max(
+        float(off.max()),
+        float((exact.diagonal(dim1=1, dim2=2) / entries - 1).abs().max()),
+        float(beside.max()),
+    )
+
+
+@PROJECTION.case("quaternions of length 0, 1e-6, 1e6", limit=_SINGLE, unit="absolute")
+def _quaternions() -> float:
+    """Quaternions of length 1e-6, 1 and 1e6 give the same rotation; one of length 0 gives the identity."""
+    unit = torch.nn.functional.normalize(
+        torch.randn(10, 4, generator=torch.Generator().manual_seed(0)), dim=-1
+    )
+    still = rotation_matrix(torch.zeros(1, 4)) - torch.eye(3)
+    others = [rotation_matrix(length * unit) - rotation_matrix(unit) for length in (1e-6, 1e6)]
+    product = rotation_matrix(unit).double()
+    return max(
+        float(off.abs().max()) for off in (still, *others, product @ product.mT - torch.eye(3).double())
+    )
+
+
+@PROJECTION.case("Gaussian without extent", limit=_SINGLE, unit="relative")
+def _smallest_footprint() -> float:
+    """A Gaussian without extent has a circular footprint with a deviation of half a degree."""
+    found = project(torch.tensor([[1.0, 2.0, 1.0]]), torch.zeros(1, 3, 3)).covariance
+    return float((found / math.radians(0.5) ** 2 - torch.eye(2)).abs().max())
