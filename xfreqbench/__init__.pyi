@@ -2,8 +2,8 @@ from . import errors as errors
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
-from .data.protocols import make_splits as make_splits
 from .data.splits import Split as Split
+from .data.splits import make_splits as make_splits
 from .maps import metrics as metrics
 from .maps.bartlett import BartlettBeam as BartlettBeam
 from .maps.grid import AngularGrid as AngularGrid
@@ -14,7 +14,7 @@ from .methods.contract import Progress as Progress
 from .methods.learning.training import LearnedMethod as LearnedMethod
 from .report.leaderboard.text import leaderboard as leaderboard
 from .runs.folder import read_records as read_records
-from .runs.protocol import run as run
+from .runs.run import run as run
 from .scene.model import Scene as Scene
 from .scene.model import load_scene as load_scene
 from .scene.model import parse_scene as parse_scene

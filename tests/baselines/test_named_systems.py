@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.special import sph_harm_y
+from stub_methods import run_job
 from synthetic import write_dataset
 from torch.nn.functional import normalize
 from training import DIVIDING, predicted, reloaded, trained
@@ -28,7 +29,7 @@ from xfreqbench.methods.splatting.projection import angular_centre
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
 from xfreqbench.report.leaderboard.tables import ranking_table
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

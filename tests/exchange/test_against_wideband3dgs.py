@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from places import PUBLISHED
 from png_folders import imported
+from stub_methods import run_job
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.grid import AngularGrid
@@ -16,7 +17,7 @@ from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 from xfreqbench.scene.array import steering_vector
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 

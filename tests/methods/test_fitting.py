@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from leaderboard_records import leaderboard_markdown
 from stored_records import make_record
+from stub_methods import run_job, run_jobs
 from synthetic import paper_dataset
 
 from xfreqbench.data.dataset import PasDataset
@@ -14,7 +15,7 @@ from xfreqbench.errors import MethodError, StorageError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.runs.run import Job, run_job, run_jobs
+from xfreqbench.runs.records import Job
 
 METHOD = """
 from dataclasses import dataclass, field

@@ -23,6 +23,7 @@ from descent import (
     wait_for_third,
 )
 from places import SUPPORT
+from stub_methods import run_job, run_jobs
 from synthetic import paper_dataset
 
 from xfreqbench.data.dataset import PasDataset
@@ -30,7 +31,6 @@ from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageEr
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.run import run_job, run_jobs
 
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
 

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from stub_methods import run_job
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import read_predictions
-from xfreqbench.runs.run import Job, RunRecord, run_job
+from xfreqbench.runs.records import Job, RunRecord
 
 NUM_STEPS = 200
 

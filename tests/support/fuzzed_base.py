@@ -22,8 +22,8 @@ from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
 from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.jobs import protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
-from xfreqbench.runs.protocol import protocol_jobs
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.workers import HERE
@@ -113,12 +113,13 @@ def _kill_a_fit() -> None:
         if fit.step == 2:
             raise KeyboardInterrupt
 
-    jobs = protocol_jobs(DATA, {"aperture-gs": FITTED}, "lofo", [10e9], [0], parse_budget("3steps"))
+    methods, budget = [("aperture-gs", FITTED)], parse_budget("3steps")
+    tasks = protocol_tasks(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
     with (
         mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0),
         contextlib.suppress(KeyboardInterrupt),
     ):
-        run_jobs(jobs, Path("results"), fitting=kill)
+        run_jobs(tasks, Path("results"), fitting=kill)
 
 
 def _write_predictions(split: Path, path: Path) -> None:

@@ -18,7 +18,7 @@ import xfreqbench
 from tests.whole.test_tutorial import COMMANDS, FILES
 from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.protocols import lofo
+from xfreqbench.data.splits import lofo
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps

@@ -11,7 +11,7 @@ import pytest
 from places import ROOT
 
 from xfreqbench.data.dataset import open_dataset, verify
-from xfreqbench.data.protocols import lofo
+from xfreqbench.data.splits import lofo
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.methods.registry import build_method
 from xfreqbench.report.leaderboard.report import write_report

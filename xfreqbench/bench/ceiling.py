@@ -19,8 +19,8 @@ from xfreqbench.bench.phase_blind import BandOfArray, random_phase_maps
 from xfreqbench.bench.tables import Bench
 from xfreqbench.bench.threads import one_thread
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import LOFO_TARGETS_HZ
 from xfreqbench.data.retrace import traced_scene
+from xfreqbench.data.splits import LOFO_TARGETS_HZ
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.metrics import bootstrap_interval, ssim
 from xfreqbench.methods.virtual_source.config import SourceConfig

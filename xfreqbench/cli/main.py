@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from xfreqbench.cli import data, exchange, findings, measure, runs
 from xfreqbench.cli.options import app
-from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
+from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
 from xfreqbench.system.waiting import choose_spinning
 
@@ -41,7 +41,7 @@ def main() -> None:
         with interruptions_kept():
             app()
         sys.stdout.flush()
-    except StorageError as error:
+    except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
         print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
         os._exit(2)  # at an ordinary exit HDF5 would write the failed file again, and crash
     except XFreqBenchError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,35 +15,75 @@ from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
 from xfreqbench.runs.predictions import read_predictions
-from xfreqbench.runs.records import NUM_QUANTILES, Summary
+from xfreqbench.runs.records import NUM_QUANTILES, CurvePoint, External, Job, RunRecord, Summary, utc_now
+from xfreqbench.system import machine
 from xfreqbench.types import FloatArray, IntArray
 
 BATCH_SIZE = 32  # maps that are in memory at a time
 _SSIM_DECIMALS = 4
 
 
-def scored_fields(dataset: PasDataset, split: Split, predictions: Path) -> dict[str, Any]:
-    """Score the file `predictions`: the fields of a `RunRecord` that depend on data set, split and predictions alone.
+@dataclass(frozen=True)
+class Measured:
+    """What a record holds of a fit, with the meaning that `RunRecord` gives to the same names."""
+
+    step: int
+    fit_seconds: float | None
+    predict_ms_per_map: float | None
+    parameters: int | None
+    config: Mapping[str, Any] = field(default_factory=dict)
+    hardware: Mapping[str, str] = field(default_factory=dict)
+    fit_processor_seconds: float | None = None
+    peak_memory_mib: float | None = None
+    counts: Mapping[str, float] = field(default_factory=dict)
+    curve: tuple[CurvePoint, ...] = ()
+    code_sha256: str | None = None
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    external: External | None = None
+
+
+def scored_record(
+    record_id: str, job: Job, dataset: PasDataset, split: Split, predictions: Path, measured: Measured
+) -> RunRecord:
+    """The record of a job: `predictions`, the file of stored maps, is scored here, and `measured` says the rest.
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
     scores, test = _stored_scores(dataset, split, predictions), dataset.subset(split.test)
-    return {
-        "dataset_sha256": dataset.sha256,
-        "recipe": dataset.recipe.id,
-        "scene": dataset.header.scene_name,
-        "pas_kind": dataset.header.pas_kind,
-        "settings": dict(dataset.header.settings),
-        "split_sha256": split.sha256,
-        "protocol_version": split.version,
-        "metrics_version": METRICS_VERSION,
-        "num_test": len(split.test),
-        "num_without_path": split.num_without_path,
-        "shares_transmitters": split.shares_transmitters,
-        "nearest_trained_m": split.nearest_trained_m,
-        "scores": {name: _summary(each, test.carrier_hz) for name, each in scores.items()},
-        "ssim_by_tx": _by_transmitter(scores["ssim"], test.tx_index),
-    }
+    return RunRecord(
+        id=record_id,
+        job=job,
+        dataset_sha256=dataset.sha256,
+        scene=dataset.header.scene_name,
+        pas_kind=dataset.header.pas_kind,
+        settings=dict(dataset.header.settings),
+        split_sha256=split.sha256,
+        protocol_version=split.version,
+        metrics_version=METRICS_VERSION,
+        config=dict(measured.config),
+        step=measured.step,
+        fit_seconds=measured.fit_seconds,
+        predict_ms_per_map=measured.predict_ms_per_map,
+        peak_memory_mib=measured.peak_memory_mib,
+        parameters=measured.parameters,
+        num_test=len(split.test),
+        num_without_path=split.num_without_path,
+        shares_transmitters=split.shares_transmitters,
+        scores={name: _summary(values, test.carrier_hz) for name, values in scores.items()},
+        hardware=dict(measured.hardware),
+        software=machine.software(),
+        git_commit=machine.git_commit(),
+        time_utc=utc_now(),
+        counts=dict(measured.counts),
+        curve=measured.curve,
+        ssim_by_tx=_by_transmitter(scores["ssim"], test.tx_index),
+        nearest_trained_m=split.nearest_trained_m,
+        code_sha256=measured.code_sha256,
+        findings=dict(measured.findings),
+        external=measured.external,
+        recipe=dataset.recipe.id,
+        fit_processor_seconds=measured.fit_processor_seconds,
+    )
 
 
 def median(values: Float[FloatArray, "N"]) -> float:

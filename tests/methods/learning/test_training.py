@@ -16,6 +16,7 @@ import pytest
 import torch
 from descent import curve, maps, wait_for_third
 from places import SUPPORT
+from stub_methods import run_job
 from synthetic import write_dataset
 from training import DIVIDING, TINY, predicted, reloaded, trained
 from xfreqbench.baselines.aperture_gs import ApertureGS
@@ -36,7 +37,7 @@ from xfreqbench.methods.splatting.field import SplatField
 from xfreqbench.methods.splatting.projection import project
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

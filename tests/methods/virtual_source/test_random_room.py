@@ -10,7 +10,7 @@ from xfreqbench.baselines.virtual_source import VirtualSource
 
 from xfreqbench.bench.planes import found_walls
 from xfreqbench.bench.random_rooms import RandomRoom
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
@@ -25,7 +25,7 @@ HZ = 24.25e9
 def test_a_random_room_is_found_and_predicts_a_carrier_that_it_was_not_trained_on(tmp_path: Path) -> None:
     room = RandomRoom.of(201, 240)
     data = room.traced(tmp_path / "room.h5")
-    (split,) = make_splits(data, "lofo", [HZ])
+    (split,) = make_splits(data, "lofo", [HZ / 1e9])
     method = VirtualSource()
     fit_within(method, data.subset(split.train), Budget(max_maps=12_000), 0)
     told = StoredFindings.model_validate(method.findings()).planes

@@ -14,7 +14,7 @@ import trimesh
 from found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.methods.virtual_source import changes, refine, traced
 from xfreqbench.methods.virtual_source.boxes import BoxFrame, Faces
 from xfreqbench.methods.virtual_source.materials import NamedSlab

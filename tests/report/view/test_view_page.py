@@ -17,7 +17,7 @@ from synthetic import make_header, transmitters, write_dataset
 
 from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import lofo
+from xfreqbench.data.splits import lofo
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.document import Picture, is_of_subject

@@ -18,7 +18,7 @@ from xfreqbench.bench.chaos.commands import COMMANDS, Command, prepare
 from xfreqbench.bench.chaos.disturbances import DISTURBANCES, Round
 from xfreqbench.bench.chaos.process import CommandLine, Ended, Running
 from xfreqbench.bench.tables import require_records
-from xfreqbench.runs.records import BenchRecord, append, machine_and_time
+from xfreqbench.runs.records import BenchRecord, append
 
 # What a killed process leaves, hidden, which the next that needs the place removes.
 _LITTER = ".lock", ".partial", ".removed"
@@ -242,7 +242,7 @@ def stress_by_chaos(
 
 
 def _record_of(num_rounds: int, rows: Sequence[tuple[str, ...]]) -> BenchRecord:
-    return BenchRecord(
+    return BenchRecord.here(
         bench="chaos",
         title="Commands disturbed at random",
         command=f"xfreqbench stress --chaos {num_rounds}",
@@ -253,5 +253,4 @@ def _record_of(num_rounds: int, rows: Sequence[tuple[str, ...]]) -> BenchRecord:
         ),
         columns=COLUMNS,
         rows=tuple(rows),
-        **machine_and_time(),
     )

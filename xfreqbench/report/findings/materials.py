@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.protocols import LOFO_TARGETS_HZ
+from xfreqbench.data.splits import LOFO_TARGETS_HZ
 from xfreqbench.methods.virtual_source.materials import NamedSlab, SlabNames
 from xfreqbench.methods.virtual_source.surfaces import polygon_area_m2
 from xfreqbench.methods.virtual_source.told import FoundFace, FoundSlab

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.methods.virtual_source.refine import Refinement
 from xfreqbench.methods.virtual_source.surfaces import surface_from_json

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.virtual_source.surfaces import RoomSurface

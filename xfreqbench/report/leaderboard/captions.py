@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from xfreqbench.data.protocols import VALIDATIONS
+from xfreqbench.data.splits import VALIDATIONS
 from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.published import reduced_statement

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import SPARSE_TEST_HZ, VALIDATIONS
+from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
