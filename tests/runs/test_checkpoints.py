@@ -121,7 +121,7 @@ def test_a_checkpoint_is_another_jobs_under_another_seed_or_option(
 
 def test_a_short_fit_leaves_no_trace_of_checkpoints(dataset: PasDataset, tmp_path: Path) -> None:
     run_job(make_job(dataset, max_steps=3), tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["predictions", "records.jsonl"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["methods", "predictions", "records.jsonl"]
 
 
 @pytest.mark.usefixtures("saves_every_step")

@@ -14,9 +14,14 @@ from places import ROOT
 PACKAGE = ROOT / "xfreqbench"
 SOURCES = [path for folder in (PACKAGE, ROOT / "baselines", ROOT / "scenes") for path in folder.rglob("*.py")]
 FOLDERS = [path for path in SOURCES if path.name == "__init__.py"]
-OFFERS_NAMES_LAZILY = {"xfreqbench/__init__.py", "xfreqbench/maps/__init__.py"}
+OFFERS_NAMES = {
+    "scenes/__init__.py",
+    "xfreqbench/__init__.py",
+    "xfreqbench/maps/__init__.py",
+    "xfreqbench/methods/__init__.py",
+}
 KERNELS = PACKAGE / "tracing" / "image" / "kernels.py"
-MAX_LINES = {KERNELS: 699}  # of other files 400: Numba compiles what is in one file together
+MAX_LINES = {KERNELS: 699}  # of other files 500: Numba compiles what is in one file together
 
 # Each dependency that takes long to import, or that few need, and the files that may import it.
 HOMES = {
@@ -32,6 +37,7 @@ HOMES = {
     "lazy_loader": {"__init__.py", "maps/__init__.py"},
     "markupsafe": {"report/drawing/document.py", "report/drawing/templates.py"},
     "matplotlib": {
+        "maps/drawing.py",
         "report/drawing/figures.py",
         "report/findings/figures.py",
         "report/leaderboard/plots.py",
@@ -107,14 +113,14 @@ def test_the_package_has_sixteen_entries_at_most() -> None:
 
 @pytest.mark.parametrize("path", FOLDERS, ids=named)
 def test_the_init_of_a_folder_is_a_docstring(path: Path) -> None:
-    """But where names are offered that are imported when they are used, and no more is said than that."""
+    """But where names are offered that are imported when they are asked for, and no more is said than that."""
     docstring, *rest = parsed(path).body
     assert ast.get_docstring(parsed(path)), docstring
-    if named(path) not in OFFERS_NAMES_LAZILY:
+    if named(path) not in OFFERS_NAMES:
         assert not rest
     else:
         assert not [node for node in rest if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-        assert set(imported(path)) <= {"lazy_loader", "os"}
+        assert set(imported(path)) <= {"lazy_loader", "os", "sys", "xfreqbench"}
 
 
 def test_every_folder_with_sources_is_a_package() -> None:
@@ -122,7 +128,7 @@ def test_every_folder_with_sources_is_a_package() -> None:
 
 
 def test_no_file_is_long() -> None:
-    long = {named(path): num_lines(path) for path in SOURCES if num_lines(path) > MAX_LINES.get(path, 400)}
+    long = {named(path): num_lines(path) for path in SOURCES if num_lines(path) > MAX_LINES.get(path, 500)}
     assert not long
 
 

@@ -126,7 +126,7 @@ def run(
     results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
         str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
-    ] = "all",
+    ],
     protocol: Annotated[
         str,
         Parameter(

@@ -211,6 +211,11 @@ VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
 _AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
 
 
+def protocols() -> list[str]:
+    """Names of the protocols, which `make_splits` and `run` take; the top of this module says what each tests."""
+    return list(PROTOCOLS)
+
+
 @checked
 def make_splits(
     dataset: InstanceOf[PasDataset], protocol: str, targets_ghz: TargetsGhz = None, on: ScoredOn = "test"

@@ -38,7 +38,7 @@ from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
-from xfreqbench.runs.scoring import Measured, scored_record
+from xfreqbench.runs.scoring import FitOutcome, scored_record
 from xfreqbench.system.files import require_space
 from xfreqbench.types import ProgressCallback, ignore_progress
 
@@ -159,14 +159,14 @@ def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRe
 def _record(submission: _Submission, part: Part, record_id: str, predictions: Path) -> RunRecord:
     declared = part.declared
     job = Job(submission.data, declared.method, part.split.protocol, part.split.name, seed=declared.seed)
-    measured = Measured(
+    outcome = FitOutcome(
         step=0,
         fit_seconds=declared.fit_seconds,
         predict_ms_per_map=declared.predict_ms_per_map,
         parameters=declared.parameters,
         external=External(sha256=submission.sha256, hardware=declared.hardware, url=declared.url),
     )
-    return scored_record(record_id, job, submission.dataset, part.split, predictions, measured)
+    return scored_record(record_id, job, submission.dataset, part.split, predictions, outcome)
 
 
 def _missing(dataset: PasDataset, parts: Sequence[Part]) -> Iterator[str]:

@@ -39,7 +39,7 @@ from xfreqbench.runs.jobs import Task, protocol_tasks, require_runnable
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import RunRecord
-from xfreqbench.runs.scoring import BATCH_SIZE, Measured, scored_record
+from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked
 from xfreqbench.system.files import storage_errors
@@ -76,10 +76,10 @@ def run(
     `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run where that is no terminal, and
     first says what the runs will take where that may be more than ten minutes.
 
-    Records and predictions go to the folder `results`. What is finished there is not run again, and a fit that was
-    killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where that is
-    possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single run raises
-    its own error.
+    Records, predictions and fitted methods go to the folder `results`. What is finished there is not run again, and a
+    fit that was killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where
+    that is possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single
+    run raises its own error.
     """
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device)
     return run_shown(tasks, Path(results), executor, progress)
@@ -229,7 +229,7 @@ def _error_of(task: Task, record: RunRecord) -> ClusterError | None:
 
 
 def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
-    """Fit, predict, store the predictions in `folder`, and score what was stored; the record of all that.
+    """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
     The caller holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
     then: a job without a record is unfinished.
@@ -240,6 +240,8 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
     machine.reset_peak_memory()
     fit = task_fit.run()
     method, clock = task_fit.method, Stopwatch()
+    with task.method_errors("save"):
+        folder.fitted(task.id).write(method, fit, task_fit.curve)
     write_predictions(
         path,
         _predicted(task, method, clock),
@@ -248,7 +250,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
         dataset_sha256=task.dataset.sha256,
         split_sha256=task.split.sha256,
     )
-    measured = Measured(
+    outcome = FitOutcome(
         config=task.config,
         step=fit.step,
         fit_seconds=fit.seconds,
@@ -262,7 +264,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
         code_sha256=task.code_sha256,
         findings=_findings(task, method),
     )
-    return scored_record(task.id, task.job, task.dataset, task.split, path, measured)
+    return scored_record(task.id, task.job, task.dataset, task.split, path, outcome)
 
 
 def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatch]:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.report.drawing.figures import DISPLAY_RANGE_DB, figure_kind, save_figure
+from xfreqbench.maps.drawing import DISPLAY_RANGE_DB
+from xfreqbench.report.drawing.figures import figure_kind, save_figure
 from xfreqbench.report.view.figures import bounds_m, draw_outlines
 from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.types import FloatArray
