@@ -85,6 +85,11 @@ def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: l
     ("words", "needed", "example"),
     [
         (
+            "run --data office.h5 --results results",
+            "needs --method.",
+            "Example: xfreqbench run --data office.h5 --method",
+        ),
+        (
             "view office.h5",
             "needs --output or -o.",
             "Example: xfreqbench view office.h5 --tx 7 -o office_view",

@@ -161,7 +161,9 @@ def run_jobs(
     """
     folder = ResultsFolder(results_dir.absolute())
     require_runnable(tasks, folder)
-    asked = {task.id: task for task in tasks}  # options that say the defaults are the same job
+    asked = dict[str, Task]()
+    for task in tasks:  # options that say the defaults are the same job
+        asked.setdefault(task.id, task)
     records, errors = dict[str, RunRecord](), dict[str, BaseException]()
     done = 0
 

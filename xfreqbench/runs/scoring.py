@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Num
 from numpy.typing import NDArray
-from pydantic import InstanceOf
+from pydantic import InstanceOf, SkipValidation
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import Split
@@ -19,6 +19,7 @@ from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_predictions
 from xfreqbench.runs.records import NUM_QUANTILES, CurvePoint, External, Job, RunRecord, Summary, utc_now
 from xfreqbench.system import machine
+from xfreqbench.system.arguments import checked
 from xfreqbench.types import FloatArray, IntArray
 
 BATCH_SIZE = 32  # maps that are in memory at a time
@@ -88,8 +89,11 @@ def scored_record(
     )
 
 
+@checked
 def score(
-    maps: Num[NDArray[Any], "N E A"], split: InstanceOf[Split], dataset: InstanceOf[PasDataset]
+    maps: SkipValidation[Num[NDArray[Any], "N E A"]],
+    split: InstanceOf[Split],
+    dataset: InstanceOf[PasDataset],
 ) -> dict[str, Float[FloatArray, "N"]]:
     """Scores (N,) of maps that were predicted for the N test samples of a split, by the name of the metric.
 
@@ -99,7 +103,10 @@ def score(
 
     Raises `ArgumentError` for maps of another shape, and for one that is no map.
     """
-    asked, rows = np.asarray(maps), split.test
+    try:
+        asked, rows = np.asarray(maps), split.test
+    except ValueError as error:  # lists of different lengths
+        raise ArgumentError(f"The maps to score are one array of numbers (N, E, A), but {error}.") from error
     shape = (len(rows), *dataset.grid.shape)
     if rows[-1] >= len(dataset):
         raise ArgumentError(
