@@ -242,8 +242,10 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
     machine.reset_peak_memory()
     fit = task_fit.run()
     method, clock = task_fit.method, Stopwatch()
+    kept = folder.fitted(task.id)
+    kept.remove()  # what a run that was killed has left
     with task.method_errors("save"):
-        folder.fitted(task.id).write(method, fit, task_fit.curve)
+        kept.write(method, fit, task_fit.curve)
     write_predictions(
         path,
         _predicted(task, method, clock),
