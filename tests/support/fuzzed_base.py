@@ -18,6 +18,7 @@ from fuzzed_png import PNG_FOLDER, png
 from fuzzed_scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from fuzzing import xfreqbench
 
+from xfreqbench.data.dataset import open_dataset
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
