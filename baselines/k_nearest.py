@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import inner_carriers_hz
+from xfreqbench.data.validation import inner_carriers_hz
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget, Progress

@@ -1,1 +1,8 @@
-"""Scene files that ship with xfreqbench: data only."""
+"""Scene files that ship with xfreqbench, and their names: `xfreqbench.scenes()`."""
+
+import sys
+
+from xfreqbench.system.callable_package import CallablePackage
+
+NAMES = "xfreqbench.scene.model:shipped_scenes"
+sys.modules[__name__].__class__ = CallablePackage

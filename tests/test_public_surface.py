@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from types import ModuleType
 
 import pytest
@@ -13,6 +14,11 @@ PUBLIC = [
     "load_scene",
     "parse_scene",
     "Scene",
+    "Surface",
+    "ReceiverArray",
+    "TransmitterGrid",
+    "permittivity",
+    "scenes",
     "TraceSettings",
     "make_tracer",
     "generate",
@@ -22,29 +28,60 @@ PUBLIC = [
     "BartlettBeam",
     "make_splits",
     "Split",
+    "protocols",
+    "PasWriter",
+    "SampleBlock",
     "Method",
     "Progress",
     "Budget",
     "check_method",
     "LearnedMethod",
+    "TrainingConfig",
+    "ChannelField",
+    "GridView",
+    "Beams",
+    "Scaling",
+    "positional_encoding",
+    "training_log",
+    "methods",
     "run",
     "read_records",
+    "RunRecord",
+    "score",
+    "load_method",
     "leaderboard",
     "metrics",
     "errors",
 ]
-HEAVY = ("numpy", "torch", "h5py", "pydantic")
+PACKAGES = {"metrics", "errors", "methods", "scenes"}
+HEAVY = ("numpy", "torch", "h5py", "pydantic", "xfreqbench.data")
 
 
 def test_the_public_names_are_these() -> None:
-    assert sorted(xb.__all__) == sorted(dir(xb)) == sorted(PUBLIC)
+    assert sorted(xb.__all__) == sorted(dir(xb)) == sorted([*PUBLIC, "__version__"])
 
 
 @pytest.mark.parametrize("name", PUBLIC)
 def test_a_public_name_is_imported_when_it_is_used(name: str) -> None:
     found = getattr(xb, name)
-    assert isinstance(found, ModuleType) == (name in ("metrics", "errors"))
+    assert isinstance(found, ModuleType) == (name in PACKAGES)
     assert found.__doc__
+
+
+def test_what_can_be_named_is_listed() -> None:
+    assert {"office", "two_rooms", "corridor", "empty"} <= set(xb.scenes())
+    assert {"xfreq-gs", "nearest", "virtual-source"} <= set(xb.methods())
+    assert {"lofo", "held-out-tx"} <= set(xb.protocols())
+    assert xb.__version__ == version("xfreqbench")
+
+
+def test_packages_that_are_functions_too_stay_packages() -> None:
+    program = (
+        "import xfreqbench as xb; xb.methods(); xb.scenes()\n"
+        "import xfreqbench.methods.contract as contract, xfreqbench.scenes\n"
+        "assert contract.Budget is xb.Budget and 'office' in xfreqbench.scenes()"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_functions_are_not_mistaken_for_the_modules_of_their_names() -> None:

@@ -1,9 +1,14 @@
+import typing
+
 from . import errors as errors
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
-from .data.protocols import make_splits as make_splits
 from .data.splits import Split as Split
+from .data.splits import make_splits as make_splits
+from .data.splits import protocols as protocols
+from .data.writer import PasWriter as PasWriter
+from .data.writer import SampleBlock as SampleBlock
 from .maps import metrics as metrics
 from .maps.bartlett import BartlettBeam as BartlettBeam
 from .maps.grid import AngularGrid as AngularGrid
@@ -11,12 +16,36 @@ from .methods.check import check_method as check_method
 from .methods.contract import Budget as Budget
 from .methods.contract import Method as Method
 from .methods.contract import Progress as Progress
+from .methods.learning.encoding import Scaling as Scaling
+from .methods.learning.encoding import positional_encoding as positional_encoding
+from .methods.learning.targets import Beams as Beams
+from .methods.learning.targets import GridView as GridView
+from .methods.learning.training import ChannelField as ChannelField
 from .methods.learning.training import LearnedMethod as LearnedMethod
+from .methods.learning.training import TrainingConfig as TrainingConfig
 from .report.leaderboard.text import leaderboard as leaderboard
+from .runs.folder import load_method as load_method
 from .runs.folder import read_records as read_records
-from .runs.protocol import run as run
+from .runs.records import RunRecord as RunRecord
+from .runs.run import run as run
+from .runs.scoring import score as score
+from .runs.training_log import training_log as training_log
+from .scene.materials import permittivity as permittivity
+from .scene.model import ReceiverArray as ReceiverArray
 from .scene.model import Scene as Scene
+from .scene.model import Surface as Surface
+from .scene.model import TransmitterGrid as TransmitterGrid
 from .scene.model import load_scene as load_scene
 from .scene.model import parse_scene as parse_scene
+from .system.version import __version__ as __version__
 from .tracing.solvers import make_tracer as make_tracer
 from .tracing.tracer import TraceSettings as TraceSettings
+
+if (
+    not typing.TYPE_CHECKING
+):  # lazy_loader reads this too: these packages give their names when they are called
+    from . import methods as methods
+    from . import scenes as scenes
+
+def methods() -> list[str]: ...
+def scenes() -> list[str]: ...

@@ -11,6 +11,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 ├── ProtocolError          the data set lacks carriers or transmitters that the protocol needs
 ├── MethodError            a method cannot be imported, or breaks the `Method` contract
 │   └── DivergenceError    while a method was fitted, its loss, gradients or parameters became infinite or NaN
+├── RunsFailedError        some of several runs failed; it holds the error of each
 ├── StorageError           the output cannot be written: no space, no permission, or a folder in its place
 ├── ClusterError           workers cannot be reached, differ from this process, or end while they work
 └── MissingLLVMError       there is no LLVM library that Dr.Jit can use
@@ -19,7 +20,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
@@ -95,6 +96,27 @@ class DivergenceError(MethodError):
 
 class StorageError(XFreqBenchError):
     """The output cannot be written: no space, no permission, or a folder in its place."""
+
+
+class RunsFailedError(XFreqBenchError):
+    """Some of several runs failed; `errors` has the error of each by its name in words. The others are kept."""
+
+    def __init__(self, errors: Mapping[str, BaseException], num_asked: int) -> None:
+        self.errors = dict(errors)
+        self._num_asked = num_asked
+        number = f"{len(errors)} of {num_asked} runs failed; run the same again, and they are tried again."
+        super().__init__("\n".join([number, *self.lines]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.errors, self._num_asked)
+
+    @property
+    def lines(self) -> list[str]:
+        """A line for each run that failed."""
+        return [
+            f"{run}: {error if isinstance(error, XFreqBenchError) else f'{type(error).__name__}: {error}'}"
+            for run, error in self.errors.items()
+        ]
 
 
 class ClusterError(XFreqBenchError):

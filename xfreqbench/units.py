@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 VACUUM_PERMITTIVITY_F_M = 8.8541878128e-12  # CODATA 2018
 
+MAX_CARRIER_GHZ = 1000.0
 PAPER_CARRIERS_GHZ = (1.0, 2.4, 5.0, 10.0, 24.25, 37.0, 47.0, 60.0, 77.0, 94.0)
 
 
 def ghz_to_hz(carrier_ghz: float) -> float:
-    """Carrier in hertz, rounded to the hertz so that 24.25 GHz is the same number everywhere."""
+    """Carrier in hertz, rounded to the hertz so that 24.25 GHz is the same number everywhere.
+
+    Raises `ValueError` for a carrier below a hertz or not finite, and for one above `MAX_CARRIER_GHZ`, which was in all
+    likelihood given in hertz.
+    """
+    if not 1e-9 <= carrier_ghz < inf:
+        raise ValueError(f"a carrier in GHz is a number above 0, as in 24.25, and not {carrier_ghz:g}")
+    if carrier_ghz > MAX_CARRIER_GHZ:
+        raise ValueError(
+            f"a carrier in GHz is at most {MAX_CARRIER_GHZ:,.0f}, and not {carrier_ghz:g}. Was that hertz? Then it is "
+            f"{carrier_ghz / 1e9:g} in GHz"
+        )
     return float(round(carrier_ghz * 1e9))
 
 

@@ -162,3 +162,22 @@ def test_xarray_shows_names_coordinates_and_units(tmp_path: Path) -> None:
         peak = shown.pas.isel(tx=0, carrier_hz=0).sel(elevation_deg=slice(0, 89)).max()
         assert float(peak) == 1
         assert shown.frame_rotation.dims == ("axis", "receiver_axis")
+
+
+@pytest.mark.parametrize("kind", ["power", "amplitude"])
+def test_a_map_is_drawn_in_db_below_its_peak(tmp_path: Path, kind: str) -> None:
+    power_maps = write_dataset(tmp_path / "data.h5")
+    dataset = replace(power_maps, header=replace(power_maps.header, pas_kind=kind))
+    figure = dataset.plot(4)
+    disc, bar = figure.axes
+    assert (
+        disc.get_title()
+        == f"10 GHz, transmitter at ({', '.join(f'{m:.2f}' for m in dataset[4].tx_position_m)}) m"
+    )
+    assert bar.get_ylabel() == "dB below the peak"
+    drawn_db = disc.collections[0].get_array().reshape(dataset.grid.shape)
+    power = dataset[4].map.astype(float) ** (2 if kind == "amplitude" else 1)
+    np.testing.assert_allclose(drawn_db, 10 * np.log10(np.maximum(power, 1e-3)), atol=1e-3)
+    figure.savefig(tmp_path / "map.png")
+    with pytest.raises(IndexError):
+        dataset.plot(len(dataset))

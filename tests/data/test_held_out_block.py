@@ -7,15 +7,15 @@ import pytest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import (
+from xfreqbench.data.splits import (
     BLOCK_MARGIN_M,
     NUM_BLOCKS,
+    Split,
     blocks,
     find_split,
     held_out_block,
     make_splits,
 )
-from xfreqbench.data.splits import Split
 from xfreqbench.errors import ProtocolError, UnknownNameError
 
 NUM_TX = 60
@@ -100,4 +100,4 @@ def test_names_and_targets_that_there_are_not_are_refused(dataset: PasDataset) -
     with pytest.raises(UnknownNameError, match="split of 'held-out-block'"):
         find_split(dataset, "held-out-block", "held-out-block-validation")
     with pytest.raises(ProtocolError, match="'held-out-block' chooses what it tests"):
-        make_splits(dataset, "held-out-block", [1e9])
+        make_splits(dataset, "held-out-block", [1])

@@ -10,13 +10,14 @@ import pytest
 
 from tests.support.places import PUBLISHED
 from tests.support.png_folders import imported
+from tests.support.stub_methods import run_job
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 from xfreqbench.scene.array import steering_vector
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tests.support.prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predictions
+from tests.support.stub_methods import run_job
 from xfreqbench.cli import exchange
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange import score_file as external
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.maps import metrics
@@ -20,7 +21,6 @@ from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.runs.records import Job, RunRecord, read
-from xfreqbench.runs.run import run_job
 
 
 @pytest.fixture(autouse=True)
@@ -106,7 +106,7 @@ def test_files_of_one_method_with_other_seeds_or_splits_are_one_row(
     for seed in range(3):
         path = write_predictions(tmp_path / f"{seed}.h5", split_file, seed=seed)
         score_file(path, dataset.path, tmp_path / "results")
-    single = hand_out(dataset, tmp_path / "single.h5", targets=[1e9])
+    single = hand_out(dataset, tmp_path / "single.h5", targets=[1])
     score_file(write_predictions(tmp_path / "one.h5", single), dataset.path, tmp_path / "results")
     (board,) = boards(stored(tmp_path / "results"))
     (row,) = board.rows
@@ -155,7 +155,7 @@ def test_predictions_named_as_a_built_in_method_stay_a_row_of_their_own_and_coun
 def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_adds_the_others(
     dataset: PasDataset, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    results, calls, original = tmp_path / "results", [], external.scored_fields
+    results, calls, original = tmp_path / "results", [], external.scored_record
 
     def killed_at_the_second(*arguments):
         calls.append(arguments)
@@ -163,7 +163,7 @@ def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_add
             os.kill(os.getpid(), signal.SIGKILL)
         return original(*arguments)
 
-    monkeypatch.setattr(external, "scored_fields", killed_at_the_second)
+    monkeypatch.setattr(external, "scored_record", killed_at_the_second)
     killed(lambda: score_file(predictions, dataset.path, results))
     monkeypatch.undo()
     (first,) = stored(results)
@@ -192,8 +192,8 @@ def test_a_split_on_validation_is_handed_out_predicted_and_scored_as_its_run_is(
 ) -> None:
     split_file, results = tmp_path / "split.h5", tmp_path / "results"
     exchange.split(data=Path(dataset.path), output=split_file, targets="24.25", on="validation", maps=True)
-    (validation,) = make_splits(dataset, "lofo", [24.25e9], on="validation")
-    (tested,) = make_splits(dataset, "lofo", [24.25e9])
+    (validation,) = make_splits(dataset, "lofo", [24.25], on="validation")
+    (tested,) = make_splits(dataset, "lofo", [24.25])
     with h5py.File(split_file) as file:
         assert list(file) == [validation.name]
         handed_out = file[validation.name]

@@ -12,7 +12,7 @@ import xarray
 from tests.support.prediction_files import SPLITS, hand_out, killed
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import verify_sealed
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, StorageError
 from xfreqbench.exchange.split_file import SCHEMA, Handout, write_handout
 
@@ -72,8 +72,8 @@ def test_a_changed_attribute_of_a_group_is_noticed(split_file: Path, tmp_path: P
 def test_no_test_map_and_no_channel_is_in_a_split_file(
     dataset: PasDataset, tmp_path: Path, maps: bool
 ) -> None:
-    path = hand_out(dataset, tmp_path / "split.h5", targets=[24.25e9], maps=maps)
-    (split,) = make_splits(dataset, "lofo", [24.25e9])
+    path = hand_out(dataset, tmp_path / "split.h5", targets=[24.25], maps=maps)
+    (split,) = make_splits(dataset, "lofo", [24.25])
     with h5py.File(path) as file:
         assert set(file["lofo-24.25GHz"]) == GEOMETRY | ROWS | ({"train_pas"} if maps else set())
     content = path.read_bytes()
@@ -125,7 +125,7 @@ def test_writing_training_maps_tells_how_far_it_is_and_holds_a_batch_at_a_time(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     told = []
-    handout = Handout(dataset, make_splits(dataset, "lofo", [77e9]), maps=True)
+    handout = Handout(dataset, make_splits(dataset, "lofo", [77]), maps=True)
     write_handout(handout, tmp_path / "split.h5", lambda *each: told.append(each))
     assert told == [(32, 45), (45, 45)]  # 5 transmitters at 9 carriers
 
@@ -133,7 +133,7 @@ def test_writing_training_maps_tells_how_far_it_is_and_holds_a_batch_at_a_time(
 def test_a_split_file_killed_in_the_middle_is_not_there_and_is_written_by_the_next_try(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    handout = Handout(dataset, make_splits(dataset, "lofo", [77e9]), maps=True)
+    handout = Handout(dataset, make_splits(dataset, "lofo", [77]), maps=True)
     path = tmp_path / "split.h5"
     killed(lambda: write_handout(handout, path, lambda done, total: os.kill(os.getpid(), signal.SIGKILL)))
     assert not path.exists() and list(tmp_path.iterdir())

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.stub_methods import run_job
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 
 METHOD = """
 from dataclasses import dataclass, field

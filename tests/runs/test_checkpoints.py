@@ -22,6 +22,7 @@ from tests.support.descent import (
     make_job,
     maps,
 )
+from tests.support.stub_methods import run_job, run_jobs
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
@@ -29,7 +30,6 @@ from xfreqbench.methods import fitting
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.run import run_job, run_jobs
 from xfreqbench.runs.sealed import SEAL, content_sha256
 
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
@@ -130,7 +130,7 @@ def test_a_checkpoint_is_another_jobs_under_another_seed_or_option(
 
 def test_a_short_fit_leaves_no_trace_of_checkpoints(dataset: PasDataset, tmp_path: Path) -> None:
     run_job(make_job(dataset, max_steps=3), tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["predictions", "records.jsonl"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["methods", "predictions", "records.jsonl"]
 
 
 @pytest.mark.usefixtures("saves_every_step")

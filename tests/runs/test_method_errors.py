@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from xfreqbench.baselines.nearest import Nearest
 
-from tests.support.stub_methods import lofo_job
+from tests.support.stub_methods import lofo_job, run_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
-from xfreqbench.errors import DataError, MethodError
+from xfreqbench.data.splits import find_split
+from xfreqbench.errors import DataError, MethodError, RunsFailedError
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import checkpoints, records
-from xfreqbench.runs.run import run_job, run_jobs
 
 
 class FailsInPredict(Nearest):
@@ -87,12 +86,16 @@ class Faint(Nearest):
         ),
     ],
 )
-def test_a_method_that_fails_is_named_and_the_jobs_before_it_are_kept(
+def test_a_method_that_fails_is_named_and_stops_no_other_job(
     dataset: PasDataset, tmp_path: Path, name: str, words: str
 ) -> None:
-    with pytest.raises(MethodError, match=words):
-        run_jobs([lofo_job(dataset), lofo_job(dataset, name)], tmp_path)
-    assert [record.job.method for record in records.read(tmp_path / "records.jsonl").records] == ["nearest"]
+    jobs = [lofo_job(dataset), lofo_job(dataset, name), lofo_job(dataset, "line-of-sight")]
+    with pytest.raises(
+        RunsFailedError, match=rf"1 of 3 runs failed; .*\n{name} on lofo-24\.25GHz, seed 0: .*{words}"
+    ):
+        run_jobs(jobs, tmp_path)
+    kept = [record.job.method for record in records.read(tmp_path / "records.jsonl").records]
+    assert kept == ["nearest", "line-of-sight"]
 
 
 PARTS = ("fit", "predict", "save", "findings")

@@ -160,31 +160,20 @@ def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
     planned = plan_benchmark("small", folder / "other", folder / "results")
     data.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
     with pytest.raises(OutputExistsError):
-        benchmarks.generate_data(planned, lambda scene, done, total: None)
+        benchmarks.generate_data(planned)
 
 
 def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = plan_benchmark("small", folder / "data", folder / "results")
-    benchmarks.generate_data(planned, lambda scene, done, total: None)
+    benchmarks.generate_data(planned)
     broken = Preset("", (Block("empty", "held-out-tx", TRIVIAL_SETTINGS[:2], None),), "", {"empty": 12})
     results = folder / "other"
     (results / "predictions").mkdir(parents=True)
-    job = Benchmark("broken", broken, folder / "data", results).jobs()[0]
-    blocked = _blocked_predictions(folder, results, job)
-    failures = benchmarks.run_benchmark(
-        Benchmark("broken", broken, folder / "data", results), lambda done, total, job: None
-    )
+    task = Benchmark("broken", broken, folder / "data", results).tasks()[0]
+    blocked = ResultsFolder(results).predictions_path(task.id)
+    blocked.mkdir()  # where the predictions would go, once everything else was checked
+    failures = benchmarks.run_benchmark(Benchmark("broken", broken, folder / "data", results))
     assert len(failures) == 1
-    assert job.method in failures[0]
+    assert task.job.method in failures[0]
     assert len(read_records(results)) == 1
     blocked.rmdir()
-
-
-def _blocked_predictions(folder: Path, results: Path, job) -> Path:
-    """A folder where the job's predictions would go, once everything else was checked."""
-    from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.runs.jobs import look_up
-
-    path = ResultsFolder(results).predictions_path(look_up(job, open_dataset(job.dataset)).id)
-    path.mkdir()
-    return path

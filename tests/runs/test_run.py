@@ -13,17 +13,17 @@ import pytest
 from xfreqbench.baselines.nearest import Nearest
 
 from tests.support.clock import Clock, set_clock
-from tests.support.stub_methods import lofo_job
+from tests.support.stub_methods import lofo_job, run_job, run_jobs
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError, StorageError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.runs import records, watch
+from xfreqbench.runs import fit, records
 from xfreqbench.runs.predictions import read_predictions
-from xfreqbench.runs.run import Job, run_job, run_jobs
+from xfreqbench.runs.records import Job
 from xfreqbench.system import machine
 
 ON_A_TERMINAL = {"FORCE_COLOR": "1", "TTY_INTERACTIVE": "1", "COLUMNS": "200"}  # as Rich is told
@@ -142,8 +142,8 @@ def test_an_override_that_says_the_default_is_the_same_job(dataset: PasDataset, 
 def test_progress_counts_the_jobs(dataset: PasDataset, tmp_path: Path) -> None:
     seen = []
     jobs = [lofo_job(dataset), lofo_job(dataset, "line-of-sight")]
-    run_jobs(jobs, tmp_path, lambda done, total, record: seen.append((done, total, record.job)))
-    assert seen == [(1, 2, jobs[0]), (2, 2, jobs[1])]
+    records = run_jobs(jobs, tmp_path, progress=lambda *ended: seen.append(ended))
+    assert seen == [(1, 2, jobs[0], records[0]), (2, 2, jobs[1], records[1])]
 
 
 def test_a_wrong_name_in_the_last_job_is_told_before_the_first_fit(
@@ -317,7 +317,7 @@ def test_what_a_first_step_compiles_is_not_on_the_clock(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, num_rows: int
 ) -> None:
     split = find_split(dataset, "lofo", "lofo-24.25GHz")
-    monkeypatch.setattr(watch, "_WARM_UP_TX", 1)
+    monkeypatch.setattr(fit, "_WARM_UP_TX", 1)
     monkeypatch.setattr(Compiling, "compiled", False)
     monkeypatch.setattr(Compiling, "num_rows", num_rows * len(split.train))  # then the warm-up itself fails
     clock = set_clock(monkeypatch, fitting)

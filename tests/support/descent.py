@@ -17,12 +17,13 @@ from typing import ClassVar
 import numpy as np
 
 from tests.support.places import ROOT
+from tests.support.stub_methods import run_job
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import Checkpoint, CheckpointFolder
 from xfreqbench.runs.predictions import read_predictions
-from xfreqbench.runs.run import Job, RunRecord, run_job
+from xfreqbench.runs.records import Job, RunRecord
 
 NUM_STEPS = 200
 

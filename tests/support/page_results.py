@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.support.stored_records import make_record
+from tests.support.stub_methods import run_jobs
 from tests.support.synthetic import paper_dataset
-from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint, append, read
-from xfreqbench.runs.run import Job, run_jobs
+from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint, Job, append, read
 
 METHODS = ("nearest", "mean-over-frequency")
 SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange.split_file import Handout, write_handout
 
 SPLITS = ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 from xfreqbench.baselines.nearest import Nearest
 
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.splits import find_split
+from xfreqbench.errors import RunsFailedError
 from xfreqbench.methods.contract import Progress
-from xfreqbench.runs.run import Job
+from xfreqbench.runs import run
+from xfreqbench.runs.jobs import Task
+from xfreqbench.runs.records import Job, RunRecord
 
 
 @dataclass(frozen=True)
@@ -149,3 +155,23 @@ class FailsInFit(Nearest):
 def lofo_job(dataset: PasDataset, method: str = "nearest", split: str = "lofo-24.25GHz", **options) -> Job:
     """A fit of a method to all carriers of a data set but one."""
     return Job(str(dataset.path), method, "lofo", split, **options)
+
+
+def task_of(job: Job) -> Task:
+    """A job with its data set and its split, which are found by their names."""
+    dataset = open_dataset(job.dataset)
+    return Task.of(job, dataset, find_split(dataset, job.protocol, job.split))
+
+
+def run_jobs(jobs: Iterable[Job], results_dir: Path, *workers, **callbacks) -> list[RunRecord]:
+    """`xfreqbench.runs.run.run_jobs` of jobs by name."""
+    return run.run_jobs([task_of(job) for job in jobs], results_dir, *workers, **callbacks)
+
+
+def run_job(job: Job, results_dir: Path) -> RunRecord:
+    """The record of one job; raises its own error."""
+    try:
+        return run_jobs([job], results_dir)[0]
+    except RunsFailedError as failed:
+        (error,) = failed.errors.values()
+        raise error from None

@@ -45,7 +45,16 @@ def store(folder: Path) -> None:
     for solver in SOLVERS:
         options = ["--tx", str(NUM_TRANSMITTERS), "--solver", solver]
         _xfreqbench("generate", "office", *options, "-o", str(folder / f"{solver}.h5"))
-    options = ["--targets", str(TARGET_GHZ), "--budget", f"{NUM_STEPS}steps", "--seed", "0"]
+    options = [
+        "--method",
+        "all",
+        "--targets",
+        str(TARGET_GHZ),
+        "--budget",
+        f"{NUM_STEPS}steps",
+        "--seed",
+        "0",
+    ]
     _xfreqbench("run", "--data", str(folder / "image.h5"), "--results", str(folder / "results"), *options)
     _xfreqbench(
         "report", str(ROOT / "baselines" / "reference_results.jsonl"), "-o", str(folder / "BENCHMARK.md")

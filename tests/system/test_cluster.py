@@ -26,8 +26,8 @@ from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.errors import ClusterError, StorageError
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.runs.on_workers import require_shared_datasets, require_shared_folder
 from xfreqbench.runs.records import RunRecord, read
+from xfreqbench.runs.run import require_shared_datasets, require_shared_folder
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system import cluster
 from xfreqbench.system.cluster import dask_workers
@@ -372,13 +372,13 @@ class _OtherDisk(InThisProcess):
 
 
 def test_folders_and_data_that_workers_do_not_see_are_refused(tmp_path: Path) -> None:
-    paper_dataset(tmp_path / "data.h5", num_tx=2)
+    data = paper_dataset(tmp_path / "data.h5", num_tx=2)
     elsewhere = _OtherDisk(tmp_path / "other")
     with pytest.raises(ClusterError, match="same path on every machine"):
         require_shared_folder(elsewhere, tmp_path / "results")
     assert list((tmp_path / "results").iterdir()) == []
     with pytest.raises(ClusterError, match="finds no data set"):
-        require_shared_datasets(elsewhere, [str(tmp_path / "data.h5")])
+        require_shared_datasets(elsewhere, {data.path: data.sha256})
     same = _OtherDisk(Path("/"))
     require_shared_folder(same, tmp_path / "results")
-    require_shared_datasets(same, [str(tmp_path / "data.h5")])
+    require_shared_datasets(same, {data.path: data.sha256})

@@ -27,8 +27,8 @@ ANSWERED = {  # call: what is asked of its answer
     "tracer.channel([[2, 1, 1], [3, 2, 1]])": "answer.cfr.shape == (2, 1, 16)",
     "xb.make_tracer(scene, 24.25e9)": "answer.channel([2, 1, 1]).cfr.shape == (1, 1, 16)",
     "xb.make_tracer(scene, np.array([1e9, 2e9]))": "answer.channel([2, 1, 1]).cfr.shape == (1, 2, 16)",
-    "xb.make_splits(data, 'lofo', 10e9)": "len(answer) == 1",
-    "xb.make_splits(data, 'lofo', np.array([10e9]))": "len(answer) == 1",
+    "xb.make_splits(data, 'lofo', 10)": "len(answer) == 1",
+    "xb.make_splits(data, 'lofo', np.array([10.0]))": "len(answer) == 1",
     "xb.generate(scene, 'one.h5', 2.4, tx=2)": "len(answer) == 2",
     "xb.generate('empty', 'two.h5', ['2.4'], tx='2', executor=1)": "len(answer) == 2",
     "xb.generate('empty', 'three.h5', [2.4], tx_positions=[[2, 1, 1]])": "len(answer) == 1",
@@ -36,6 +36,8 @@ ANSWERED = {  # call: what is asked of its answer
     "xb.run(data, 'nearest', targets_ghz=10, seeds=3, budget='1steps')": "answer[0].job.seed == 3",
     "xb.leaderboard(xb.run(data, ['nearest'], targets_ghz='all'))": "'nearest' in str(answer)",
     "xb.metrics.ssim(maps.tolist(), maps, data.grid)": "(answer == 1).all()",
+    "xb.score(data.pas(split.test).tolist(), split, data)['ssim']": "(answer == 1).all()",
+    "data.plot(np.int64(-1))": "len(answer.axes) == 2",
     "beam.maps(data.cfr[:2].tolist())": "answer[0].shape == (2, 90, 360)",
     "xb.AngularGrid([0, 1], [0, 1, 2]).directions": "answer.shape == (2, 3, 3)",
 }
@@ -62,7 +64,9 @@ REFUSED = {  # call: what the error says
     "xb.make_splits(data)": "make_splits needs protocol",
     "xb.make_splits('data.h5', 'lofo')": "an instance of PasDataset",
     "xb.run(None, 'nearest')": "data=None",
+    "xb.run(data)": "run needs methods",
     "xb.run(data, 3)": "3 in methods",
+    "xb.run(data, 'nearest', targets_ghz=10e9)": "Was that hertz? Then it is 10 in GHz",
     "xb.run(data, xb.Budget)": "methods=<class",
     "xb.run(data, 'nearest', on='valid')": "'test' or 'validation'",
     "xb.run(data, 'nearest', targets_ghz=10, on='validation')": "there must be 3 or more",
@@ -70,6 +74,14 @@ REFUSED = {  # call: what the error says
     "xb.run(data, 'nearest', seeds=[])": "at least 1 item",
     "xb.run(data, 'nearest', budget=10)": "budget=10",
     "xb.run(data, 'nearest', device='gpu')": "'cpu' or 'cuda'",
+    "xb.score(maps, None, data)": "split=None",
+    "xb.score([[1], []], split, data)": "one array of numbers (N, E, A)",
+    "xb.score([[1]], split, data)": "numbers of shape",
+    "xb.load_method(None, 'x')": "results=None",
+    "xb.load_method('nowhere', 3)": "run=3",
+    "xb.load_method('nowhere', 'x')": "has no run 'x'",
+    "xb.permittivity('concrete', 2.4e9)": "Was that hertz? Then it is 2.4 in GHz",
+    "xb.permittivity('concret', 2.4)": "Did you mean 'concrete'",
     "xb.read_records(None)": "results=None",
     "xb.leaderboard([])": "none are given",
     "xb.leaderboard(3)": "results=3",
@@ -86,7 +98,15 @@ REFUSED = {  # call: what the error says
     "data.batches('a')": "size='a'",
     "data.batches(0)": "greater than 0",
 }
-INDEXED = ("data['pas']", "data[1.5]", "data[None]", "data.pas('a')", "data[xb]", "data.torch()[99]")
+INDEXED = (
+    "data['pas']",
+    "data[1.5]",
+    "data[None]",
+    "data.pas('a')",
+    "data.plot('a')",
+    "data[xb]",
+    "data.torch()[99]",
+)
 PROGRAM = """
 import json, sys
 from pathlib import Path
@@ -95,6 +115,7 @@ import xfreqbench as xb
 
 data, scene = xb.open_dataset("data.h5"), xb.load_scene("empty")
 tracer, maps = xb.make_tracer(scene, [24.25e9]), data.pas([0, 1])
+(split,) = xb.make_splits(data, "lofo", [10])
 beam = xb.BartlettBeam(data.header.receiver.element_position_wavelengths, data.grid)
 told = {}
 for call, asked in json.load(sys.stdin).items():

@@ -62,7 +62,9 @@ def test_mistakes_end_with_code_2_and_words(arguments: list[str], message: str, 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", [["run", "--results", "results"], ["split", "-o", "x.h5"]])
+@pytest.mark.parametrize(
+    "command", [["run", "--method", "nearest", "--results", "results"], ["split", "-o", "x.h5"]]
+)
 def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: list[str]) -> None:
     done = xfreqbench(*command, "--data", "nowhere.h5", "--on", "tests")
     assert done.returncode != 0
@@ -73,6 +75,11 @@ def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: l
 @pytest.mark.parametrize(
     ("words", "needed", "example"),
     [
+        (
+            "run --data office.h5 --results results",
+            "needs --method.",
+            "Example: xfreqbench run --data office.h5 --method",
+        ),
         (
             "view office.h5",
             "needs --output or -o.",

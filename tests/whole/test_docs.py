@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
+from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 
@@ -12,13 +14,15 @@ import pytest
 from markdown_it import MarkdownIt
 
 import xfreqbench
+import xfreqbench as xb
 from tests.support.documents import INTERPRETERS, ROOT, blocks, follow
+from tests.support.notebooks import NOTEBOOKS, read
 from tests.support.plans import small_plan
 from tests.support.synthetic import write_dataset
 from tests.whole.test_tutorial import COMMANDS, FILES
 from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.protocols import lofo
+from xfreqbench.data.splits import lofo
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps
@@ -96,6 +100,55 @@ def test_no_block_is_overlooked(document: Path) -> None:
 def test_every_document_of_the_project_is_read() -> None:
     tracked = {path for folder in ("baselines", "docs", "examples") for path in (ROOT / folder).rglob("*.md")}
     assert tracked - {path for path in tracked if ".pytest_cache" in path.parts} <= set(ALL)
+
+
+def python_texts() -> Iterator[tuple[str, str]]:
+    """Every program that readers are shown, with its place: in documents, in notebooks, and the template."""
+    for document in ALL:
+        for block in blocks(document):
+            if block.language == "python":
+                yield block.place, block.text
+    for notebook in NOTEBOOKS:
+        for number, cell in enumerate(read(notebook).cells):
+            if cell.cell_type == "code":
+                lines = [line for line in cell.source.splitlines() if not line.startswith("%")]
+                yield f"{notebook.name}, cell {number}", "\n".join(lines)
+    for path in (ROOT / "examples" / "xfreqbench-method-template").rglob("*.py"):
+        yield named(path), path.read_text("utf-8")
+
+
+def private_names(text: str) -> set[str]:
+    """What a program imports of xfreqbench, or asks of `xb`, that is not public."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names if name.name.startswith("xfreqbench.")}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "xfreqbench":
+            is_top = node.module == "xfreqbench"
+            found |= {name.name for name in node.names if not (is_top and name.name in xb.__all__)}
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "xb":
+            found |= {node.attr} - set(xb.__all__)
+    return found
+
+
+def test_readers_are_shown_public_names_only() -> None:
+    texts = list(python_texts())
+    assert len(texts) > 60
+    assert not {place: names for place, text in texts if (names := private_names(text))}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import xfreqbench.units",
+        "from xfreqbench.units import ghz_to_hz",
+        "from xfreqbench import units",
+        "xb.units",
+        "def f():\n    from xfreqbench.data import dataset",
+    ],
+)
+def test_a_name_that_is_not_public_is_found(text: str) -> None:
+    assert private_names(text)
 
 
 def test_the_tutorial_of_methods_leaves_no_block_unrun() -> None:

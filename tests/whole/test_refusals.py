@@ -17,7 +17,7 @@ from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sou
 from tests.support.fuzzing.png import PNG_FOLDER, png
 from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from tests.support.stored_records import make_record
-from xfreqbench.cli.options import target_carriers_hz
+from xfreqbench.cli.options import parse_targets_ghz
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.records import append, read
@@ -172,8 +172,8 @@ def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
 
 
 def test_an_empty_list_of_targets_is_not_the_default() -> None:
-    check_refusal(refusal(lambda: target_carriers_hz("")), "GHz")
-    assert target_carriers_hz(None) is None
+    check_refusal(refusal(lambda: parse_targets_ghz("")), "GHz")
+    assert parse_targets_ghz(None) is None
 
 
 @pytest.mark.parametrize("name", [b"x" * 300, b"\xff.h5", b"no/such.h5"])

@@ -17,13 +17,14 @@ from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import BATCH, Plan, plan_generation
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import LOFO_TARGETS_GHZ
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.on_workers import run_on
-from xfreqbench.runs.records import BenchFigure, BenchPoint, Job
+from xfreqbench.runs.jobs import protocol_tasks
+from xfreqbench.runs.records import BenchFigure, BenchPoint
+from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
 from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
@@ -163,15 +164,11 @@ class _Runs:
     def do(self, workers: Workers, way: str) -> str:
         """Do the runs; return the sha256 of all prediction files with their names."""
         data, results = self._folder / f"{SERIAL}.h5", self._folder / f"runs of {way}"
-        splits = make_splits(open_dataset(data), "lofo", None)[:NUM_SPLITS]
-        jobs = [
-            Job(str(data), method, "lofo", split.name, budget=Budget())
-            for method in NEEDED_TRIVIAL
-            for split in splits
-        ]
-        outcome = run_on(workers, jobs, results, lambda done, total, job: None)
-        if outcome.failures:
-            raise XFreqBenchError("\n".join(outcome.failures))
+        dataset, methods = open_dataset(data), [(method, ()) for method in NEEDED_TRIVIAL]
+        targets_ghz = LOFO_TARGETS_GHZ[:NUM_SPLITS]
+        run_jobs(
+            protocol_tasks(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers
+        )
         digest = hashlib.sha256()
         for path in ResultsFolder(results).predictions_paths():
             digest.update(path.name.encode() + path.read_bytes())

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from xfreqbench.runs.records import BenchFigure, BenchRecord, append, machine_and_time, read
+from xfreqbench.runs.records import BenchFigure, BenchRecord, append, read
 from xfreqbench.system.files import require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
@@ -75,7 +75,7 @@ class Bench:
         yield table
         self.say("")
         if self.output is not None:
-            record = BenchRecord(
+            record = BenchRecord.here(
                 bench=self.name,
                 title=title,
                 command=self.command,
@@ -83,7 +83,7 @@ class Bench:
                 columns=table.columns,
                 rows=tuple(table.rows),
                 figure=table.figure,
-                **machine_and_time(versions),
+                versions=versions,
             )
             append(self.output, record)
 

@@ -14,10 +14,10 @@ from xfreqbench.cli.options import (
     ScoredOnOption,
     app,
     example,
+    parse_targets_ghz,
     print_table,
     say,
     say_written,
-    target_carriers_hz,
 )
 from xfreqbench.errors import XFreqBenchError
 
@@ -196,12 +196,12 @@ def split(
 ) -> None:
     """Write a file with all that a method which runs elsewhere may know of each split, without any tested map."""
     from xfreqbench.data.dataset import open_dataset
-    from xfreqbench.data.protocols import make_splits
+    from xfreqbench.data.splits import make_splits
     from xfreqbench.exchange.split_file import Handout, write_handout
     from xfreqbench.system.bars import progress_bars
 
     dataset = open_dataset(data)
-    handout = Handout(dataset, make_splits(dataset, protocol, target_carriers_hz(targets), on), maps)
+    handout = Handout(dataset, make_splits(dataset, protocol, parse_targets_ghz(targets), on), maps)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
         is_new = write_handout(handout, output, *bars)
     names = ", ".join(each.name for each in handout.splits)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
-from xfreqbench.errors import StorageError, XFreqBenchError, was_interrupted
+from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
 
 __all__ = [
@@ -44,7 +44,7 @@ def main() -> None:
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands
             app()
         sys.stdout.flush()
-    except StorageError as error:
+    except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
         print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
         os._exit(2)  # at an ordinary exit HDF5 would write the failed file again, and crash
     except XFreqBenchError as error:

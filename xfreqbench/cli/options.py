@@ -95,23 +95,34 @@ def parse_interactions(text: str | None) -> list[str] | None:
     return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
 
 
-def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:
-    """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises `XFreqBenchError` that names `option`."""
+def parse_carriers_ghz(freqs: str, option: str = "--freqs") -> list[float]:
+    """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names `option`."""
     if freqs.strip() == "paper":
-        return [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
+        return list(PAPER_CARRIERS_GHZ)
     try:
-        return [ghz_to_hz(float(part)) for part in freqs.split(",")]
-    except (ValueError, OverflowError) as error:
+        carriers_ghz = [float(part) for part in freqs.split(",")]
+    except ValueError as error:
         raise XFreqBenchError(
             f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
         ) from error
+    try:
+        for carrier_ghz in carriers_ghz:
+            ghz_to_hz(carrier_ghz)
+    except ValueError as error:
+        raise XFreqBenchError(f"{option} cannot use {freqs!r}: {error}.") from error
+    return carriers_ghz
 
 
-def target_carriers_hz(targets: str | None) -> list[float] | Literal["all"] | None:
-    """Held-out carriers in hertz from text such as `2.4,77`, in GHz; `all` and None stay. Raises `XFreqBenchError`."""
+def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:
+    """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises as `parse_carriers_ghz` does."""
+    return [ghz_to_hz(carrier_ghz) for carrier_ghz in parse_carriers_ghz(freqs, option)]
+
+
+def parse_targets_ghz(targets: str | None) -> list[float] | Literal["all"] | None:
+    """Held-out carriers in GHz from text such as `2.4,77`; `all` and None stay. Raises `XFreqBenchError`."""
     if targets is None:
         return None
-    return "all" if targets == "all" else parse_carriers_hz(targets, "--targets")
+    return "all" if targets == "all" else parse_carriers_ghz(targets, "--targets")
 
 
 def say(text: str, quiet: bool = False) -> None:

@@ -18,9 +18,9 @@ from xfreqbench.cli.options import (
     ScoredOnOption,
     app,
     example,
+    parse_targets_ghz,
     print_table,
     say,
-    target_carriers_hz,
 )
 from xfreqbench.errors import XFreqBenchError
 
@@ -126,7 +126,7 @@ def run(
     results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
         str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
-    ] = "all",
+    ],
     protocol: Annotated[
         str,
         Parameter(
@@ -171,21 +171,19 @@ def run(
 
     A killed run goes on where it stopped, in mid-fit too.
     """
-    from xfreqbench.methods.contract import parse_budget
-    from xfreqbench.methods.registry import device_option, method_names
+    from xfreqbench.methods.registry import method_names
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
-    from xfreqbench.runs.outlook import outlook
-    from xfreqbench.runs.protocol import protocol_jobs, run_shown
+    from xfreqbench.runs.estimate import estimate_runs
+    from xfreqbench.runs.run import asked_tasks, run_shown
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
-    overrides = {name: (*set_, *device_option(name, device)) for name in names}
-    targets_hz = target_carriers_hz(targets)
-    jobs = protocol_jobs(str(data), overrides, protocol, targets_hz, _seeds(seed), parse_budget(budget), on)
+    methods, targets_ghz = dict.fromkeys(names, set_), parse_targets_ghz(targets)
+    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device)
     if dry_run:
-        print(f"{protocol} on {data.name}: {outlook(jobs, results, executor)}; nothing was run")
+        print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
-    records = run_shown(jobs, results, executor, not quiet)
+    records = run_shown(tasks, results, executor, not quiet)
     say(
         f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
         quiet,
@@ -259,7 +257,7 @@ def benchmark(
     It prints what it takes before it starts; interrupted or killed, the same command goes on.
     """
     from xfreqbench.runs import benchmark as benchmarks
-    from xfreqbench.runs.progress import worker_bar
+    from xfreqbench.runs.progress import run_bars
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers
 
@@ -274,11 +272,9 @@ def benchmark(
             open_workers(executor or "serial") as workers,
         ):
             by_scene = dict(zip(planned.scenes, tracing, strict=True))
-            benchmarks.generate_data(
-                planned, lambda scene, done, total: by_scene[scene](done, total), workers
-            )
-        with worker_bar(quiet) as finished:
-            failures = benchmarks.run_benchmark(planned, finished, executor)
+            benchmarks.generate_data(planned, by_scene, workers)
+        with run_bars(quiet, shows_fit=False) as (ended, _):
+            failures = benchmarks.run_benchmark(planned, ended, executor)
         for name in planned.missing_benches():
             failures += benchmarks.measure(planned, name)
         if not failures:

@@ -44,14 +44,15 @@ from xfreqbench.data.recipe import Recipe
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
 from xfreqbench.errors import DataError
-from xfreqbench.maps.bartlett import BartlettBeam
+from xfreqbench.maps.bartlett import BartlettBeam, power_of
+from xfreqbench.maps.drawing import map_figure
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import require_own
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
-from xfreqbench.units import format_ghz_list
+from xfreqbench.units import format_ghz, format_ghz_list
 
 TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _ITERATED_MAPS = 64  # read at once: 8 MB
@@ -242,6 +243,16 @@ class PasDataset:
             for index, row in enumerate(asked):
                 maps[index] = stored[divmod(row, self.num_carriers)]
         return maps
+
+    def plot(self, sample: int) -> Any:
+        """A Matplotlib figure of the map of a sample, by its number: a disc seen from the pole, in dB below the peak.
+
+        `figure.savefig("map.png")` writes it, and a notebook shows it. Raises as `pas` does.
+        """
+        one = self.subset(sample)
+        place = ", ".join(f"{metres:.2f}" for metres in one.tx_position_m[0])
+        title = f"{format_ghz(one.carrier_hz[0])}, transmitter at ({place}) m"
+        return map_figure(power_of(one.pas(), self.header.pas_kind)[0], self.grid, title)
 
     @checked
     def paths(self, sample: int) -> SamplePaths:

@@ -24,7 +24,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
-from xfreqbench.system.arguments import FilePath, Numbers, Positions, Texts, Word, checked
+from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
@@ -44,7 +44,7 @@ NUM_RETRACED = 4  # samples of every data set that are traced again before it ge
 def generate(
     scene: FilePath | InstanceOf[Scene],
     output: FilePath,
-    freqs_ghz: Numbers = PAPER_CARRIERS_GHZ,
+    freqs_ghz: CarriersGhz = PAPER_CARRIERS_GHZ,
     *,
     tx: int | None = None,
     tx_positions: Positions | None = None,

@@ -1,26 +1,79 @@
-"""What a split is, and which training rows are held out to choose settings by: what methods need of splits.
+"""Protocols: which samples of a data set a method is trained on, and which samples it is tested on.
 
-The protocols, which say what is tested, are in `xfreqbench.data.protocols`. No method needs them.
+A sample is one transmitter at one carrier. Every protocol makes one or several splits of the samples into a training
+part and a test part. What a test says depends on what the method has already seen of it in training:
+
+    protocol         tested samples                                  seen in training
+    lofo             all transmitters at one carrier f               the same transmitters, at all other carriers
+    sparse           all transmitters at 24.25 GHz                   the same transmitters, at 2, 3 or 5 other carriers
+    held-out-tx      a fifth of the transmitters at every carrier    the same carriers, from the other transmitters
+    lofo-unseen-tx   that fifth of the transmitters at carrier f     neither these transmitters nor f
+    held-out-block   a fifth of the transmitters at every carrier,   the same carriers, from the other transmitters
+                     those of two of ten regions of the floor        that are half a metre or more away
+    random-samples   a fifth of all samples, drawn one by one        the same transmitters at other carriers, and the
+                                                                     same carriers from other transmitters
+
+`lofo` (leave one frequency out) and `sparse` test unseen carriers, but they leak the places: a method that copies the
+map of the same transmitter from another carrier scores well, so these scores say nothing about unseen places.
+`held-out-tx` tests unseen places, but it leaks the carriers: its scores say nothing about unseen carriers. It draws
+the tested transmitters one by one, so that each has trained neighbours on all sides, and a method that copies the map
+of the nearest one does well. In `held-out-block` those that are nearer than half a metre to a tested one are in neither
+part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at the other carriers. `random-samples`,
+the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
+them the room and the receiver are the same in training and in test.
+
+A sample that no path reaches is in neither part, because a channel of zeros has no map.
+
+Settings are chosen on validation rows, which are some of a split's training rows, so that the test says something new.
+They are held out as the tested ones are: at one carrier inside the band of the training carriers, the nearest to the
+tested one, or of a tenth of the training transmitters, or both; of one of ten regions of the training transmitters; or
+a tenth of the training samples. `make_splits` with `on="validation"` gives the splits that train on the other training
+rows and test on those. Their protocol is called `lofo-validation`, and so on.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
+from pydantic import InstanceOf
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import ProtocolError
+from xfreqbench.data.validation import (
+    LEAST_TRAINING_CARRIERS,
+    LEAST_TRAINING_TX,
+    VALIDATION_SHARE,
+    drawn_tx,
+    inner_carriers_hz,
+    validation_tx,
+)
+from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
 
 PROTOCOL_VERSION = "1"
-VALIDATION_SHARE, LEAST_VALIDATION_TX = 0.1, 4  # of the training transmitters
-LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is held out for validation
+LOFO_TARGETS_GHZ = (2.4, 24.25, 77.0)  # the paper's
+LOFO_TARGETS_HZ = tuple(map(ghz_to_hz, LOFO_TARGETS_GHZ))
+SPARSE_TEST_HZ = ghz_to_hz(24.25)
+SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0, 94.0))  # the paper's
+UNSEEN_SHARE = 0.2  # of the transmitters, or of the samples
+NUM_BLOCKS = 10  # regions of the floor, each with as many transmitters
+BLOCK_MARGIN_M = 0.5
+_SEED = 0  # of whatever is drawn
+
+Known = TypeVar("Known")
+Mask = Bool[NDArray[np.bool_], "N"]
+TargetsGhz = Literal["all"] | CarriersGhz | None
+ScoredOn = Literal["test", "validation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +120,7 @@ class Split:
         distance_m = float(np.median(trained_positions.query(dataset.tx_position_m[test])[0]))
         return cls(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared, distance_m)
 
-    @property
+    @cached_property
     def sha256(self) -> str:
         """Hash of the name, the protocol, its version, and the numbers of all samples."""
         rows = [self.train.tolist(), self.test.tolist()]
@@ -75,29 +128,273 @@ class Split:
         return hashlib.sha256(content.encode()).hexdigest()
 
 
-def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
-    """The carriers of a training that may be held out: all but the lowest and the highest, ascending; maybe none."""
-    return np.unique(train.carrier_hz)[1:-1]
+def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
+    """Leave one frequency out: test all samples at one carrier, train on all at the others.
 
-
-def validation_tx(
-    train: PasDataset,
-    generator: np.random.Generator,
-    most: int | None = None,
-    least: int = LEAST_VALIDATION_TX,
-) -> Int[IntArray, "t"]:
-    """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
-
-    They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
+    Returns one split for each carrier in `targets_hz`. It leaks places: every tested transmitter is trained on at
+    the other carriers. Raises `ProtocolError` where the data lack a target, or have no other carrier.
     """
+    return _lofo_splits(
+        dataset, "lofo", targets_hz, np.ones(len(dataset), bool), np.zeros(len(dataset), bool)
+    )
+
+
+def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
+    """Train on all samples at two, three or five carriers (the paper's), test all at another carrier.
+
+    Returns three splits. It leaks places: every tested transmitter is trained on at the training carriers. Raises
+    `ProtocolError` where the data lack one of the carriers.
+    """
+    trainings = [[ghz_to_hz(carrier) for carrier in training] for training in SPARSE_TRAINING_GHZ]
+    _require_carriers(dataset, "sparse", sorted({test_hz, *trainings[-1], *trainings[1]}))
+    splits = []
+    for training_hz in trainings:
+        name = f"sparse-{_dense(format_ghz(test_hz))}-from-{_dense(format_ghz_list(training_hz))}"
+        trained = np.isin(dataset.carrier_hz, training_hz)
+        splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == test_hz))
+    return splits
+
+
+def held_out_tx(dataset: PasDataset) -> list[Split]:
+    """Test a fifth of the transmitters at every carrier, train on the other transmitters at every carrier.
+
+    Returns one split. It leaks carriers: every tested carrier is trained on, from other transmitters. The fifth is
+    drawn at random, the same at every call for the same number of transmitters. Raises `ProtocolError` for fewer
+    than two transmitters.
+    """
+    unseen = _is_unseen(dataset)
+    return [Split.of(dataset, "held-out-tx", "held-out-tx", ~unseen, unseen)]
+
+
+def lofo_unseen_tx(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
+    """Test the transmitters of `held_out_tx` at one carrier, train on the other transmitters at the other carriers.
+
+    Returns one split for each carrier in `targets_hz`. Nothing leaks: neither the tested carrier nor a tested
+    transmitter is trained on. Raises `ProtocolError` as `lofo` and `held_out_tx` do.
+    """
+    unseen = _is_unseen(dataset)
+    return _lofo_splits(dataset, "lofo-unseen-tx", targets_hz, unseen, unseen)
+
+
+def held_out_block(dataset: PasDataset) -> list[Split]:
+    """Test the transmitters of two of ten regions at every carrier, train on those half a metre or more away.
+
+    Returns one split. The floor is halved again and again across its longer side into ten regions of equally many
+    transmitters, of which two are drawn at random, the same at every call. Of fewer than ten transmitters each is a
+    region. It leaks carriers: every tested carrier is trained on, from other transmitters. Raises `ProtocolError`
+    where no transmitter is left to train on.
+    """
+    masks = _block_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
+    return [Split.of(dataset, "held-out-block", "held-out-block", *masks)]
+
+
+def random_samples(dataset: PasDataset) -> list[Split]:
+    """Test a fifth of the samples, each a transmitter at a carrier, and train on the others.
+
+    Returns one split. It leaks places and carriers: nearly every tested transmitter is trained on at other carriers,
+    and every tested carrier at other transmitters. The fifth is drawn at random, the same at every call for the same
+    number of samples. Raises `ProtocolError` where no sample is left to train or to test on.
+    """
+    masks = _sample_masks(np.ones(len(dataset), bool), UNSEEN_SHARE)
+    return [Split.of(dataset, "random-samples", "random-samples", *masks)]
+
+
+_BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
+_WHOLE = {
+    "sparse": sparse_frequency,
+    "held-out-tx": held_out_tx,
+    "held-out-block": held_out_block,
+    "random-samples": random_samples,
+}
+PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")
+VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
+_AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
+
+
+def protocols() -> list[str]:
+    """Names of the protocols, which `make_splits` and `run` take; the top of this module says what each tests."""
+    return list(PROTOCOLS)
+
+
+@checked
+def make_splits(
+    dataset: InstanceOf[PasDataset], protocol: str, targets_ghz: TargetsGhz = None, on: ScoredOn = "test"
+) -> list[Split]:
+    """The splits of a protocol, which is one of `PROTOCOLS`; raises `UnknownNameError` and `ProtocolError`.
+
+    `targets_ghz` are the tested carriers of `lofo` and `lofo-unseen-tx` in GHz: the paper's if None, and every
+    carrier at which a path arrives if "all". The other protocols choose their own.
+
+    With `on="validation"`, the rows that are tested are some of each split's training rows, and the others are trained
+    on; see the top of this module. `sparse` then has no split for two training carriers, as none is between them.
+    """
+    if protocol not in PROTOCOLS:
+        raise UnknownNameError("protocol", protocol, PROTOCOLS)
+    if protocol in _BY_TARGET:
+        if targets_ghz == "all":
+            targets_hz = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
+        else:
+            targets_hz = list(map(ghz_to_hz, targets_ghz or LOFO_TARGETS_GHZ))
+        splits = _BY_TARGET[protocol](dataset, list(dict.fromkeys(targets_hz)))
+    elif targets_ghz is not None:
+        raise ProtocolError(f"Protocol {protocol!r} chooses what it tests; leave the targets out.")
+    else:
+        splits = _WHOLE[protocol](dataset)
+    if on == "test":
+        return splits
+    if protocol == "sparse":
+        splits = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
+    return [_validation_split(dataset, split) for split in splits]
+
+
+def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
+    """The split with that name of a protocol or of its validation; raises `UnknownNameError` and `ProtocolError`."""
+    if protocol in VALIDATIONS:
+        tested = VALIDATIONS[protocol]
+        return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
+    if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
+        targets = {
+            _target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()
+        }
+        return _BY_TARGET[protocol](dataset, [_named(targets, protocol, name)])[0]
+    return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
+
+
+def _named(known: Mapping[str, Known], protocol: str, name: str) -> Known:
+    if name not in known:
+        raise UnknownNameError(f"split of {protocol!r}", name, known)
+    return known[name]
+
+
+def _target_name(protocol: str, target_hz: float) -> str:
+    return f"{protocol}-{_dense(format_ghz(target_hz))}"
+
+
+def _lofo_splits(
+    dataset: PasDataset, protocol: str, targets_hz: Sequence[float], tested: Mask, never_trained: Mask
+) -> list[Split]:
+    """A split for each target: some samples are tested there, and some are trained on nowhere."""
+    _require_carriers(dataset, protocol, targets_hz)
+    if dataset.num_carriers < 2:
+        raise ProtocolError(
+            f"{protocol!r} needs two carriers or more, but the data set has one. Generate more."
+        )
+    splits = []
+    for target_hz in targets_hz:
+        at_target, name = dataset.carrier_hz == target_hz, _target_name(protocol, target_hz)
+        splits.append(Split.of(dataset, name, protocol, ~at_target & ~never_trained, at_target & tested))
+    return splits
+
+
+def _is_unseen(dataset: PasDataset) -> Mask:
+    """Whether each sample is of a held-out transmitter."""
+    number = max(1, round(UNSEEN_SHARE * len(np.unique(dataset.tx_index))))
+    return np.isin(dataset.tx_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+
+
+def _sample_masks(is_offered: Mask, share: float) -> tuple[Mask, Mask]:
+    """Which of the offered samples are trained on, and which are tested, a share of them."""
+    offered = np.flatnonzero(is_offered)
+    number = max(1, round(share * len(offered)))
+    is_tested = np.zeros(len(is_offered), bool)
+    is_tested[np.random.default_rng(_SEED).permutation(offered)[:number]] = True
+    return is_offered & ~is_tested, is_tested
+
+
+def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
+    """Which samples are trained on, and which are tested: a share of the offered transmitters, whole regions."""
+    tx_index, first = np.unique(dataset.tx_index[is_offered], return_index=True)
+    position_m = dataset.tx_position_m[is_offered][first]
+    num_blocks = min(NUM_BLOCKS, len(tx_index))
+    num_tested = max(1, round(share * num_blocks))
+    tested = np.random.default_rng(_SEED).permutation(num_blocks)[:num_tested]
+    is_tested = np.isin(blocks(position_m[:, :2], num_blocks), tested)
+    is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
+    trained_tx, tested_tx = tx_index[~is_tested & ~is_near], tx_index[is_tested]
+    return np.isin(dataset.tx_index, trained_tx), np.isin(dataset.tx_index, tested_tx)
+
+
+def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:
+    """For each position on the floor the number of its region, of `number` regions with equally many positions.
+
+    An area is divided across its longer side, and so are its parts, until each is one region.
+    """
+    if number < 2:
+        return np.zeros(len(position_m), np.int64)
+    along = position_m[:, np.ptp(position_m, axis=0).argmax()]
+    low_number = number // 2
+    order = np.argsort(along, kind="stable")
+    low, high = np.split(order, [round(len(order) * low_number / number)])
+    found = np.empty(len(position_m), np.int64)
+    found[low] = blocks(position_m[low], low_number)
+    found[high] = low_number + blocks(position_m[high], number - low_number)
+    return found
+
+
+def _validation_split(dataset: PasDataset, split: Split) -> Split:
+    """The split that trains on a part of a split's training rows and tests on another part of them."""
+    protocol = f"{split.protocol}-validation"
+    name = protocol + split.name.removeprefix(split.protocol)
+    is_offered = np.isin(np.arange(len(dataset)), split.train)
+    if split.protocol == "random-samples":
+        masks = _sample_masks(is_offered, VALIDATION_SHARE)
+    elif split.protocol == "held-out-block":
+        _require_training_tx(dataset.subset(split.train), name)
+        of_trained = np.isin(dataset.tx_index, dataset.tx_index[split.train])
+        masks = _block_masks(dataset, of_trained, VALIDATION_SHARE)
+    else:
+        masks = _unseen_masks(dataset, split, name, is_offered)
+    return Split.of(dataset, name, protocol, *masks)
+
+
+def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask) -> tuple[Mask, Mask]:
+    """Which samples are trained on, and which are tested: at a held-out carrier, of held-out transmitters, or both."""
+    train = dataset.subset(split.train)
+    at_held_out = np.isin(dataset.carrier_hz, train.carrier_hz)
+    of_held_out = np.isin(dataset.tx_index, train.tx_index)
+    is_left = is_offered
+    if split.protocol in _AT_UNSEEN_CARRIERS:
+        at_held_out = dataset.carrier_hz == _validation_carrier_hz(
+            train, name, dataset.carrier_hz[split.test[0]]
+        )
+        is_left = is_left & ~at_held_out
+    if split.protocol in _OF_UNSEEN_TX:
+        _require_training_tx(train, name)
+        of_held_out = np.isin(dataset.tx_index, validation_tx(train, np.random.default_rng(_SEED)))
+        is_left = is_left & ~of_held_out
+    return is_left, at_held_out & of_held_out
+
+
+def _require_training_tx(train: PasDataset, name: str) -> None:
     number = len(np.unique(train.tx_index))
     if number < LEAST_TRAINING_TX:
-        return np.empty(0, np.int64)
-    tenth = int(VALIDATION_SHARE * number)
-    return drawn_tx(train, generator, max(least, tenth if most is None else min(most, tenth)))
+        raise ProtocolError(
+            f"Split {name!r} holds out some of its training transmitters, so that there must be {LEAST_TRAINING_TX} or "
+            f"more, but there are {number}. Generate more."
+        )
 
 
-def drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
-    """So many transmitters of a data set, drawn by `generator`, by their indices."""
-    transmitters = np.unique(dataset.tx_index)
-    return transmitters[generator.permutation(len(transmitters))[:number]]
+def _validation_carrier_hz(train: PasDataset, name: str, tested_hz: float) -> float:
+    """Of the inner carriers of a training the nearest to the tested one, by their ratio."""
+    inner_hz = inner_carriers_hz(train)
+    if not len(inner_hz):
+        raise ProtocolError(
+            f"Split {name!r} holds out a carrier inside the band of the training carriers, of which there must be "
+            f"{LEAST_TRAINING_CARRIERS} or more, but they are {format_ghz_list(np.unique(train.carrier_hz))}. "
+            "Generate more carriers."
+        )
+    return float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])
+
+
+def _require_carriers(dataset: PasDataset, protocol: str, needed_hz: Sequence[float]) -> None:
+    present: FloatArray = np.unique(dataset.carrier_hz)
+    missing = [carrier for carrier in needed_hz if carrier not in present]
+    if missing:
+        raise ProtocolError(
+            f"Protocol {protocol!r} needs {format_ghz_list(missing)}, but the data set has "
+            f"{format_ghz_list(present)}. Generate those carriers too, or choose other targets."
+        )
+
+
+def _dense(carriers: str) -> str:
+    return carriers.replace(", ", "-").replace(" ", "")

@@ -18,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,6 @@ Levels = UInt8[NDArray[np.uint8], "R C"]
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
 CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
 IGNORED = ("train_index.txt", "test_index.txt")
-_MAX_GHZ = 1e6  # 1 PHz, beyond visible light
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -216,12 +216,11 @@ def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[f
 
 
 def _carrier_hz(place: str, text: str) -> float:
-    carrier_ghz = _numbers(text, 1)
-    if carrier_ghz is None or not 1e-9 <= carrier_ghz[0] <= _MAX_GHZ:
-        raise DataError(
-            f"{place} is {text!r}; it must be a carrier in GHz, above 0 and up to {_MAX_GHZ:,.0f}."
-        )
-    return ghz_to_hz(carrier_ghz[0])
+    numbers = _numbers(text, 1)
+    try:
+        return ghz_to_hz(nan if numbers is None else numbers[0])
+    except ValueError as error:
+        raise DataError(f"{place} is {text!r}: {error}.") from error
 
 
 def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:

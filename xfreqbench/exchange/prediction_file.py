@@ -13,8 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import is_group, open_foreign, read_errors, stands_elsewhere
-from xfreqbench.data.protocols import PROTOCOLS, VALIDATIONS, make_splits
-from xfreqbench.data.splits import PROTOCOL_VERSION, Split
+from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Split, make_splits
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps
 from xfreqbench.runs.scoring import BATCH_SIZE
@@ -98,20 +97,20 @@ def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> li
 def known_splits(dataset: PasDataset) -> dict[str, Split]:
     """All splits that the protocols and their validations can make of a data set, by name."""
     heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
-    targets = [None, *([carrier] for carrier in heard)]
+    targets = [None, *([carrier / 1e9] for carrier in heard)]
     protocols = (*PROTOCOLS, *VALIDATIONS)
     found = (splits_or_none(dataset, protocol, each) for protocol in protocols for each in targets)
     return {split.name: split for splits in found for split in splits}
 
 
 def splits_or_none(
-    dataset: PasDataset, protocol: str, targets_hz: Sequence[float] | None = None
+    dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None
 ) -> list[Split]:
     """Splits of a protocol or of its validation; an empty list if the data set lacks what they need."""
     is_validation = protocol in VALIDATIONS
     tested = VALIDATIONS[protocol] if is_validation else protocol
     try:
-        return make_splits(dataset, tested, targets_hz, "validation" if is_validation else "test")
+        return make_splits(dataset, tested, targets_ghz, "validation" if is_validation else "test")
     except ProtocolError:
         return []
 

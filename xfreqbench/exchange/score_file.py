@@ -25,10 +25,9 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from math import prod
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -39,8 +38,7 @@ from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
-from xfreqbench.runs.scoring import scored_fields
-from xfreqbench.system import machine
+from xfreqbench.runs.scoring import FitOutcome, scored_record
 from xfreqbench.system.files import require_space
 from xfreqbench.types import ProgressCallback, ignore_progress
 
@@ -153,29 +151,22 @@ def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRe
                 dataset_sha256=dataset.sha256,
                 split_sha256=part.split.sha256,
             )
-            record = _record(submission, part, record_id, scored_fields(dataset, part.split, path))
+            record = _record(submission, part, record_id, path)
             folder.append(record)
     return record
 
 
-def _record(submission: _Submission, part: Part, record_id: str, scored: dict[str, Any]) -> RunRecord:
+def _record(submission: _Submission, part: Part, record_id: str, predictions: Path) -> RunRecord:
     declared = part.declared
-    return RunRecord(
-        id=record_id,
-        job=Job(submission.data, declared.method, part.split.protocol, part.split.name, seed=declared.seed),
-        **scored,
-        config={},
+    job = Job(submission.data, declared.method, part.split.protocol, part.split.name, seed=declared.seed)
+    outcome = FitOutcome(
         step=0,
         fit_seconds=declared.fit_seconds,
         predict_ms_per_map=declared.predict_ms_per_map,
-        peak_memory_mib=None,
         parameters=declared.parameters,
-        hardware={},
-        software=machine.software(),
-        git_commit=machine.git_commit(),
-        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         external=External(sha256=submission.sha256, hardware=declared.hardware, url=declared.url),
     )
+    return scored_record(record_id, job, submission.dataset, part.split, predictions, outcome)
 
 
 def _missing(dataset: PasDataset, parts: Sequence[Part]) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, reopen
 from xfreqbench.errors import DataError
+from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.system.files import read_bytes
 from xfreqbench.types import FloatArray, IntArray
@@ -115,7 +116,7 @@ class TransmitterLookup:
 
     def save(self, directory: Path) -> None:
         """Store the configuration and which rows were trained on."""
-        (directory / _CONFIG_FILE).write_text(json.dumps(asdict(self.config)), encoding="utf-8")
+        (directory / _CONFIG_FILE).write_text(json.dumps(as_json(self.config)), encoding="utf-8")
         self.transmitters.save(directory)
 
     @classmethod

@@ -5,24 +5,27 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
-from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import estimate_seconds, generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.protocols import LOFO_TARGETS_HZ, SPARSE_TRAINING_GHZ, Targets, make_splits
-from xfreqbench.errors import UnknownNameError
+from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
+from xfreqbench.errors import RunsFailedError, UnknownNameError
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option
+from xfreqbench.runs.estimate import OVERHEAD_S, in_hours
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.on_workers import run_on
-from xfreqbench.runs.outlook import OVERHEAD_S, in_hours
+from xfreqbench.runs.jobs import Task, protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
-from xfreqbench.runs.records import BenchRecord, Job, machine_and_time
+from xfreqbench.runs.progress import RunProgress
+from xfreqbench.runs.records import BenchRecord
+from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import sole_worker
 from xfreqbench.system.workers import (
@@ -34,6 +37,7 @@ from xfreqbench.system.workers import (
     open_workers,
     own_cores,
 )
+from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it takes on two cores
@@ -47,8 +51,6 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-TracingProgress = Callable[[str, int, int], None]
-RunProgress = Callable[[int, int, Job], None]
 _TRIVIAL_S = 8.0  # of a run that fits nothing
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
     "fixed-frequency-gs": 1e-4,
@@ -98,20 +100,23 @@ class Benchmark:
         number = self.preset.num_tx.get(scene)
         return self.data_dir / (f"{scene}-{number}.h5" if number else f"{scene}.h5")
 
-    def jobs(self) -> list[Job]:
+    def tasks(self) -> list[Task]:
         """All jobs, each once, in the order of the blocks. The data sets must have been generated."""
-        found = (job for block in self.preset.blocks for job in self._jobs_of(block))
-        return list(dict.fromkeys(found))
+        datasets = {scene: open_dataset(self.data_path(scene)) for scene in self.scenes}
+        by_job = {
+            task.job: task
+            for block in self.preset.blocks
+            for task in self._tasks_of(block, datasets[block.scene])
+        }
+        return list(by_job.values())
 
-    def _jobs_of(self, block: Block) -> Iterator[Job]:
-        path = str(self.data_path(block.scene))
-        splits = make_splits(open_dataset(path), block.protocol, _targets_hz(block))
-        for setting in block.settings:
-            overrides = (*setting.overrides, *device_option(setting.method, self.device))
-            for seed in block.seeds:
-                for split in splits:
-                    budget = parse_budget(block.budget)
-                    yield Job(path, setting.method, block.protocol, split.name, overrides, seed, budget)
+    def _tasks_of(self, block: Block, dataset: PasDataset) -> list[Task]:
+        methods = [
+            (setting.method, (*setting.overrides, *device_option(setting.method, self.device)))
+            for setting in block.settings
+        ]
+        path, budget = str(self.data_path(block.scene)), parse_budget(block.budget)
+        return protocol_tasks(path, dataset, methods, block.protocol, block.targets_ghz, block.seeds, budget)
 
     def missing_benches(self) -> list[str]:
         """The measurements that have no record yet."""
@@ -189,22 +194,34 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     return (budget.max_seconds or maps * a_map) + overhead
 
 
-def generate_data(benchmark: Benchmark, progress: TracingProgress, workers: Workers = HERE) -> None:
+def generate_data(
+    benchmark: Benchmark,
+    progress: Mapping[str, ProgressCallback] = MappingProxyType({}),
+    workers: Workers = HERE,
+) -> None:
     """Generate the data sets that do not exist yet; a generation that was killed goes on.
 
-    Raises `OutputExistsError` if a file holds something else, and any other `XFreqBenchError`.
+    `progress` has the callback of a scene by its name. Raises `OutputExistsError` if a file holds something else, and
+    any other `XFreqBenchError`.
     """
     for scene, plan in benchmark.plans.items():
-        generate_planned(plan, benchmark.data_path(scene), partial(progress, scene), workers=workers)
+        callback = progress.get(scene, ignore_progress)
+        generate_planned(plan, benchmark.data_path(scene), callback, workers=workers)
 
 
-def run_benchmark(benchmark: Benchmark, progress: RunProgress, executor: str | None = None) -> list[str]:
+def run_benchmark(
+    benchmark: Benchmark, progress: RunProgress | None = None, executor: str | None = None
+) -> list[str]:
     """Run the jobs that are not finished, on the workers of `run_workers`; returns a line for each run that failed.
 
-    Raises what `run_on` raises before the first run.
+    Raises what `run_jobs` raises before the first run.
     """
     with run_workers(benchmark, executor) as workers:
-        return run_on(workers, benchmark.jobs(), benchmark.results_dir, progress).failures
+        try:
+            run_jobs(benchmark.tasks(), benchmark.results_dir, workers, progress)
+        except RunsFailedError as error:
+            return error.lines
+    return []
 
 
 def measure(benchmark: Benchmark, name: str) -> list[str]:
@@ -224,7 +241,7 @@ def measure(benchmark: Benchmark, name: str) -> list[str]:
 
 def record_contents(benchmark: Benchmark) -> None:
     """Record what the benchmark consists of and what it leaves out, unless that is recorded already."""
-    contents = BenchRecord(
+    contents = BenchRecord.here(
         bench="benchmark",
         title="What was run",
         command=f"xfreqbench benchmark --preset {benchmark.name}",
@@ -232,7 +249,6 @@ def record_contents(benchmark: Benchmark) -> None:
         f"Left out: {benchmark.preset.left_out}.",
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
         rows=tuple(map(_contents, benchmark.preset.blocks)),
-        **machine_and_time(),
     )
     known = [(each.note, each.rows) for each in benchmark.results.stored.benches]
     if (contents.note, contents.rows) not in known:
@@ -249,19 +265,13 @@ def _contents(block: Block) -> tuple[str, ...]:
     return (block.scene, block.protocol, *counts)
 
 
-def _targets_hz(block: Block) -> Targets:
-    if block.targets_ghz is None or block.targets_ghz == "all":
-        return block.targets_ghz
-    return [ghz_to_hz(target) for target in block.targets_ghz]
-
-
 def _num_splits(block: Block) -> int:
     """Number of splits of a block's protocol on the paper's carriers."""
     if block.protocol not in ("lofo", "lofo-unseen-tx"):
         return len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1
     if block.targets_ghz == "all":
         return len(_PAPER_HZ)
-    return len(block.targets_ghz or LOFO_TARGETS_HZ)
+    return len(block.targets_ghz or LOFO_TARGETS_GHZ)
 
 
 def _num_runs(block: Block) -> int:

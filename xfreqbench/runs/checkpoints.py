@@ -23,7 +23,6 @@ from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, remove, storage_errors, sync
 
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
-_ADVICE = "Delete that folder to fit anew."
 _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
 
 
@@ -50,10 +49,16 @@ class Checkpoint(SealedModel):
 
 @dataclass(frozen=True)
 class CheckpointFolder:
-    """The folder of one job's checkpoints; `task_id` is the id that the job's record will have."""
+    """The folder of one job's checkpoints; `task_id` is the id that the job's record will have.
+
+    A method that was fitted to its end is stored in the same way, in another folder. `what` is the name of either in
+    errors, and `advice` says what to do about a damaged one.
+    """
 
     path: Path
     task_id: str
+    what: str = "checkpoint"
+    advice: str = "Delete that folder to fit anew."
 
     def write(self, method: Method, fit: Fit, curve: tuple[CurvePoint, ...]) -> None:
         """Save a method and how its fit stands, then remove the checkpoint before.
@@ -114,8 +119,8 @@ class CheckpointFolder:
 
         Raises `MethodError` if the method fails to load it, and `DataError` if it has another configuration.
         """
-        failed = f"The checkpoint in {self.path} cannot be loaded: {type(method).__name__}.load raised"
-        with method_code(failed, _ADVICE, passed=()):
+        failed = f"The {self.what} in {self.path} cannot be loaded: {type(method).__name__}.load raised"
+        with method_code(failed, self.advice, passed=()):
             loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
             config = getattr(loaded, "config", None)
         if as_json(config) != as_json(method.config):
@@ -151,7 +156,7 @@ class CheckpointFolder:
         )
 
     def _refusal(self, fault: str) -> DataError:
-        return DataError(f"The checkpoint in {self.path} {fault}. {_ADVICE}")
+        return DataError(f"The {self.what} in {self.path} {fault}. {self.advice}")
 
 
 def _sha256_by_name(folder: Path) -> dict[str, str]:

@@ -6,6 +6,7 @@ predictions/ID.h5        the predicted maps of the run whose record has that id
 predictions/ID.lock      exists while a process is at that run
 benchmark.lock           exists while a benchmark fills the folder
 checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
+methods/ID/NUMBER/       the method as that run fitted it
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ import tempfile
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from pydantic import InstanceOf
+
 from xfreqbench.errors import DataError
+from xfreqbench.methods.contract import Method
+from xfreqbench.methods.registry import build_method
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
@@ -22,7 +27,7 @@ from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import exclusive, require_regular, require_space, storage_errors
 
 RECORDS_NAME = "records.jsonl"
-_PREDICTIONS, _CHECKPOINTS = "predictions", "checkpoints"
+_PREDICTIONS, _CHECKPOINTS, _METHODS = "predictions", "checkpoints", "methods"
 
 
 class ResultsFolder:
@@ -111,6 +116,11 @@ class ResultsFolder:
         """The checkpoints of the run whose record will have that id."""
         return CheckpointFolder(self.path / _CHECKPOINTS / record_id, record_id)
 
+    def fitted(self, record_id: str) -> CheckpointFolder:
+        """The method that the run with an id has fitted."""
+        advice = f"Delete {self.predictions_path(record_id)} and run the same again, which stores both."
+        return CheckpointFolder(self.path / _METHODS / record_id, record_id, "method", advice)
+
     def lock(self, record_id: str) -> AbstractContextManager[None]:
         """A lock that one process at a time holds while it is at a run; see `xfreqbench.system.files.exclusive`."""
         return exclusive(self.predictions_path(record_id).with_suffix(".lock"))
@@ -131,6 +141,31 @@ class ResultsFolder:
         except (FileNotFoundError, NotADirectoryError):
             return None
         return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@checked
+def load_method(results: FilePath, run: str | InstanceOf[RunRecord]) -> Method:
+    """The method that a run has fitted and stored in a results folder: `predict` can be called, or `fit` go on.
+
+    `run` is a record of the folder, or its `id`. Every byte is compared with its hash before the method's own `load`
+    reads it. The code is that which is installed now, whatever it was when the method was fitted. Methods of this
+    package store numbers and texts alone; what a plug-in stores may run code, so load only results that you trust.
+
+    Raises `DataError` where no such run is recorded, or its method is not stored, damaged or another run's, and
+    `UnknownNameError` or `MethodError` where the method is not installed or fails to load.
+    """
+    folder, record_id = ResultsFolder.holding(Path(results)), run if isinstance(run, str) else run.id
+    found = [record for record in folder.records if record.id == record_id]
+    if not found:
+        raise DataError(
+            f"{folder.records_path} has no run {record_id!r}; xfreqbench.read_records lists its runs."
+        )
+    job, stored = found[-1].job, folder.fitted(record_id)
+    if stored.read() is None:
+        elsewhere = found[-1].external is not None
+        advice = "Its predictions were made elsewhere." if elsewhere else stored.advice
+        raise DataError(f"The method of run {record_id} is not at {stored.path}. {advice}")
+    return stored.load(build_method(job.method, job.overrides))
 
 
 @checked

@@ -1,4 +1,4 @@
-"""Jobs with everything that they name looked up. Whatever is wrong with one is found here, before the first fit."""
+"""Jobs with everything that they name at hand. Whatever is wrong with one is found here, before the first fit."""
 
 from __future__ import annotations
 
@@ -8,29 +8,51 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.protocols import find_split
-from xfreqbench.data.splits import Split
+from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Method
+from xfreqbench.methods.contract import Budget, Method
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import Job
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Task:
-    """A job with its data set, its split and its method, which stays untrained; see `new_method`."""
+    """A job with its split, its data set, and its method, which stays untrained; see `new_method`.
+
+    It is pickled without data set and method; where it arrives, they are opened and built when they are asked for.
+    """
 
     job: Job
-    dataset: PasDataset
     split: Split
-    method: Method
+    dataset_path: Path
+
+    @classmethod
+    def of(cls, job: Job, dataset: PasDataset, split: Split) -> Task:
+        """The task of a job on an opened data set; raises what `build_method` raises."""
+        task = cls(job, split, dataset.path)
+        task.__dict__.update(dataset=dataset, method=task.new_method())
+        return task
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Task, (self.job, self.split, self.dataset_path)
+
+    @cached_property
+    def dataset(self) -> PasDataset:
+        """The data set; raises `DataError`."""
+        return open_dataset(self.dataset_path)
+
+    @cached_property
+    def method(self) -> Method:
+        """The method, untrained; raises what `build_method` raises."""
+        return self.new_method()
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -70,25 +92,40 @@ class Task:
             yield
 
 
-def look_up(job: Job, dataset: PasDataset) -> Task:
-    """The task of a job on its opened data set; raises `XFreqBenchError` for a name that there is not."""
-    split = find_split(dataset, job.protocol, job.split)
-    return Task(job, dataset, split, build_method(job.method, job.overrides))
+def protocol_tasks(
+    data: str,
+    dataset: PasDataset,
+    methods: Sequence[tuple[str, tuple[str, ...]]],
+    protocol: str,
+    targets_ghz: TargetsGhz,
+    seeds: Sequence[int],
+    budget: Budget,
+    on: ScoredOn = "test",
+) -> list[Task]:
+    """One task for each method, seed and split, in that order of nesting; the splits are made once.
 
-
-def look_up_all(jobs: Sequence[Job], folder: ResultsFolder) -> list[Task]:
-    """The tasks of jobs, in their order, once everything that can stop one of them has been checked.
-
-    That is: every name, every byte of the data sets and the fingerprints of their recipes, every checkpoint, and
-    whether `folder` takes results.
-    Raises the `XFreqBenchError` that says what is wrong.
+    `data` is the path of `dataset` as the records name it. `methods` are names with `key=value` texts for their
+    options; `targets_ghz` and `on` are those of `make_splits`. Raises `UnknownNameError`, `ProtocolError` and
+    `MethodError`.
     """
-    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
-    tasks = [look_up(job, datasets[job.dataset]) for job in jobs]
+    splits = make_splits(dataset, protocol, targets_ghz, on)
+    return [
+        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget), dataset, split)
+        for name, options in methods
+        for seed in seeds
+        for split in splits
+    ]
+
+
+def require_runnable(tasks: Sequence[Task], folder: ResultsFolder) -> None:
+    """Check whatever can stop one of the tasks: checkpoints, whether `folder` takes results, and the data sets.
+
+    Of the data sets every byte is checked, and the fingerprints of their recipes. Raises the `XFreqBenchError` that
+    says what is wrong.
+    """
     for task in tasks:
         folder.checkpoints(task.id).read()
     folder.require_writable()
-    for path, dataset in datasets.items():
+    for path, dataset in {task.dataset_path: task.dataset for task in tasks}.items():
         verify(path)
         require_fingerprint(dataset)
-    return tasks

@@ -3,35 +3,43 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isnan
 from pathlib import Path
 
 from xfreqbench.methods.fitting import Fit
-from xfreqbench.runs import on_workers
+from xfreqbench.runs.fit import FitProgress
 from xfreqbench.runs.records import Job, RunRecord
-from xfreqbench.runs.run import ProgressCallback
-from xfreqbench.runs.watch import FittingCallback
-from xfreqbench.system.bars import Bars, open_bars
-from xfreqbench.types import ignore_progress
+from xfreqbench.system.bars import open_bars
+
+RunProgress = Callable[[int, int, Job, RunRecord | None], None]
+"""Is called with jobs done, jobs in all, the job that has ended, and its record, None where it failed."""
 
 
 @contextmanager
-def run_bars(quiet: bool) -> Iterator[tuple[ProgressCallback | None, FittingCallback | None]]:
+def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None, FitProgress | None]]:
     """The two callbacks of `run_jobs`, which draw bars on stderr; with `quiet` both are None.
 
-    Where bars cannot be drawn, as in a file, there is a line for each finished run instead.
+    The second bar, of the fit at hand, is for fits in this process. Where bars cannot be drawn, as in a file, there is
+    a line for each run that has ended instead.
     """
     if quiet:
         yield None, None
         return
-    with open_bars(["runs", "fitting"]) as bars:
+    with open_bars(["runs", "fitting"] if shows_fit else ["runs"]) as bars:
 
-        def finished(done: int, total: int, record: RunRecord) -> None:
-            scored = f"median SSIM {record.scores['ssim'].median:.4f}"
-            fitted = "" if record.fit_seconds is None else f", {record.fit_seconds:.1f} s of fitting"
-            _show_run(bars, done, total, record.job, f": {scored}{fitted}")
+        def ended(done: int, total: int, job: Job, record: RunRecord | None) -> None:
+            if bars.is_drawn:
+                title = f"{job.protocol} on {Path(job.dataset).name}"
+                bars.show(0, done, total, f"{done}/{total} runs", title)
+                return
+            result = "failed"
+            if record is not None:
+                fitted = "" if record.fit_seconds is None else f", {record.fit_seconds:.1f} s of fitting"
+                result = f"median SSIM {record.scores['ssim'].median:.4f}{fitted}"
+            line = f"{done}/{total} {job.method} on {job.split}, seed {job.seed}: {result}"
+            print(line, file=sys.stderr, flush=True)
 
         def fitting(job: Job, fit: Fit) -> None:
             if bars.is_drawn:
@@ -39,17 +47,7 @@ def run_bars(quiet: bool) -> Iterator[tuple[ProgressCallback | None, FittingCall
                 title = f"fitting {job.method} {job.split}"
                 bars.show(1, fit.share, 1 if spent else None, fit_state(fit), title)
 
-        yield finished, fitting
-
-
-@contextmanager
-def worker_bar(quiet: bool) -> Iterator[on_workers.ProgressCallback]:
-    """The callback of `run_on`, which draws a bar, or prints a line for each run that has ended."""
-    if quiet:
-        yield lambda done, total, job: ignore_progress(done, total)
-        return
-    with open_bars(["runs"]) as bars:
-        yield lambda done, total, job: _show_run(bars, done, total, job, "")
+        yield ended, fitting
 
 
 def fit_state(fit: Fit) -> str:
@@ -57,11 +55,3 @@ def fit_state(fit: Fit) -> str:
     loss = "" if isnan(fit.loss) else f", loss {fit.loss:.4g}"
     spent = f", {fit.share:.0%} of the budget" if fit.share else ""
     return f"step {fit.step:,}{loss}, {fit.seconds:.0f} s{spent}"
-
-
-def _show_run(bars: Bars, done: int, total: int, job: Job, told: str) -> None:
-    if bars.is_drawn:
-        bars.show(0, done, total, f"{done}/{total} runs", f"{job.protocol} on {Path(job.dataset).name}")
-    else:
-        line = f"{done}/{total} {job.method} on {job.split}, seed {job.seed}{told}"
-        print(line, file=sys.stderr, flush=True)

@@ -260,6 +260,33 @@ class BenchRecord(SealedModel):
     git_commit: str | None
     time_utc: str
 
+    @classmethod
+    def here(
+        cls,
+        bench: str,
+        title: str,
+        command: str,
+        note: str,
+        columns: tuple[str, ...],
+        rows: tuple[tuple[str, ...], ...],
+        figure: BenchFigure | None = None,
+        versions: Mapping[str, str] | None = None,
+    ) -> BenchRecord:
+        """The record of a table that was measured on this machine, now; `versions` are those of further libraries."""
+        return cls(
+            bench=bench,
+            title=title,
+            command=command,
+            note=note,
+            columns=columns,
+            rows=rows,
+            figure=figure,
+            hardware=hardware(),
+            software=software() | dict(versions or {}),
+            git_commit=git_commit(),
+            time_utc=utc_now(),
+        )
+
     @model_validator(mode="after")
     def _require_cells(self) -> BenchRecord:
         for number, row in enumerate(self.rows):
@@ -362,14 +389,6 @@ def fault_of_fields(error: ValidationError) -> str:
     return f"{place}: {fault['msg']}" if place else fault["msg"]
 
 
-def machine_and_time(versions: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """The fields of a record that name this machine, its software, the commit of the code, and the time.
-
-    `versions` are those of further libraries, by name.
-    """
-    return {
-        "hardware": hardware(),
-        "software": software() | dict(versions or {}),
-        "git_commit": git_commit(),
-        "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+def utc_now() -> str:
+    """The time as records have it, in UTC to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,79 +1,251 @@
-"""Runs jobs one after the other: fit, predict, store the predictions, score what was stored, record it.
+"""Runs methods: every job is fitted, predicts, has its predictions stored and scored, and is recorded.
 
-A long fit is saved on its way, and a run that was killed goes on from there.
+Jobs are run in this process, one after the other, or on workers, several at a time. A long fit is saved on its way,
+and a run that was killed goes on from there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from uuid import uuid4
 
 from jaxtyping import Float, Int
+from pydantic import InstanceOf
 
-from xfreqbench.errors import MethodError
-from xfreqbench.methods.contract import ExplainedMethod, Method
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.splits import ScoredOn, TargetsGhz
+from xfreqbench.errors import (
+    ClusterError,
+    DataError,
+    MethodError,
+    RunsFailedError,
+    XFreqBenchError,
+    was_interrupted,
+)
+from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
 from xfreqbench.methods.guard import plain_json
+from xfreqbench.methods.registry import device_option, method_names
+from xfreqbench.runs.estimate import estimate_runs
+from xfreqbench.runs.fit import FitProgress, TaskFit
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import Task, look_up_all
+from xfreqbench.runs.jobs import Task, protocol_tasks, require_runnable
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
-from xfreqbench.runs.records import Job, RunRecord, machine_and_time
-from xfreqbench.runs.scoring import BATCH_SIZE, scored_fields
-from xfreqbench.runs.watch import FittingCallback, WatchedFit
+from xfreqbench.runs.progress import RunProgress, run_bars
+from xfreqbench.runs.records import RunRecord
+from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
+from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked
+from xfreqbench.system.files import storage_errors
+from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.types import IntArray, Maps
 
-__all__ = ["Job", "RunRecord", "run_job", "run_jobs", "run_one"]
+Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 
-ProgressCallback = Callable[[int, int, RunRecord], None]
+
+@checked
+def run(
+    data: FilePath | InstanceOf[PasDataset],
+    methods: Texts | Mapping[str, Options],
+    protocol: str = "lofo",
+    results: FilePath = "results",
+    *,
+    targets_ghz: TargetsGhz = None,
+    on: ScoredOn = "test",
+    seeds: WholeNumbers = (0,),
+    budget: str | Budget | None = "5m",
+    device: Literal["cpu", "cuda"] = "cpu",
+    executor: Word = SERIAL,
+    progress: bool = False,
+) -> list[RunRecord]:
+    """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
+
+    `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; as
+    a mapping it gives each name its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts
+    `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
+    `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
+    the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
+    `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
+    method. `device` is where methods that have the choice compute. `executor` is `serial`, a number of processes, or
+    `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run where that is no terminal, and
+    first says what the runs will take where that may be more than ten minutes.
+
+    Records, predictions and fitted methods go to the folder `results`. What is finished there is not run again, and a
+    fit that was killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where
+    that is possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single
+    run raises its own error.
+    """
+    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device)
+    return run_shown(tasks, Path(results), executor, progress)
+
+
+def asked_tasks(
+    data: str | Path | PasDataset,
+    methods: Sequence[str] | Mapping[str, Options],
+    protocol: str,
+    targets_ghz: TargetsGhz,
+    on: ScoredOn,
+    seeds: Sequence[int],
+    budget: str | Budget | None,
+    device: Literal["cpu", "cuda"],
+) -> list[Task]:
+    """The tasks of a call of `run`; raises what is wrong with its arguments."""
+    if isinstance(data, PasDataset):
+        num_samples = data.header.num_tx * data.num_carriers
+        if len(data) != num_samples:
+            raise XFreqBenchError(
+                f"Protocols split whole data sets, but a subset of {len(data)} of the {num_samples} samples of "
+                f"{data.path} was given. Give the whole data set, or its path."
+            )
+        data = data.path
+    if not isinstance(methods, Mapping):
+        methods = dict.fromkeys(method_names() if list(methods) == ["all"] else methods, ())
+    named = [(name, (*_texts(given), *device_option(name, device))) for name, given in methods.items()]
+    limit = budget if isinstance(budget, Budget) else parse_budget(budget)
+    return protocol_tasks(str(data), open_dataset(data), named, protocol, targets_ghz, seeds, limit, on)
+
+
+def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
+    """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
+    if progress:
+        estimate = estimate_runs(tasks, results_dir, executor)
+        if estimate.is_long:
+            print(estimate, file=sys.stderr, flush=True)
+    with (
+        open_workers(executor, is_fresh=True) as workers,
+        run_bars(not progress, shows_fit=workers is HERE) as callbacks,
+    ):
+        try:
+            return run_jobs(tasks, results_dir, workers, *callbacks)
+        except RunsFailedError as failed:
+            if len(tasks) > 1:
+                raise
+            (error,) = failed.errors.values()
+            raise error from None
+
+
+def _texts(options: Options) -> tuple[str, ...]:
+    """Options as texts `key=value`, each value as JSON has it unless it is a text already."""
+    if not isinstance(options, Mapping):
+        return tuple(options)
+    return tuple(
+        f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in options.items()
+    )
 
 
 def run_jobs(
-    jobs: Iterable[Job],
+    tasks: Sequence[Task],
     results_dir: Path,
-    progress: ProgressCallback | None = None,
-    fitting: FittingCallback | None = None,
+    workers: Workers = HERE,
+    progress: RunProgress | None = None,
+    fitting: FitProgress | None = None,
 ) -> list[RunRecord]:
-    """Run jobs one after the other and store their records in `results_dir`; returns the records, in order.
+    """Run jobs and store their records in `results_dir`; returns the records, in the order of the jobs.
 
-    A job that is finished there is not run again, and a fit that was killed goes on from its last checkpoint.
-    Everything that can be checked is checked before the first fit; see `look_up_all`. `progress` is told jobs
-    done, jobs in all and the record after each one; `fitting` is told at every step how the fit stands. Raises
-    any `XFreqBenchError`; jobs that were finished before it are kept.
+    `workers` run as many at a time as they have places; without any, this process runs one after the other. A job
+    that is finished in the folder is not run again, and a fit that was killed goes on from its last checkpoint.
+    Everything that can be checked is checked before the first fit, and raises the `XFreqBenchError` that it is:
+    `ClusterError` for workers that do not see the data sets and `results_dir` as this process does.
+
+    A job that fails stops no other. At the end `RunsFailedError` names those that failed; the records of the others are
+    kept. Ctrl-C ends all of it at once.
+
+    `progress` is called whenever a job has ended, and at first for those that are finished. `fitting` is called at
+    every step of a fit in this process with how it stands.
     """
-    folder = ResultsFolder(results_dir)
-    tasks = look_up_all(list(jobs), folder)
-    records = []
-    for task in tasks:
-        with folder.lock(task.id):  # another process may be at the same job
-            record = folder.finished(task.id)
-            if record is None:
-                record = run_one(task, folder, fitting)
-                folder.append(record)
-            folder.checkpoints(task.id).remove()
-        records.append(record)
+    folder = ResultsFolder(results_dir.absolute())
+    require_runnable(tasks, folder)
+    asked = dict[str, Task]()
+    for task in tasks:  # options that say the defaults are the same job
+        asked.setdefault(task.id, task)
+    records, errors = dict[str, RunRecord](), dict[str, BaseException]()
+    done = 0
+
+    def end(task: Task, record: RunRecord | None) -> None:
+        nonlocal done
+        done += 1
+        if record is not None:
+            records[task.id] = record
         if progress:
-            progress(len(records), len(tasks), record)
-    return records
+            progress(done, len(asked), task.job, record)
+
+    for task in asked.values():
+        if record := folder.finished(task.id):
+            with folder.lock(task.id):
+                folder.checkpoints(task.id).remove()  # may be left of a process that was killed
+            end(task, record)
+    missing = [task for task in asked.values() if task.id not in records]
+    if workers is HERE:
+        call = partial(_run_locked, folder=folder, stores=True, fitting=fitting)
+    else:
+        call = partial(_run_locked, folder=ResultsFolder(folder.path))
+        require_shared_folder(workers, folder.path)
+        require_shared_datasets(workers, {task.dataset_path: task.dataset.sha256 for task in missing})
+    for task, ended in side_by_side(workers, call, missing):
+        error = ended.exception() or _error_of(task, ended.result())
+        if was_interrupted(error):
+            raise KeyboardInterrupt from error
+        if error:
+            errors[f"{task.job.method} on {task.job.split}, seed {task.job.seed}"] = error
+        elif workers is not HERE:
+            folder.keep(ended.result())
+        end(task, None if error else ended.result())
+    if errors:
+        raise RunsFailedError(errors, len(asked))
+    return [records[task.id] for task in tasks]
 
 
-def run_job(job: Job, results_dir: Path) -> RunRecord:
-    """The record of one job; as `run_jobs`."""
-    return run_jobs([job], results_dir)[0]
+def _run_locked(
+    task: Task, folder: ResultsFolder, stores: bool = False, fitting: FitProgress | None = None
+) -> RunRecord:
+    """The record of a task, run here unless another process has run it in the meantime.
+
+    Only the process that was asked for all jobs stores records. Of a run in itself it does so before another process
+    may be at the same job.
+    """
+    with folder.lock(task.id):
+        record = folder.finished(task.id)
+        if record is None:
+            record = run_one(task, folder, fitting)
+            if stores:
+                folder.append(record)
+        if stores:
+            folder.checkpoints(task.id).remove()
+    return record
 
 
-def run_one(task: Task, folder: ResultsFolder, fitting: FittingCallback | None = None) -> RunRecord:
-    """Fit, predict, store the predictions in `folder`, and score what was stored; the record of all that.
+def _error_of(task: Task, record: RunRecord) -> ClusterError | None:
+    """Why the record that a worker returns cannot be kept; None where it can."""
+    if record.id == task.id:
+        return None
+    return ClusterError(
+        "the worker has other code of the method than this process, or other data; nothing of it is kept. Restart "
+        "the workers with the same code."
+    )
+
+
+def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
+    """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
     The caller holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
     then: a job without a record is unfinished.
     """
-    require_no_others(folder.predictions_path(task.id))
-    watched = WatchedFit(task, folder.checkpoints(task.id), fitting)
+    path = folder.predictions_path(task.id)
+    require_no_others(path)
+    task_fit = TaskFit(task, folder.checkpoints(task.id), fitting)
     machine.reset_peak_memory()
-    fit = watched.run()
-    method, clock, path = watched.method, Stopwatch(), folder.predictions_path(task.id)
+    fit = task_fit.run()
+    method, clock = task_fit.method, Stopwatch()
+    kept = folder.fitted(task.id)
+    kept.remove()  # what a run that was killed has left
+    with task.method_errors("save"):
+        kept.write(method, fit, task_fit.curve)
     write_predictions(
         path,
         _predicted(task, method, clock),
@@ -82,24 +254,21 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FittingCallback | None =
         dataset_sha256=task.dataset.sha256,
         split_sha256=task.split.sha256,
     )
-    peak_memory_mib = machine.peak_memory_mib()
-    return RunRecord(
-        id=task.id,
-        job=task.job,
-        **scored_fields(task.dataset, task.split, path),
+    outcome = FitOutcome(
         config=task.config,
         step=fit.step,
         fit_seconds=fit.seconds,
         fit_processor_seconds=fit.processor_seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
-        peak_memory_mib=peak_memory_mib,
+        peak_memory_mib=machine.peak_memory_mib(),
         parameters=_num_parameters(task, method),
-        counts=dict(fit.counts),
-        curve=watched.curve,
+        hardware=machine.hardware(),
+        counts=fit.counts,
+        curve=task_fit.curve,
         code_sha256=task.code_sha256,
         findings=_findings(task, method),
-        **machine_and_time(),
     )
+    return scored_record(task.id, task.job, task.dataset, task.split, path, outcome)
 
 
 def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatch]:
@@ -133,3 +302,42 @@ def _findings(task: Task, method: Method) -> dict[str, Any]:
 def _num_parameters(task: Task, method: Method) -> int:
     with task.method_errors("num_parameters"):
         return checked_num_parameters(method)
+
+
+def require_shared_folder(workers: Workers, folder: Path) -> None:
+    """Raise `ClusterError` unless every worker finds what is put into a folder, and may write there."""
+    token = folder.absolute() / f".shared-{uuid4().hex}"
+    with storage_errors(token):
+        token.parent.mkdir(parents=True, exist_ok=True)
+        token.touch()
+    try:
+        blind = [worker for worker, sees in workers.ask(_sees, token).items() if not sees]
+    finally:
+        token.unlink()
+    if blind:
+        raise ClusterError(
+            f"{len(blind)} workers do not see {token.parent}, or may not write there, {blind[0]} among them. Choose "
+            "a folder on a file system that is mounted at the same path on every machine."
+        )
+
+
+def require_shared_datasets(workers: Workers, sha256_by_path: Mapping[Path, str]) -> None:
+    """Raise `ClusterError` unless every worker finds the same data sets at the same paths, by their sha256."""
+    for path, expected in sha256_by_path.items():
+        for worker, found in workers.ask(_sha256_there, path).items():
+            if found != expected:
+                raise ClusterError(
+                    f"Worker {worker} finds {found or 'no data set'} at {path}, but it is {expected} here. Keep data "
+                    "sets on a file system that is mounted at the same path on every machine."
+                )
+
+
+def _sees(path: Path) -> bool:
+    return path.exists() and os.access(path.parent, os.W_OK)
+
+
+def _sha256_there(path: Path) -> str | None:
+    try:
+        return open_dataset(path).sha256
+    except DataError:
+        return None

@@ -2,46 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Num
+from numpy.typing import NDArray
+from pydantic import InstanceOf, SkipValidation
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import Split
-from xfreqbench.errors import DataError
+from xfreqbench.errors import ArgumentError, DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
-from xfreqbench.runs.predictions import read_predictions
-from xfreqbench.runs.records import NUM_QUANTILES, Summary
+from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_predictions
+from xfreqbench.runs.records import NUM_QUANTILES, CurvePoint, External, Job, RunRecord, Summary, utc_now
+from xfreqbench.system import machine
+from xfreqbench.system.arguments import checked
 from xfreqbench.types import FloatArray, IntArray
 
 BATCH_SIZE = 32  # maps that are in memory at a time
 _SSIM_DECIMALS = 4
 
 
-def scored_fields(dataset: PasDataset, split: Split, predictions: Path) -> dict[str, Any]:
-    """Score the file `predictions`: the fields of a `RunRecord` that depend on data set, split and predictions alone.
+@dataclass(frozen=True)
+class FitOutcome:
+    """What a record holds of a fit, with the meaning that `RunRecord` gives to the same names."""
+
+    step: int
+    fit_seconds: float | None
+    predict_ms_per_map: float | None
+    parameters: int | None
+    config: Mapping[str, Any] = field(default_factory=dict)
+    hardware: Mapping[str, str] = field(default_factory=dict)
+    fit_processor_seconds: float | None = None
+    peak_memory_mib: float | None = None
+    counts: Mapping[str, float] = field(default_factory=dict)
+    curve: tuple[CurvePoint, ...] = ()
+    code_sha256: str | None = None
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    external: External | None = None
+
+
+def scored_record(
+    record_id: str, job: Job, dataset: PasDataset, split: Split, predictions: Path, outcome: FitOutcome
+) -> RunRecord:
+    """The record of a job: `predictions`, the file of stored maps, is scored here, and `outcome` says the rest.
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
     scores, test = _stored_scores(dataset, split, predictions), dataset.subset(split.test)
-    return {
-        "dataset_sha256": dataset.sha256,
-        "recipe": dataset.recipe.id,
-        "scene": dataset.header.scene_name,
-        "pas_kind": dataset.header.pas_kind,
-        "settings": dict(dataset.header.settings),
-        "split_sha256": split.sha256,
-        "protocol_version": split.version,
-        "metrics_version": METRICS_VERSION,
-        "num_test": len(split.test),
-        "num_without_path": split.num_without_path,
-        "shares_transmitters": split.shares_transmitters,
-        "nearest_trained_m": split.nearest_trained_m,
-        "scores": {name: _summary(each, test.carrier_hz) for name, each in scores.items()},
-        "ssim_by_tx": _by_transmitter(scores["ssim"], test.tx_index),
-    }
+    return RunRecord(
+        id=record_id,
+        job=job,
+        dataset_sha256=dataset.sha256,
+        scene=dataset.header.scene_name,
+        pas_kind=dataset.header.pas_kind,
+        settings=dict(dataset.header.settings),
+        split_sha256=split.sha256,
+        protocol_version=split.version,
+        metrics_version=METRICS_VERSION,
+        config=dict(outcome.config),
+        step=outcome.step,
+        fit_seconds=outcome.fit_seconds,
+        predict_ms_per_map=outcome.predict_ms_per_map,
+        peak_memory_mib=outcome.peak_memory_mib,
+        parameters=outcome.parameters,
+        num_test=len(split.test),
+        num_without_path=split.num_without_path,
+        shares_transmitters=split.shares_transmitters,
+        scores={name: _summary(values, test.carrier_hz) for name, values in scores.items()},
+        hardware=dict(outcome.hardware),
+        software=machine.software(),
+        git_commit=machine.git_commit(),
+        time_utc=utc_now(),
+        counts=dict(outcome.counts),
+        curve=outcome.curve,
+        ssim_by_tx=_by_transmitter(scores["ssim"], test.tx_index),
+        nearest_trained_m=split.nearest_trained_m,
+        code_sha256=outcome.code_sha256,
+        findings=dict(outcome.findings),
+        external=outcome.external,
+        recipe=dataset.recipe.id,
+        fit_processor_seconds=outcome.fit_processor_seconds,
+    )
+
+
+@checked
+def score(
+    maps: SkipValidation[Num[NDArray[Any], "N E A"]],
+    split: InstanceOf[Split],
+    dataset: InstanceOf[PasDataset],
+) -> dict[str, Float[FloatArray, "N"]]:
+    """Scores (N,) of maps that were predicted for the N test samples of a split, by the name of the metric.
+
+    `maps` (N, E, A) are in the order of `split.test`, on the grid of `dataset`, the whole data set that was split:
+    numbers in [0, 1], peak 1. A map without any power is scored as it is. Maps are rounded to half precision first, as
+    those of `run` are stored, so that the scores are those that a run would have. Nothing is stored.
+
+    Raises `ArgumentError` for maps of another shape, and for one that is no map.
+    """
+    try:
+        asked, rows = np.asarray(maps), split.test
+    except ValueError as error:  # lists of different lengths
+        raise ArgumentError(f"The maps to score are one array of numbers (N, E, A), but {error}.") from error
+    shape = (len(rows), *dataset.grid.shape)
+    if rows[-1] >= len(dataset):
+        raise ArgumentError(
+            f"Split {split.name!r} has sample {rows[-1]}, but the data set has {len(dataset)} samples. Give the whole "
+            "data set that was split."
+        )
+    if asked.shape != shape or asked.dtype.kind not in "fiu":
+        raise ArgumentError(
+            f"The maps to score are numbers of shape {shape}, one map for each test sample of {split.name!r}, but got "
+            f"{asked.dtype} of shape {asked.shape}."
+        )
+    if fault := fault_of_maps(asked):
+        raise ArgumentError(f"The map of row {rows[fault[0]]} (number {fault[0]}) {fault[1]}")
+    starts = range(0, len(rows), BATCH_SIZE)
+    stored = ((rows[n : n + BATCH_SIZE], asked[n : n + BATCH_SIZE].astype(np.float16)) for n in starts)
+    batches = ((some, rounded.astype(np.float32)) for some, rounded in stored)
+    return _scores(dataset, batches)
 
 
 def median(values: Float[FloatArray, "N"]) -> float:
@@ -54,9 +136,13 @@ def _stored_scores(dataset: PasDataset, split: Split, path: Path) -> dict[str, F
     predictions = read_predictions(path)
     if predictions.split_sha256 != split.sha256 or not np.array_equal(predictions.rows, split.test):
         raise DataError(f"{path} holds predictions of another split. Delete it and run again.")
+    return _scores(dataset, predictions.batches(BATCH_SIZE))
+
+
+def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Float[FloatArray, "N"]]:
+    """The score of every predicted map, (N,), by the name of the metric, from batches of rows and maps."""
     batches = [
-        score_all(maps, dataset.pas(rows), dataset.grid, dataset.header.pas_kind)
-        for rows, maps in predictions.batches(BATCH_SIZE)
+        score_all(maps, dataset.pas(rows), dataset.grid, dataset.header.pas_kind) for rows, maps in predicted
     ]
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 

@@ -13,11 +13,14 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Complex
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_serializer, model_validator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from xfreqbench.errors import MaterialBandError, UnknownNameError
-from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list
+from xfreqbench.system.arguments import CarriersGhz, checked
+from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
 MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (
@@ -248,6 +251,20 @@ def complex_permittivity(material: Material, carrier_hz: float, policy: Material
         band.a * carrier_ghz**band.b,
         -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M),
     )
+
+
+@checked
+def permittivity(
+    material: str, freqs_ghz: CarriersGhz, policy: MaterialPolicy = "error"
+) -> Complex[NDArray[np.complex128], "F"]:
+    """Relative complex permittivity (F,) of a material of ITU-R P.2040, by its name, at F carriers in GHz.
+
+    Raises `UnknownNameError` for another name. Outside every band of the material, `policy="error"` raises
+    `MaterialBandError`, and `policy="extrapolate"` continues the power law of the nearest band.
+    """
+    if material not in ITU_MATERIALS:
+        raise UnknownNameError("material", material, ITU_MATERIALS)
+    return np.array([complex_permittivity(material, ghz_to_hz(ghz), policy) for ghz in freqs_ghz])
 
 
 def conductivity_s_m(permittivity: complex, carrier_hz: float) -> float:

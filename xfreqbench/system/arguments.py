@@ -11,10 +11,19 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError, validate_call
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    validate_call,
+)
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.types import FloatArray
+from xfreqbench.units import ghz_to_hz
 
 Taken = ParamSpec("Taken")
 Returned = TypeVar("Returned")
@@ -75,6 +84,11 @@ def _each(given: Any) -> Any:
     return [given] if isinstance(given, int | float | str) else given
 
 
+def _carrier_ghz(carrier_ghz: float) -> float:
+    ghz_to_hz(carrier_ghz)
+    return carrier_ghz
+
+
 def _array(given: Any, shape: str) -> FloatArray:
     try:
         found = np.asarray(given, np.float64)
@@ -100,6 +114,9 @@ def _path(given: Any) -> str | Path:
 
 
 FilePath = Annotated[str | Path, PlainValidator(_path)]
+CarriersGhz = Annotated[
+    Sequence[Annotated[float, AfterValidator(_carrier_ghz)]], BeforeValidator(_each), Field(min_length=1)
+]  # one carrier is a list of one
 Numbers = Annotated[
     Sequence[Annotated[float, Field(gt=0, le=1e15)]], BeforeValidator(_each), Field(min_length=1)
 ]  # carriers: one number is a list of one

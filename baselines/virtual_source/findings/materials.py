@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.protocols import LOFO_TARGETS_HZ
+from xfreqbench.data.splits import LOFO_TARGETS_HZ
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.scene.materials import conductivity_s_m
 from xfreqbench.types import FloatArray

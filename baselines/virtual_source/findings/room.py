@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import is_own_drawing

@@ -6,9 +6,7 @@ import numpy as np
 import torch
 from plane_waves import PlaneWaveField, PlaneWavesConfig
 
-from xfreqbench import AngularGrid, BartlettBeam, check_method
-from xfreqbench.methods.learning.targets import Beams, GridView
-from xfreqbench.scene.array import planar_array
+from xfreqbench import AngularGrid, BartlettBeam, Beams, GridView, ReceiverArray, check_method
 
 
 def test_it_keeps_the_contract() -> None:
@@ -26,6 +24,7 @@ def test_the_direct_wave_alone_peaks_at_the_transmitter() -> None:
         last.weight.zero_()
         last.bias.copy_(torch.tensor([1.0, 0.0, 0.0, 0.0]))  # the direct wave is 1, the learned one 0
         towards = torch.as_tensor(grid.directions[40, 250], dtype=torch.float32)
-        beams = Beams(BartlettBeam(planar_array(4, 4, 0.5), grid), torch.device("cpu"))
+        element = ReceiverArray(position_m=(0.0, 0.0, 0.0)).element_position_wavelengths
+        beams = Beams(BartlettBeam(element, grid), torch.device("cpu"))
         power = field.power(2.5 * towards[None], torch.tensor([5e9]), GridView(), beams)
     assert np.unravel_index(int(power[0].argmax()), grid.shape) == (40, 250)

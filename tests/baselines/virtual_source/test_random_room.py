@@ -12,7 +12,7 @@ from xfreqbench.baselines.virtual_source.search.range_profile import find_planes
 from xfreqbench.baselines.virtual_source.stored import StoredFindings
 
 from tests.support.random_rooms import CARRIERS_HZ, RandomRoom, found_walls
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within

@@ -21,7 +21,7 @@ from xfreqbench.baselines.virtual_source.stored import StoredFindings
 
 from tests.support.found_box import ARRAY_M, SCENE, SETTINGS, SIZE_M, found_room, generated, plane, slab
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.scene.model import Surface
 
 SPLIT = "lofo-24.25GHz"

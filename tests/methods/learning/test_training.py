@@ -18,6 +18,7 @@ from xfreqbench.baselines.xfreq_gs import XFreqGS
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
 from tests.support.descent import curve, killed_after_three_checkpoints, maps
+from tests.support.stub_methods import run_job
 from tests.support.synthetic import write_dataset
 from tests.support.training import DIVIDING, TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
@@ -32,7 +33,7 @@ from xfreqbench.methods.splatting.field import SplatField
 from xfreqbench.methods.splatting.projection import project
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.run import Job, run_job
+from xfreqbench.runs.records import Job
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

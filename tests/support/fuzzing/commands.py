@@ -28,6 +28,7 @@ _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
     "checkpoints",
+    "methods",
     "records_maps.jsonl",
     ".records",
     "predictions",
@@ -195,14 +196,14 @@ def check_read(line: str, changed: Mapping[str, Any], is_bounded: bool = True) -
 
 @contextlib.contextmanager
 def _touched_alone(line: str, folder: Path) -> Iterator[None]:
-    """Outputs are named `new`; a folder of results grows, and gives up checkpoints of what is finished."""
+    """Outputs are named `new`; a folder of results grows, and gives up checkpoints and methods of what is run again."""
     if "results results" not in line and "-o results" not in line:
         with untouched(folder, folder / "new"):
             yield
         return
     written = [folder / "results" / part for part in RESULT_PARTS]
     before = Path(RECORDS).read_bytes() if Path(RECORDS).exists() else b""
-    with untouched(folder, *written, may_change=written[:2]):
+    with untouched(folder, *written, may_change=written[:3]):
         yield
     whole = before[: before.rfind(b"\n") + 1]
     assert not whole or Path(RECORDS).read_bytes().startswith(whole), "records were lost"

@@ -18,12 +18,13 @@ from tests.support.found_box import ALL_PLANES, SCENE
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.fuzzing.png import PNG_FOLDER, png
 from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
+from xfreqbench.data.dataset import open_dataset
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
 from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.jobs import protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
-from xfreqbench.runs.protocol import protocol_jobs
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.workers import HERE
@@ -113,9 +114,13 @@ def _kill_a_fit() -> None:
         if fit.step == 2:
             raise KeyboardInterrupt
 
-    jobs = protocol_jobs(DATA, {"aperture-gs": FITTED}, "lofo", [10e9], [0], parse_budget("3steps"))
-    with mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0), contextlib.suppress(KeyboardInterrupt):
-        run_jobs(jobs, Path("results"), fitting=kill)
+    methods, budget = [("aperture-gs", FITTED)], parse_budget("3steps")
+    tasks = protocol_tasks(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
+    with (
+        mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0),
+        contextlib.suppress(KeyboardInterrupt),
+    ):
+        run_jobs(tasks, Path("results"), fitting=kill)
 
 
 def _write_predictions(split: Path, path: Path) -> None:

@@ -11,9 +11,8 @@ import numpy as np
 
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.hdf5 import Variable, create_sealed
-from xfreqbench.data.protocols import make_splits
+from xfreqbench.data.splits import make_splits
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
-from xfreqbench.units import ghz_to_hz
 
 _TRACE = "--rays 20000 --max-depth 3 -q"
 _LOFO = "--data inputs/data.h5 --protocol lofo --targets 24.25"
@@ -119,7 +118,7 @@ def prepare(folder: Path, give: Callable[[str], None]) -> None:
 def _write_predictions(data: Path, path: Path) -> None:
     """Predictions of one split as other programs hand them in: noise, for nobody looks at its scores."""
     dataset = open_dataset(data)
-    (split,) = make_splits(dataset, "lofo", [ghz_to_hz(24.25)])
+    (split,) = make_splits(dataset, "lofo", [24.25])
     shape = (len(split.test), *dataset.grid.shape)
     maps = np.random.default_rng(0).random(shape, np.float32)
     told = {"split_sha256": split.sha256, "method": "noise"}

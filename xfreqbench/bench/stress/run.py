@@ -8,7 +8,7 @@ from pathlib import Path
 from xfreqbench.bench.stress.case import StressCase, Verdict
 from xfreqbench.bench.tables import require_records
 from xfreqbench.errors import UnknownNameError
-from xfreqbench.runs.records import BenchRecord, append, machine_and_time
+from xfreqbench.runs.records import BenchRecord, append
 
 COLUMNS = ("area", "case", "error", "limit", "unit", "")
 _WIDTHS = (13, 68, 8, 8, 10, 0)
@@ -72,7 +72,7 @@ def stress(only: str | None, output: Path | None, say: Callable[[str], None]) ->
 
 def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchRecord:
     """The verdicts as a record with a table that a report shows."""
-    return BenchRecord(
+    return BenchRecord.here(
         bench="stress",
         title="Numerical stability" + (f", {only}" if only else ""),
         command="xfreqbench bench stress" + (f" --only {only!r}" if only else ""),
@@ -82,7 +82,6 @@ def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchReco
         ),
         columns=COLUMNS,
         rows=tuple(verdict.cells for verdict in verdicts),
-        **machine_and_time(),
     )
 
 

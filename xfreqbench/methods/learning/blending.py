@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
+from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.mixing import (
     WEIGHTS,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.maps.drawing import DISPLAY_RANGE_DB, draw_disc
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.report.drawing.templates import SOFTWARE
@@ -25,10 +26,8 @@ from xfreqbench.system.files import atomic_path, require_own, storage_errors
 from xfreqbench.types import FloatArray
 
 _MAX_DISCS = 5  # maps side by side
-DISPLAY_RANGE_DB = 30.0  # below the peak
 FIGURE_KINDS = ("png", "svg", "pdf")
 _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
-_RINGS_DEG, _AZIMUTHS_DEG = (0, 30, 60), (0, 90, 180, 270)  # elevations, and azimuths, that a disc names
 _MAX_LETTERS = 80  # of a text in a figure
 _UNKNOWN_LETTERS = (
     "Glyph|Matplotlib currently does not support"  # warnings; whoever shows an SVG may know them
@@ -145,52 +144,6 @@ def label_decades(axis: Any) -> None:
     axis.xaxis.set_major_locator(LogLocator(subs=(1,) if is_wide else (1, 2, 5)))
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
-
-
-def draw_disc(
-    axis: Any,
-    pas_map: Float[NDArray[np.float32], "E A"],
-    grid: AngularGrid,
-    range_db: float = DISPLAY_RANGE_DB,
-) -> Any:
-    """Draw a map of linear power on polar axes, in dB below the peak; returns what a colour bar needs.
-
-    The centre is the pole, rings are elevations of 30° and 60°, the rim is the equator; azimuth runs counter-clockwise
-    from the right.
-    """
-    level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-range_db / 10)))
-    axis.grid(False)  # pcolormesh asks for that
-    image = axis.pcolormesh(
-        _edges(grid.azimuth_rad),
-        _radius_edges_deg(grid),
-        level_db,
-        vmin=-range_db,
-        vmax=0,
-        cmap="magma",
-        rasterized=True,
-    )
-    axis.set_xticks(np.radians(_AZIMUTHS_DEG), [f"{azimuth}°" for azimuth in _AZIMUTHS_DEG], fontsize=6)
-    axis.set_yticks([90 - ring for ring in _RINGS_DEG], [])
-    for ring in _RINGS_DEG:
-        axis.text(np.radians(45), 90 - ring, f"{ring}°", fontsize=5, color="white", ha="right", va="top")
-    axis.tick_params(pad=-3)
-    axis.grid(color="white", alpha=0.35, linewidth=0.4)
-    axis.set_rlim(0, 90)
-    return image
-
-
-def _radius_edges_deg(grid: AngularGrid) -> Float[FloatArray, "E1"]:
-    """Where the rows of a map begin and end, as degrees from the pole; the row next to the pole reaches it."""
-    edges = np.clip(_edges(90 - np.degrees(grid.elevation_rad)), 0, 90)
-    inner, step = edges.argmin(), abs(np.diff(edges)).max()
-    edges[inner] = 0 if edges[inner] <= step else edges[inner]
-    return edges
-
-
-def _edges(centres: Float[FloatArray, "n"]) -> Float[FloatArray, "n1"]:
-    """The edges of n cells by their centres: halfway between neighbours, and as far beyond the first and the last."""
-    between = (centres[:-1] + centres[1:]) / 2
-    return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])
 
 
 def require_own_figure(path: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import PROTOCOLS, VALIDATIONS
 from xfreqbench.data.recipe import recipe_name
+from xfreqbench.data.splits import PROTOCOLS, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL

@@ -6,6 +6,7 @@ They are drawn from stored predictions, or where these are not there from the ma
 from __future__ import annotations
 
 import hashlib
+import shlex
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,7 +17,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.protocols import SPARSE_TEST_HZ, VALIDATIONS
+from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
@@ -74,11 +75,11 @@ def gallery(
     stored = dozen_of(board, dataset, folders) if dataset else None
     found: dict[str, list[Case]] = {}
     pictures: dict[str, str] = {}
-    absent = []
+    absent: dict[str, RunRecord] = {}
     for label, record in shown_records(board, split).items():
         known = stored if stored and record.id in stored.predicted else (shipped or {}).get(record.id)
         if known is None:
-            absent.append(label)
+            absent[label] = record
         else:
             found[label] = [*_cases(known, record.id, pictures)]
     missing = ""
@@ -219,9 +220,12 @@ def _missing_data(board: Board) -> str:
     return f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it."
 
 
-def _missing_predictions(board: Board, absent: list[str]) -> str:
+def _missing_predictions(board: Board, absent: Mapping[str, RunRecord]) -> str:
     job = board.records[0].job
+    methods = shlex.quote(",".join(dict.fromkeys(record.job.method for record in absent.values())))
     on = " --on validation" if job.protocol in VALIDATIONS else ""
     protocol = VALIDATIONS.get(job.protocol, job.protocol)
-    command = f"xfreqbench run --data {job.dataset} --protocol {protocol}{on} --results FOLDER"
+    command = (
+        f"xfreqbench run --data {job.dataset} --method {methods} --protocol {protocol}{on} --results FOLDER"
+    )
     return f"Without stored predictions: {', '.join(absent)}. `{command}` stores them."

@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from xfreqbench.maps.drawing import draw_disc
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import draw_disc, label_decades, plan_and_elevation, save_figure
+from xfreqbench.report.drawing.figures import label_decades, plan_and_elevation, save_figure
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import PROTOCOLS, make_splits
-from xfreqbench.data.splits import Split
+from xfreqbench.data.splits import PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.orbit import packed

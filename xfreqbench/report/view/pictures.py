@@ -15,7 +15,8 @@ from scipy.spatial import KDTree
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
-from xfreqbench.report.drawing.figures import DISPLAY_RANGE_DB, figure_kind, plot_pas_maps, save_figure, shown
+from xfreqbench.maps.drawing import DISPLAY_RANGE_DB
+from xfreqbench.report.drawing.figures import figure_kind, plot_pas_maps, save_figure, shown
 from xfreqbench.report.view.figures import bounds_m, draw_outlines
 from xfreqbench.report.view.plan import plan_view
 from xfreqbench.report.view.room import ShownRoom

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -149,6 +148,7 @@ def _middle(carriers_hz: Sequence[float]) -> float:
 
 
 def _parsed_hz(carrier_ghz: float) -> float:
-    if not (math.isfinite(carrier_ghz) and ghz_to_hz(carrier_ghz) > 0):
-        raise XFreqBenchError(f"--carrier takes a frequency in GHz, as in 24.25, but got {carrier_ghz:g}.")
-    return ghz_to_hz(carrier_ghz)
+    try:
+        return ghz_to_hz(carrier_ghz)
+    except ValueError as error:
+        raise XFreqBenchError(f"--carrier cannot use {carrier_ghz:g}: {error}.") from error

@@ -8,14 +8,23 @@ from typing import Annotated, Any
 
 import torch
 from jaxtyping import Float
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 from typing_extensions import Doc
 
-from xfreqbench import LearnedMethod, PasDataset
-from xfreqbench.methods.learning.encoding import Scaling, encoded_size, positional_encoding
-from xfreqbench.methods.learning.targets import Beams, GridView
-from xfreqbench.methods.learning.training import ChannelField, Count, TrainingConfig
+from xfreqbench import (
+    Beams,
+    ChannelField,
+    GridView,
+    LearnedMethod,
+    PasDataset,
+    Scaling,
+    TrainingConfig,
+    positional_encoding,
+)
+
+Count = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
@@ -36,8 +45,9 @@ class PlaneWaveField(ChannelField):
         self.config = config
         self.scaling = Scaling()  # box and band of the training data, saved with the field
         self.direction = nn.Parameter(torch.zeros(config.waves, 3))
+        num_inputs = len(positional_encoding(torch.zeros(3), config.octaves)) + 1  # place and carrier
         self.network = nn.Sequential(
-            nn.Linear(encoded_size(3, config.octaves) + 1, config.width),
+            nn.Linear(num_inputs, config.width),
             nn.ReLU(),
             nn.Linear(config.width, config.width),
             nn.ReLU(),

@@ -23,7 +23,7 @@ from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.data.protocols import find_split
+from xfreqbench.data.splits import find_split
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, OutputExistsError, XFreqBenchError
 from xfreqbench.runs.predictions import write_predictions

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 import xfreqbench as xb
+from tests.support.stub_methods import lofo_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import MethodError, UnknownNameError, XFreqBenchError
-from xfreqbench.runs.protocol import Options
+from xfreqbench.errors import MethodError, RunsFailedError, UnknownNameError, XFreqBenchError
+from xfreqbench.runs.run import Options
 
 TARGET = {"targets_ghz": [77.0]}
 TEXTS = ("num_gaussians=4", "derive_targets=false")
@@ -100,7 +101,34 @@ def test_runs_on_workers_are_told_of_too(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     xb.run(dataset, "nearest", results=tmp_path, executor=1, progress=True, **TARGET)  # type: ignore[arg-type]
-    assert capsys.readouterr().err == "1/1 nearest on lofo-77GHz, seed 0\n"
+    assert capsys.readouterr().err.startswith("1/1 nearest on lofo-77GHz, seed 0: median SSIM ")
+
+
+@pytest.mark.parametrize("executor", ["serial", "2"])
+def test_a_run_that_fails_stops_no_other_here_or_on_workers(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], executor: str
+) -> None:
+    methods = ["stub_methods:FailsInFit", "nearest"]
+    with pytest.raises(RunsFailedError) as raised:
+        xb.run(dataset, methods, results=tmp_path, executor=executor, progress=True, **TARGET)  # type: ignore[arg-type]
+    number, failed = str(raised.value).splitlines()
+    assert number.startswith("1 of 2 runs failed")
+    assert failed.startswith(
+        "stub_methods:FailsInFit on lofo-77GHz, seed 0: Method 'stub_methods:FailsInFit' failed"
+    )
+    (error,) = raised.value.errors.values()
+    assert isinstance(error, MethodError)
+    assert [record.job.method for record in xb.read_records(tmp_path)] == ["nearest"]
+    assert "FailsInFit on lofo-77GHz, seed 0: failed\n" in capsys.readouterr().err
+
+
+def test_a_job_whose_options_say_the_defaults_is_run_once(dataset: PasDataset, tmp_path: Path) -> None:
+    name = "mean-over-frequency"
+    jobs = [lofo_job(dataset, name), lofo_job(dataset, name, overrides=("num_nearest=6",))]
+    seen: list[tuple] = []
+    first, second = run_jobs(jobs, tmp_path, progress=lambda *ended: seen.append(ended))
+    assert first == second
+    assert [(done, total) for done, total, *_ in seen] == [(1, 1)]
 
 
 def test_what_may_take_more_than_ten_minutes_is_said_before_the_first_run(

@@ -1,4 +1,4 @@
-"""One fit under observation: it goes on from its checkpoint, is saved on its way, and its learning curve is taken."""
+"""The fit of a task: it goes on from its checkpoint, is saved on its way, and its learning curve is taken."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from xfreqbench.runs.scoring import BATCH_SIZE, median
 from xfreqbench.types import FloatArray
 
 _WARM_UP_TX, _WARM_UP_BUDGET = 12, Budget(max_seconds=1.0, max_steps=1)
-FittingCallback = Callable[[Job, Fit], None]
+FitProgress = Callable[[Job, Fit], None]
 
 
-class WatchedFit:
-    """The fit of a task. None of the observation is charged to the method's time.
+class TaskFit:
+    """The fit of a task. Neither checkpoints nor the learning curve are charged to the method's time.
 
     `method` is what is fitted: as its newest checkpoint in `saved` has it, or untrained where there is none.
-    `curve` is the learning curve so far. `fitting` is told at every step how the fit stands.
+    `curve` is the learning curve so far. `fitting` is called at every step with how the fit stands.
     """
 
-    def __init__(self, task: Task, saved: CheckpointFolder, fitting: FittingCallback | None = None) -> None:
+    def __init__(self, task: Task, saved: CheckpointFolder, fitting: FitProgress | None = None) -> None:
         self._task, self._saved, self._fitting = task, saved, fitting
         earlier = saved.read()
         self._spent = earlier.fit if earlier else None

@@ -1,15 +1,14 @@
-"""What runs will take, told before the first of them starts."""
+"""An estimate of what runs will take, before the first of them starts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xfreqbench.data.dataset import open_dataset
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import look_up
+from xfreqbench.runs.jobs import Task
 from xfreqbench.runs.records import Job
 from xfreqbench.system.workers import SERIAL, require_executor
 
@@ -18,7 +17,7 @@ LONG_S = 600.0
 
 
 @dataclass(frozen=True)
-class Outlook:
+class Estimate:
     """Runs that are asked for, and those of them that are left; `str` says it in a line.
 
     `num_places` is the number of runs at a time, None where only a cluster knows.
@@ -55,24 +54,15 @@ class Outlook:
         return f"{counted}: {num_left} to run, {time}{rest}"
 
 
-def outlook(jobs: Sequence[Job], results_dir: Path, executor: str = SERIAL) -> Outlook:
-    """What jobs will take with these workers, those that are finished in a folder left out; nothing is written.
+def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERIAL) -> Estimate:
+    """What tasks will take with these workers, those that are finished in a folder left out; nothing is written.
 
-    Raises what looking up the jobs' data sets, splits and methods raises, and `XFreqBenchError` for an executor that
-    there is not.
+    Raises `XFreqBenchError` for an executor that there is not.
     """
     require_executor(executor)
-    datasets = {path: open_dataset(path) for path in dict.fromkeys(job.dataset for job in jobs)}
     folder = ResultsFolder(results_dir)
-    tasks = [look_up(job, datasets[job.dataset]) for job in jobs]
     left = tuple(task.job for task in tasks if folder.finished(task.id) is None)
-    return Outlook(len(jobs), left, _num_places(executor))
-
-
-def may_be_long(jobs: Iterable[Job], executor: str = SERIAL) -> bool:
-    """Whether jobs may take more than ten minutes if none is finished; nothing is looked up for that."""
-    every = tuple(jobs)
-    return Outlook(len(every), every, _num_places(executor)).is_long
+    return Estimate(len(tasks), left, _num_places(executor))
 
 
 def in_hours(seconds: float) -> str:

@@ -7,11 +7,12 @@ import pytest
 
 from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.protocols import (
+from xfreqbench.data.splits import (
     LOFO_TARGETS_HZ,
     PROTOCOLS,
     UNSEEN_SHARE,
     VALIDATIONS,
+    Split,
     find_split,
     held_out_tx,
     lofo,
@@ -20,7 +21,6 @@ from xfreqbench.data.protocols import (
     random_samples,
     sparse_frequency,
 )
-from xfreqbench.data.splits import Split
 from xfreqbench.errors import ArgumentError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
@@ -199,14 +199,14 @@ def test_one_transmitter_alone_cannot_be_held_out(tmp_path: Path) -> None:
 
 
 def test_a_target_named_twice_is_one(dataset: PasDataset) -> None:
-    (once,) = make_splits(dataset, "lofo", [2.4e9])
-    (twice,) = make_splits(dataset, "lofo", [2.4e9, 2.4e9])
+    (once,) = make_splits(dataset, "lofo", [2.4])
+    (twice,) = make_splits(dataset, "lofo", [2.4, 2.4])
     assert once.sha256 == twice.sha256
 
 
 def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
     with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
-        make_splits(dataset, "held-out-tx", [10e9])
+        make_splits(dataset, "held-out-tx", [10])
     assert len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10
 
 
@@ -260,7 +260,7 @@ def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_one
     dataset: PasDataset,
 ) -> None:
     targets_ghz = (1.0, 2.4, 24.25, 77.0, 94.0)
-    validations = make_splits(dataset, "lofo", [target * 1e9 for target in targets_ghz], on="validation")
+    validations = make_splits(dataset, "lofo", targets_ghz, on="validation")
     validated = [set(dataset.carrier_hz[split.test] / 1e9) for split in validations]
     assert [split.name for split in validations][:2] == ["lofo-validation-1GHz", "lofo-validation-2.4GHz"]
     for (carrier_ghz,), target_ghz, split in zip(validated, targets_ghz, validations, strict=True):
@@ -281,7 +281,7 @@ def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(
 
 
 def test_validation_rows_without_a_path_are_counted(of_many_transmitters: PasDataset) -> None:
-    (split,) = make_splits(of_many_transmitters, "lofo", [24.25e9], on="validation")
+    (split,) = make_splits(of_many_transmitters, "lofo", [24.25], on="validation")
     assert set(of_many_transmitters.carrier_hz[split.test]) == {37e9}
     assert (split.num_without_path, len(split.test)) == (1, 39)
 
@@ -315,7 +315,7 @@ def test_too_few_carriers_or_transmitters_to_validate_are_refused_with_their_num
     with pytest.raises(
         ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"
     ):
-        make_splits(dataset, "lofo", [10e9], on="validation")
+        make_splits(dataset, "lofo", [10], on="validation")
     few = write_dataset(tmp_path / "few.h5", 11)
     with pytest.raises(
         ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.stub_methods import run_jobs, task_of
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.outlook import in_hours, outlook
+from xfreqbench.runs.estimate import OVERHEAD_S, Estimate, estimate_runs, in_hours
 from xfreqbench.runs.records import Job
-from xfreqbench.runs.run import run_jobs
 
 UNLIMITED = Budget()
 
@@ -54,11 +54,29 @@ def test_a_dry_run_finds_the_mistakes_of_a_run(
 def test_finished_runs_take_no_time(dataset: PasDataset, tmp_path: Path) -> None:
     jobs = [job(dataset), job(dataset, "line-of-sight")]
     run_jobs(jobs[:1], tmp_path)
-    ahead = outlook(jobs, tmp_path)
+    ahead = estimate_runs([task_of(job) for job in jobs], tmp_path)
     assert ahead.left == (jobs[1],)
     assert str(ahead) == "2 runs, 1 of them finished before: 1 to run, up to 1 min, one at a time"
     run_jobs(jobs, tmp_path)
-    assert str(outlook(jobs, tmp_path)) == "2 runs, 2 of them finished before: nothing is left to run"
+    ahead = estimate_runs([task_of(job) for job in jobs], tmp_path)
+    assert str(ahead) == "2 runs, 2 of them finished before: nothing is left to run"
+
+
+def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
+    fits = [job(dataset, "aperture-gs", Budget(max_seconds=300.0)), job(dataset, "aperture-gs")]
+    steps, trivial = job(dataset, "aperture-gs", Budget(max_steps=9)), job(dataset, "nearest", fits[0].budget)
+    assert Estimate(1, (fits[0],)).seconds == 300 + OVERHEAD_S
+    assert Estimate(1, (trivial,)).seconds == Estimate(1, (steps,)).seconds == OVERHEAD_S
+    assert "2 fits without a budget in seconds come on top" in str(Estimate(3, (*fits, steps)))
+    assert "of run time, shared by the workers of the cluster" in str(Estimate(1, (fits[0],), None))
+
+
+def test_ten_minutes_are_long(dataset: PasDataset) -> None:
+    short, long = (job(dataset, "aperture-gs", Budget(max_seconds=seconds)) for seconds in (580.0, 590.0))
+    assert not Estimate(1, (short,)).is_long
+    assert Estimate(1, (long,)).is_long
+    assert Estimate(3, (short,) * 3).is_long
+    assert not Estimate(3, (short,) * 3, num_places=3).is_long
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(0, "1 min"), (420, "7 min"), (7500, "2 h 05 min")])

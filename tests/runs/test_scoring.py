@@ -1,0 +1,45 @@
+"""`xb.score` scores maps that are at hand, as a run scores those that it has stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import ArgumentError
+
+
+def test_scores_are_those_of_a_run(dataset: PasDataset, tmp_path: Path) -> None:
+    (record,) = xb.run(dataset, "mean-over-frequency", targets_ghz=[24.25], results=tmp_path)
+    (split,) = xb.make_splits(dataset, "lofo", [24.25])
+    test = dataset.subset(split.test)
+    maps = xb.load_method(tmp_path, record).predict(test.tx_position_m, test.carrier_hz)
+    scores = xb.score(maps, split, dataset)
+    assert scores.keys() == record.scores.keys()
+    for name, values in scores.items():
+        assert values.shape == split.test.shape
+        assert np.median(values) == record.scores[name].median
+    np.testing.assert_allclose(scores["ssim"], np.concatenate(record.ssim_by_tx), atol=1e-4)  # rounded there
+
+
+def test_the_truth_has_perfect_scores(dataset: PasDataset) -> None:
+    (split,) = xb.make_splits(dataset, "held-out-tx")
+    assert len(split.test) < 32 or len(split.test) % 32  # the last batch is smaller
+    scores = xb.score(dataset.pas(split.test), split, dataset)
+    assert (scores["ssim"] > 1 - 1e-9).all() and (scores["aoa_error"] == 0).all()
+
+
+def test_what_is_no_prediction_of_the_split_is_refused(dataset: PasDataset) -> None:
+    (split,) = xb.make_splits(dataset, "lofo", [24.25])
+    maps = dataset.pas(split.test)
+    with pytest.raises(
+        ArgumentError, match=r"numbers of shape \(5, 90, 360\).*got float32 of shape \(4, 90, 360\)"
+    ):
+        xb.score(maps[1:], split, dataset)
+    with pytest.raises(ArgumentError, match=r"The map of row 4 \(number 0\) has its peak at 0\.5"):
+        xb.score(maps * np.float32(0.5), split, dataset)
+    with pytest.raises(ArgumentError, match="Give the whole data set"):
+        xb.score(maps, split, dataset[:3])

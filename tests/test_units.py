@@ -1,0 +1,35 @@
+"""Carriers are given in GHz, and whoever gives hertz is asked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.cli.options import parse_carriers_hz
+from xfreqbench.errors import ArgumentError, XFreqBenchError
+from xfreqbench.units import MAX_CARRIER_GHZ, ghz_to_hz
+
+QUESTION = r"at most 1,000, and not 2\.425e\+10\. Was that hertz\? Then it is 24\.25 in GHz"
+
+
+def test_gigahertz_become_whole_hertz() -> None:
+    assert ghz_to_hz(24.25) == 24_250_000_000
+    assert ghz_to_hz(MAX_CARRIER_GHZ) == 1e12
+
+
+@pytest.mark.parametrize("carrier_ghz", [0.0, -1.0, float("nan"), float("inf"), 1e-12])
+def test_what_is_no_carrier_is_refused(carrier_ghz: float) -> None:
+    with pytest.raises(ValueError, match="a number above 0"):
+        ghz_to_hz(carrier_ghz)
+
+
+def test_whoever_gives_hertz_is_asked_in_python_and_on_the_command_line(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=f"freqs_ghz: .*{QUESTION}"):
+        xb.generate("empty", tmp_path / "data.h5", freqs_ghz=[24.25e9])
+    with pytest.raises(ArgumentError, match=f"targets_ghz=.*{QUESTION}"):
+        xb.run("data.h5", "nearest", targets_ghz=24.25e9, results=tmp_path)
+    with pytest.raises(XFreqBenchError, match=f"--freqs cannot use '24.25e9': .*{QUESTION}"):
+        parse_carriers_hz("24.25e9")
+    assert not list(tmp_path.iterdir())

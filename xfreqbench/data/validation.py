@@ -1,0 +1,40 @@
+"""Which training rows are held out to choose settings by. It is all that methods need to know of splits."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.types import FloatArray, IntArray
+
+VALIDATION_SHARE, LEAST_VALIDATION_TX = 0.1, 4  # of the training transmitters
+LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is held out for validation
+
+
+def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
+    """The carriers of a training that may be held out: all but the lowest and the highest, ascending; maybe none."""
+    return np.unique(train.carrier_hz)[1:-1]
+
+
+def validation_tx(
+    train: PasDataset,
+    generator: np.random.Generator,
+    most: int | None = None,
+    least: int = LEAST_VALIDATION_TX,
+) -> Int[IntArray, "t"]:
+    """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
+
+    They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
+    """
+    number = len(np.unique(train.tx_index))
+    if number < LEAST_TRAINING_TX:
+        return np.empty(0, np.int64)
+    tenth = int(VALIDATION_SHARE * number)
+    return drawn_tx(train, generator, max(least, tenth if most is None else min(most, tenth)))
+
+
+def drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
+    """So many transmitters of a data set, drawn by `generator`, by their indices."""
+    transmitters = np.unique(dataset.tx_index)
+    return transmitters[generator.permutation(len(transmitters))[:number]]
