@@ -40,13 +40,22 @@ def test_bad_input_is_refused_before_any_ray() -> None:
     with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
         plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
     for settings, message in (
-        (TraceSettings(max_depth=-1), "depth is -1; give a number from 0 to 16"),
-        (TraceSettings(max_depth=1_000_000), "depth is 1,000,000; give a number from 0 to 16"),
         (
-            TraceSettings(rays=10**12),
+            TraceSettings(interactions=("specular", "refraction"), max_depth=-1),
+            "depth is -1; give a number from 0 to 16",
+        ),
+        (
+            TraceSettings(interactions=("specular", "refraction"), max_depth=1_000_000),
+            "depth is 1,000,000; give a number from 0 to 16",
+        ),
+        (
+            TraceSettings(interactions=("specular", "refraction"), rays=10**12),
             "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000",
         ),
-        (TraceSettings(seed=2**32), "seed is 4,294,967,296; give a number from 0 to 4,294,967,295"),
+        (
+            TraceSettings(interactions=("specular", "refraction"), seed=2**32),
+            "seed is 4,294,967,296; give a number from 0 to 4,294,967,295",
+        ),
     ):
         with pytest.raises(XFreqBenchError, match=message):
             plan_generation(office, [1e9], settings)
@@ -79,7 +88,7 @@ def test_planning_a_scene_of_many_triangles_does_not_loop_over_them_in_python(tm
         seen: list[str] = []
         sys.setprofile(lambda frame, event, argument: seen.append(event))
         try:
-            plan_generation(scene, [24.25e9], TraceSettings("image"))
+            plan_generation(scene, [24.25e9], TraceSettings("image", ("specular", "refraction")))
         finally:
             sys.setprofile(None)
         return len(seen)

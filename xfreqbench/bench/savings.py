@@ -23,8 +23,9 @@ from xfreqbench.maps.metrics import psnr
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray
@@ -82,7 +83,7 @@ class Workload:
 
     def channel(self) -> ChannelArray:
         """Channels as `generate` computes them, with rays that are shot once for everything."""
-        tracer = make_tracer(self.scene, self.carrier_hz, self.settings)
+        tracer = tracer_of(PreparedScene.of(self.scene), self.carrier_hz, self.settings)
         return tracer.channel(self.tx_position_m).cfr
 
     def one_transmitter_each(self) -> list[Workload]:
@@ -109,7 +110,7 @@ def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     scene = load_scene("office")
     tx_position_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), num_tx, seed=1)
     carriers = tuple(ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ)
-    return Workload(scene, tx_position_m, carriers, TraceSettings(solver))
+    return Workload(scene, tx_position_m, carriers, TraceSettings(solver, ("specular", "refraction")))
 
 
 def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
@@ -212,7 +213,7 @@ def side_by_side(work: Workload, name: str) -> Saving:
 
     The image method has a thread for each transmitter, so its ratio is mostly due to threads.
     """
-    tracer = make_tracer(work.scene, work.carrier_hz, work.settings)
+    tracer = tracer_of(PreparedScene.of(work.scene), work.carrier_hz, work.settings)
 
     def one_by_one() -> ChannelArray:
         return np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m])
@@ -274,7 +275,7 @@ def _plain(work: Workload) -> ChannelArray:
     from xfreqbench.tracing.sionna.plain import plain_channel
 
     settings = work.settings
-    asked = settings.interactions, settings.max_depth, settings.rays, settings.seed
+    asked = settings.named_interactions, settings.max_depth, settings.rays, settings.seed
     channels = [plain_channel(work.scene, carrier, work.tx_position_m, *asked) for carrier in work.carrier_hz]
     return np.stack(channels, axis=1)
 

@@ -100,7 +100,7 @@ def _tables(paths: RaggedPaths, carrier: int, carrier_hz: float) -> dict[str, An
 def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
     settings = dataset.trace_settings
     allowed = {
-        name: settings.max_depth if name in settings.interactions else 0
+        name: settings.max_depth if name in settings.named_interactions else 0
         for name in ("specular", "refraction")
     }
     return {
@@ -110,7 +110,7 @@ def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
         "max_path_depth": settings.max_depth,
         "max_reflections": allowed["specular"],
         "max_transmissions": allowed["refraction"],
-        "max_diffractions": int("diffraction" in settings.interactions),
+        "max_diffractions": int("diffraction" in settings.named_interactions),
         "max_scattering": 0,
         "diffuse_reflections": 0,
         "diffuse_diffractions": 0,

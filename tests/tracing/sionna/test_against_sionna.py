@@ -20,7 +20,7 @@ pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 # The public solver's delays are float32: 6e-8 of 2πfτ ≈ 1.5e4 rad at 94 GHz and 8 m, a few roundings over.
 PLAIN_TOLERANCE = {1e9: 1e-3, 10e9: 1e-3, 94e9: 6e-3}
 ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]

@@ -14,8 +14,9 @@ from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import DIFFUSE
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Interaction, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -75,7 +76,9 @@ def lambertian_power(coefficient: float) -> float:
 
 def test_a_lambertian_floor_scatters_what_lamberts_law_says() -> None:
     settings = replace(SETTINGS, max_depth=1, rays=200_000)
-    paths = make_tracer(metal_plate(Scattering(coefficient=0.7)), [CARRIER_HZ], settings).paths(TX_M)
+    paths = tracer_of(
+        PreparedScene.of(metal_plate(Scattering(coefficient=0.7))), [CARRIER_HZ], settings
+    ).paths(TX_M)
     diffuse = paths.interactions[:, 0] == DIFFUSE
     power = (np.abs(paths.gain[0, diffuse]) ** 2).sum()
     assert diffuse.sum() > 10_000
@@ -92,7 +95,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
         for interactions in (smooth_only, ("specular", "diffuse")) if coefficient else (smooth_only,):
             settings = replace(SETTINGS, interactions=interactions, max_depth=1)
             scene = metal_plate(Scattering(coefficient=coefficient))
-            paths = make_tracer(scene, [CARRIER_HZ], settings).paths(TX_M)
+            paths = tracer_of(PreparedScene.of(scene), [CARRIER_HZ], settings).paths(TX_M)
             (gain,) = paths.gain[0, paths.interactions[:, 0] == 1]
             reflected[coefficient, interactions] = abs(gain)
     smooth = reflected.pop((0.0, smooth_only))
@@ -146,7 +149,7 @@ def test_no_path_is_left_out_however_the_elements_are_divided(monkeypatch: pytes
 
     def channel(most_paths: int) -> Channel:
         monkeypatch.setattr(forward, "MAX_DIFFUSE_PATHS", most_paths)
-        return make_tracer(scene, [CARRIER_HZ], SETTINGS).channel(TX_M[None])
+        return tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS).channel(TX_M[None])
 
     together, apart = channel(100_000), channel(SETTINGS.rays * SETTINGS.max_depth)
     assert together.num_paths[0, 0] > SETTINGS.rays / 10
@@ -163,11 +166,11 @@ def test_smooth_scenes_scatter_nothing_and_say_so() -> None:
     with pytest.raises(
         XFreqBenchError, match=r"no material of the scene scatters.*scattering = \{coefficient"
     ):
-        make_tracer(scene, [CARRIER_HZ], SETTINGS)
+        tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS)
     with pytest.raises(XFreqBenchError, match="no material of the scene"):
-        make_tracer(metal_plate(Scattering(coefficient=0.0)), [CARRIER_HZ], SETTINGS)
+        tracer_of(PreparedScene.of(metal_plate(Scattering(coefficient=0.0))), [CARRIER_HZ], SETTINGS)
 
 
 def test_more_diffuse_paths_than_memory_holds_are_refused() -> None:
     with pytest.raises(XFreqBenchError, match=r"--rays 2,000,000"):
-        make_tracer(room(*ROUGH), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))
+        tracer_of(PreparedScene.of(room(*ROUGH)), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))

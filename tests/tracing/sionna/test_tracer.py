@@ -24,7 +24,7 @@ pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
 
 

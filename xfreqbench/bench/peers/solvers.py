@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from xfreqbench.bench.peers.differt import DiffeRTSolver
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.sionna import plain
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -56,7 +57,7 @@ class OurSolver:
         rays: int = RAYS,
     ) -> None:
         settings = TraceSettings(solver=solver, interactions=SPECULAR_ALONE, max_depth=order, rays=rays)
-        self._tracer = make_tracer(scene, carriers_hz, settings)
+        self._tracer = tracer_of(PreparedScene.of(scene), carriers_hz, settings)
 
     def channels(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channels:
         """As `PeerSolver` says."""

@@ -88,7 +88,7 @@ def _facts(view: ViewPlan) -> dict[str, str]:
         facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": _maps(dataset)}
     if view.settings:
         facts["Rays"] = (
-            f"{view.settings.solver} solver, {', '.join(view.settings.interactions)}, depth "
+            f"{view.settings.solver} solver, {', '.join(view.settings.named_interactions)}, depth "
             f"{view.settings.max_depth}, {view.settings.rays:,} rays, seed {view.settings.seed}"
         )
     if dataset:

@@ -81,7 +81,7 @@ class Diffraction:
         reflectors = _reflectors(len(mirrors.planes), facets, corners_m, media)
         wedges = _wedges(edges, kind[faces], np.asarray(is_opaque[faces].any(axis=1)))
         self.room = Room(facets, media, wedges, reflectors, aperture)
-        can_reflect = "specular" in settings.interactions
+        can_reflect = "specular" in settings.named_interactions
         max_planes, share, floor = limits
         max_planes = min(max_planes, settings.max_depth - 1) if can_reflect else 0
         self._limits = Limits(settings.max_depth, max_planes, share, floor)

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
+from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
 from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction, PathsToCentre
 from xfreqbench.tracing.image.kernels import channels
@@ -69,7 +70,7 @@ class ImageSavings:
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
     """Whether this solver takes the interactions that are asked for, and a smooth scene of as many mirrors."""
-    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.interactions)
+    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.named_interactions)
     return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
 
 
@@ -80,8 +81,8 @@ def require_solvable(scene: Scene, geometry: Geometry, settings: TraceSettings) 
             f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
             f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
             f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
-            f"{', '.join(settings.interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', or "
-            "a larger least_patch_area_m2, in the scene's TOML."
+            f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
+            "or a larger least_patch_area_m2, in the scene's TOML."
         )
 
 
@@ -93,13 +94,14 @@ class ImageTracer:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | PreparedScene,
         carrier_hz: Sequence[float],
         settings: TraceSettings,
         savings: ImageSavings = ImageSavings(),
-        geometry: Geometry | None = None,
     ) -> None:
-        geometry = geometry or Geometry(surface_meshes(scene))
+        prepared = PreparedScene.of(scene)
+        scene, geometry = prepared.scene, prepared.geometry
+        settings = settings.by("image")
         require_solvable(scene, geometry, settings)
         self.settings = settings
         self.savings = savings
@@ -109,7 +111,7 @@ class ImageTracer:
         self._aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         self._media = self._media_at_centre.in_lanes(*self._aperture.weight.shape)
-        is_opaque = are_opaque(self._media) | ("refraction" not in settings.interactions)
+        is_opaque = are_opaque(self._media) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
         quads = _quads(scene.receiver.rows, scene.receiver.cols)
@@ -122,7 +124,7 @@ class ImageTracer:
         )
         self._trie = trie_of(*sequences, mirrors, receiver_m, self._aperture)
         self.diffraction = None
-        if "diffraction" in settings.interactions:
+        if "diffraction" in settings.named_interactions:
             self.diffraction = Diffraction(
                 geometry,
                 mirrors,

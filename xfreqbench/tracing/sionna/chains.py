@@ -146,7 +146,7 @@ def shoot(
     """
     first_triangle = np.cumsum([0, *(len(mesh.triangles) for mesh in radio_scene.meshes)])[:-1]
     tree = _ChainTree(planes, settings.rays, settings.max_depth, first_triangle)
-    if {"specular", "refraction"} & set(settings.interactions) and radio_scene.meshes:
+    if {"specular", "refraction"} & set(settings.named_interactions) and radio_scene.meshes:
         _run_rays(radio_scene, origins_m, opaque, mirrors, settings, tree)
     return tree.chains()
 
@@ -188,16 +188,16 @@ def _choose_reflection(
     rng: np.random.Generator, opaque: NDArray[np.bool_], settings: TraceSettings
 ) -> NDArray[np.bool_]:
     """Whether each ray is reflected, by chance, or transmitted."""
-    if "refraction" not in settings.interactions:
+    if "refraction" not in settings.named_interactions:
         return np.ones(len(opaque), dtype=bool)
-    if "specular" not in settings.interactions:
+    if "specular" not in settings.named_interactions:
         return np.zeros(len(opaque), dtype=bool)
     return (rng.random(len(opaque)) < REFLECTION_PROBABILITY) | opaque
 
 
 def _must_reflect(opaque: NDArray[np.bool_], settings: TraceSettings) -> NDArray[np.bool_]:
     """Whether nothing passes what each ray met."""
-    return opaque if "refraction" in settings.interactions else np.ones(len(opaque), dtype=bool)
+    return opaque if "refraction" in settings.named_interactions else np.ones(len(opaque), dtype=bool)
 
 
 class _ChainTree:
