@@ -309,10 +309,7 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
 
 
 @ENCODING.case(
-    "band of 1 Hz at 24.25 GHz",
-    *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]),
-    limit=3e-4,
-    unit="absolute",
+    "band of 1 Hz at 24.25 GHz", *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]), limit=3e-4, unit="absolute"
 )
 @ENCODING.each(_BANDS_HZ, limit=1e-6, unit="absolute")  # some roundings of 6e-8
 def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:

@@ -20,13 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.learning.mixing import (
-    WEIGHTS,
-    Predict,
-    mixed,
-    similarities,
-    similarities_by_weight,
-)
+from xfreqbench.methods.learning.mixing import WEIGHTS, Predict, mixed, similarities, similarities_by_weight
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps
 

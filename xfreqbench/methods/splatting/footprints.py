@@ -88,10 +88,7 @@ def inverse(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 3"]:
 
 def _directions(grid: AngularGrid, like: Tensor) -> tuple[Float[Tensor, "A"], Float[Tensor, "E"]]:
     """Azimuths and elevations of the grid, in the precision and on the device of `like`."""
-    return (
-        torch.as_tensor(grid.azimuth_rad).to(like),
-        torch.as_tensor(grid.elevation_rad).to(like),
-    )
+    return (torch.as_tensor(grid.azimuth_rad).to(like), torch.as_tensor(grid.elevation_rad).to(like))
 
 
 def _bin_torch(

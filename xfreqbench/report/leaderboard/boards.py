@@ -138,10 +138,7 @@ class Board:
 
 
 def boards(
-    records: Iterable[RunRecord],
-    sources: Mapping[RecordKey, str] | None = None,
-    *,
-    by_budget: bool = True,
+    records: Iterable[RunRecord], sources: Mapping[RecordKey, str] | None = None, *, by_budget: bool = True
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 

@@ -99,12 +99,7 @@ def notes(board: Board, rows: Sequence[BoardRow]) -> list[str]:
     They tell the origins of the rows, where the board has several, whose word stands for rows that were predicted
     elsewhere, what reduced re-implementations leave out, and which fits ran on a busy machine.
     """
-    told = (
-        _origins_note(board, rows),
-        _external_note(rows),
-        reduced_statement(rows),
-        _busy_note(rows),
-    )
+    told = (_origins_note(board, rows), _external_note(rows), reduced_statement(rows), _busy_note(rows))
     return [note for note in told if note]
 
 

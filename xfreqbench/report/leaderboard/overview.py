@@ -31,10 +31,7 @@ _ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers 
 
 
 def overview_markdown(
-    ranked: Sequence[Board],
-    benches: Sequence[BenchRecord],
-    pages: Mapping[str, str],
-    measurements_page: str,
+    ranked: Sequence[Board], benches: Sequence[BenchRecord], pages: Mapping[str, str], measurements_page: str
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each scene's page."""
     scene, main = main_scene(ranked), _main_boards(ranked)

@@ -229,11 +229,7 @@ def _found_rows(
 
 
 def _ours(
-    board: Board,
-    row: BoardRow,
-    splits: tuple[str, ...],
-    statistic: str,
-    resampling: Mapping[str, Resampling],
+    board: Board, row: BoardRow, splits: tuple[str, ...], statistic: str, resampling: Mapping[str, Resampling]
 ) -> str:
     """Our number for a published one, the mean over splits; of a median SSIM with its interval."""
     metric, name, decimals = _STATISTICS[statistic]

@@ -12,12 +12,7 @@ from pathlib import Path
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
-from xfreqbench.report.leaderboard.captions import (
-    data_statement,
-    leak_statement,
-    legend,
-    origin_statement,
-)
+from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import Resampling, comparisons_of
 from xfreqbench.report.leaderboard.figures import (

@@ -9,13 +9,7 @@ from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import (
-    Board,
-    boards,
-    comparable,
-    require_same_samples,
-    short_name,
-)
+from xfreqbench.report.leaderboard.boards import Board, boards, comparable, require_same_samples, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison

@@ -19,11 +19,7 @@ from xfreqbench.report.drawing.markdown import (
 )
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
-from xfreqbench.report.leaderboard.columns import (
-    ONE_SPLIT,
-    RANKING,
-    leaderboard_columns,
-)
+from xfreqbench.report.leaderboard.columns import ONE_SPLIT, RANKING, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
 from xfreqbench.report.leaderboard.learning_curves import (
     LearningCurve,

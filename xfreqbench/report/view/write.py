@@ -15,13 +15,7 @@ from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
-from xfreqbench.report.view.figures import (
-    group_colour,
-    plot_carriers,
-    plot_overview,
-    plot_room,
-    ray_colour,
-)
+from xfreqbench.report.view.figures import group_colour, plot_carriers, plot_overview, plot_room, ray_colour
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
