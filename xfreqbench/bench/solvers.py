@@ -283,7 +283,7 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     base, points = TraceSettings(), []
     can_diffract = "diffraction" in with_interactions(scene).interactions
     every = ladder(solvers)
-    rungs = [each for each in every if can_diffract or "diffraction" not in each.settings.interactions]
+    rungs = [rung for rung in every if can_diffract or "diffraction" not in rung.settings.interactions]
     note = (
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
         f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once for all transmitters, but "

@@ -206,12 +206,6 @@ def _warn_of_busy(records: Sequence[RunRecord], quiet: bool) -> None:
         )
 
 
-def _raise_failures(failures: list[str], what: str) -> None:
-    if failures:
-        number = f"{len(failures)} of its {what} failed; the same command tries them again."
-        raise XFreqBenchError("\n".join([number, *failures]))
-
-
 def _seeds(text: str) -> list[int]:
     """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
     parts = [part.strip() for part in text.split(",")]
@@ -281,7 +275,9 @@ def benchmark(
             benchmarks.record_contents(planned)
     folder = planned.results_dir
     report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
-    _raise_failures(failures, "parts")
+    if failures:
+        number = f"{len(failures)} of its parts failed; the same command tries them again."
+        raise XFreqBenchError("\n".join([number, *failures]))
 
 
 @app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))

@@ -295,7 +295,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
     """The receiver in a YAML file: the only mapping in it that has a position and an orientation."""
     found = [content, *content.values()]
     gateways = [
-        each for each in found if isinstance(each, dict) and {"position", "orientation"} <= each.keys()
+        frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()
     ]
     if len(gateways) != 1:
         raise DataError(
@@ -308,7 +308,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
     """The numbers in the list under a key of the receiver."""
     listed = gateway[key] if isinstance(gateway[key], list) else []
-    listed = listed if all(isinstance(each, str | int | float) for each in listed) else []
+    listed = listed if all(isinstance(entry, str | int | float) for entry in listed) else []
     numbers = _numbers(",".join(map(str, listed)), count)
     if numbers is None:
         raise DataError(

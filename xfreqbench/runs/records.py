@@ -62,12 +62,12 @@ def _rounded_within(found: Any) -> Any:
 
 def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
     """The number of samples of each transmitter, and the scores of all, each as one text."""
-    every = [score for each in scores for score in each]
-    return [pack([len(each) for each in scores], 1), pack(every, _STEP)]
+    every = [score for of_transmitter in scores for score in of_transmitter]
+    return [pack([len(of_transmitter) for of_transmitter in scores], 1), pack(every, _STEP)]
 
 
 def _unpack_by_tx(packed: Any) -> Any:
-    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(each, str) for each in packed)):
+    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(text, str) for text in packed)):
         return packed
     ends = np.cumsum(unpack(packed[0], 1), dtype=np.int64)
     scores = unpack(packed[1], _STEP)

@@ -46,12 +46,15 @@ class DaskWorkers:
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
         with _losses_in_words(self._address):
-            if (
-                self._sent[0] is not call
-            ):  # a task of its own: it can be made again if every worker that has it dies
+            if self._sent[0] is not call:
+                # a task of its own: it can be made again if every worker that has it dies
                 self._sent = call, self._client.submit(_itself, call, pure=False)
             found = self._executor.submit(_call_alike, self._sent[1], argument, fingerprint())
-        return _in_words(found, self._address)
+        # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
+        worded: Future[Result] = Future()
+        worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
+        found.add_done_callback(partial(_pass_on, worded, self._address))
+        return worded
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
@@ -189,14 +192,6 @@ def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers:
     if differing:
         raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
     return call(argument)
-
-
-def _in_words(found: Future[Result], address: str) -> Future[Result]:
-    """A future with the same outcome, except that the death of workers or scheduler is a `ClusterError`."""
-    worded: Future[Result] = Future()
-    worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
-    found.add_done_callback(partial(_pass_on, worded, address))
-    return worded
 
 
 @contextmanager

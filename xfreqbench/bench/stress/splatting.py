@@ -280,7 +280,7 @@ def _larger_than_the_sphere() -> float:
     angles = torch.tensor([[0.0, 0.5], [3.0, 1.5], [-math.pi, -1.0]]).double()
     projection = _projection(angles, 1e4 * torch.eye(2).double().expand(3, 2, 2))
     lists = [bin_footprints(projection, _GRID, _SUPPORT, backend) for backend in _BACKENDS]
-    return float(sum((each.start.diff() != 3).sum() for each in lists))
+    return float(sum((tile_list.start.diff() != 3).sum() for tile_list in lists))
 
 
 # up to 360 per rad² times 2 · 3e-7 rad, the rounding of π, of roots of distances of 1e-3 and more

@@ -124,7 +124,9 @@ class Blend:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {choice.predictor for choice in choices.values() if choice.weight < 1}
         self._predictors = {
-            each.__name__: _knowing(each, train) for each in predictors if each.__name__ in needed
+            predictor.__name__: _knowing(predictor, train)
+            for predictor in predictors
+            if predictor.__name__ in needed
         }
 
     @classmethod
@@ -145,7 +147,7 @@ class Blend:
         more than the standard error of their difference.
         """
         left = train.subset(holdout.left)
-        knowing = {each.__name__: _knowing(each, left).predict for each in predictors}
+        knowing = {predictor.__name__: _knowing(predictor, left).predict for predictor in predictors}
         choices = dict(before)
         for kind, of_kind in holdout.rows.items():
             if len(of_kind) < _LEAST_ROWS:
@@ -176,7 +178,7 @@ class Blend:
     def _choice(self, nth: int) -> Choice | None:
         """The choice for a kind; where far transmitters have none, that for nearer ones."""
         nearer = range(nth, 0, -2) if nth else [0]
-        return next((self.choices[KINDS[each]] for each in nearer if KINDS[each] in self.choices), None)
+        return next((self.choices[KINDS[kind]] for kind in nearer if KINDS[kind] in self.choices), None)
 
     def _of_kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -186,7 +188,7 @@ class Blend:
         is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
         reach = _reach(self.transmitters, tx_position_m)
         of_places = [~is_known & (reach == nth) for nth in range(len(_PLACES))]
-        return is_known, *(each for of in of_places for each in (of & is_heard, of & ~is_heard))
+        return is_known, *(rows for of in of_places for rows in (of & is_heard, of & ~is_heard))
 
 
 def _knowing(predictor: type, train: PasDataset) -> Any:
@@ -205,16 +207,16 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
     tx_index = np.unique(train.tx_index)
     is_carrier = np.ones(len(train), bool) if unseen_hz is None else train.carrier_hz == unseen_hz
     is_known = is_carrier if unseen_hz is None else ~is_carrier
-    sums = dict.fromkeys((each.__name__ for each in predictors), 0.0)
+    sums = dict.fromkeys((predictor.__name__ for predictor in predictors), 0.0)
     for fold in range(_FOLDS):
         is_unseen = np.isin(train.tx_index, tx_index[fold::_FOLDS])
         rows = train.subset(is_unseen & is_carrier & train.has_path)
         left = train.subset(~is_unseen & is_known)
         if not (len(rows) and left.has_path.any()):
             continue
-        for each in predictors:
-            maps = _knowing(each, left).predict(rows.tx_position_m, rows.carrier_hz)
-            sums[each.__name__] += similarities(maps, rows.pas()).sum()
+        for predictor in predictors:
+            maps = _knowing(predictor, left).predict(rows.tx_position_m, rows.carrier_hz)
+            sums[predictor.__name__] += similarities(maps, rows.pas()).sum()
     return max(sums, key=lambda name: sums[name])
 
 
@@ -226,11 +228,13 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
     """
     query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
     learned, maps = predict(*query), {name: known(*query) for name, known in trivial.items()}
-    name = max(maps, key=lambda each: similarities(maps[each], truth).mean())
+    name = max(maps, key=lambda name: similarities(maps[name], truth).mean())
     similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth), strict=True))
     best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
-        best = next(each for each in WEIGHTS if _may_be_as_good(similar[each], similar[best], rows.tx_index))
+        best = next(
+            weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index)
+        )
     return Choice(predictor=name, weight=best)
 
 

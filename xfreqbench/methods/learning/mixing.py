@@ -33,7 +33,8 @@ def mixed(
 
 def similarities(maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]) -> Float[FloatArray, "n"]:
     """SSIM of each of n maps, coarsely."""
-    parts = (torch.as_tensor(_in_view(each)).split(_AT_ONCE) for each in (maps, truth))
+    compared = (np.ascontiguousarray(of_all[:, ::_STRIDE, ::_STRIDE]) for of_all in (maps, truth))
+    parts = (torch.as_tensor(coarse).split(_AT_ONCE) for coarse in compared)
     similar = [ssim_of_each(shown, true, _WINDOW, _STRIDE) for shown, true in zip(*parts, strict=True)]
     return torch.cat(similar).numpy().astype(np.float64)
 
@@ -43,8 +44,3 @@ def similarities_by_weight(
 ) -> Float[FloatArray, "W n"]:
     """SSIM of n mixed maps, coarsely, for each of `WEIGHTS`."""
     return np.array([similarities(mixed(weight, learned, other), truth) for weight in WEIGHTS])
-
-
-def _in_view(maps: Maps) -> Maps:
-    """The rows and columns that are compared, as an array of their own."""
-    return np.ascontiguousarray(maps[:, ::_STRIDE, ::_STRIDE])

@@ -180,7 +180,7 @@ class LearnedMethod:
         training = self._training
         chosen = self._blend.choices if self._blend else {}
         holdouts = Holdout.draw(train, seed, budget.max_seconds) if self.config.blend == "auto" else []
-        holdouts = [each for each in holdouts if not each.rows.keys() & chosen.keys()]
+        holdouts = [holdout for holdout in holdouts if not holdout.rows.keys() & chosen.keys()]
         targets = self._targets(train, training, holdouts)
         if not len(targets):
             raise MethodError("No training row has a path; there is nothing to learn from.")

@@ -68,7 +68,8 @@ def stacked(grid: AngularGrid, num_maps: int) -> AngularGrid:
 
 def squared_distance(projection: Projection, lists: PixelLists, grid: AngularGrid) -> Float[Tensor, "P"]:
     """Squared Mahalanobis distance of each pair of a direction and a Gaussian, azimuths taken the short way round."""
-    azimuth_rad, elevation_rad = _directions(grid, projection.azimuth_rad)
+    azimuth_rad = torch.as_tensor(grid.azimuth_rad).to(projection.azimuth_rad)
+    elevation_rad = torch.as_tensor(grid.elevation_rad).to(projection.azimuth_rad)
     pixel = torch.repeat_interleave(lists.start.diff())
     conic = inverse(projection.covariance)
     of_gaussian = torch.column_stack([projection.azimuth_rad, projection.elevation_rad, conic])
@@ -84,11 +85,6 @@ def inverse(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 3"]:
     """Entries (0,0), (0,1), (1,1) of the inverse of symmetric positive matrices."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     return torch.stack([c, -b, a], dim=-1) / (a * c - b * b)[:, None]
-
-
-def _directions(grid: AngularGrid, like: Tensor) -> tuple[Float[Tensor, "A"], Float[Tensor, "E"]]:
-    """Azimuths and elevations of the grid, in the precision and on the device of `like`."""
-    return (torch.as_tensor(grid.azimuth_rad).to(like), torch.as_tensor(grid.elevation_rad).to(like))
 
 
 def _bin_torch(

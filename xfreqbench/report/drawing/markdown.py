@@ -24,7 +24,8 @@ Cells = Sequence[str]
 def plain(text: str) -> str:
     """A text on one line: blanks in place of line ends, control characters and marks that turn the direction."""
     return "".join(
-        " " if unicodedata.category(each)[0] == "C" or each in "\u2028\u2029" else each for each in text
+        " " if unicodedata.category(character)[0] == "C" or character in "\u2028\u2029" else character
+        for character in text
     )
 
 

@@ -128,17 +128,23 @@ def _external_note(rows: Sequence[BoardRow]) -> str:
     external = [row for row in rows if row.is_external]
     if not external:
         return ""
-    sources = "; ".join(f"{row.label}: {_declared_source(row)}" for row in external)
+    declared = []
+    for row in external:
+        sources = [
+            (record.external.hardware, record.external.url) for record in row.records if record.external
+        ]
+        texts = dict.fromkeys(text for source in sources for text in source if text)
+        declared.append(f"{row.label}: {', '.join(texts) or 'hardware not declared'}")
     return (
         "External rows were predicted elsewhere and are scored here like every other; their times and "
-        f"parameters are declared by their authors, or absent (–). {sources}."
+        f"parameters are declared by their authors, or absent (–). {'; '.join(declared)}."
     )
 
 
 def _busy_note(rows: Sequence[BoardRow]) -> str:
     """Which rows have fits that got too little of a core; empty where none has."""
     low = {
-        row.short_label: [each.core_share for each in row.records if each.core_share < LEAST_CORE_SHARE]
+        row.short_label: [record.core_share for record in row.records if record.core_share < LEAST_CORE_SHARE]
         for row in rows
     }
     busy = [f"{label} ({min(shares):.0%})" for label, shares in low.items() if shares]
@@ -148,13 +154,6 @@ def _busy_note(rows: Sequence[BoardRow]) -> str:
         f"Fitted beside busy programs, under {LEAST_CORE_SHARE:.0%} of a core, so that seconds say little: "
         f"{', '.join(busy)}."
     )
-
-
-def _declared_source(row: BoardRow) -> str:
-    """The hardware and the address that the authors of an external row declare."""
-    told = [(each.external.hardware, each.external.url) for each in row.records if each.external]
-    texts = dict.fromkeys(text for pair in told for text in pair if text)
-    return ", ".join(texts) or "hardware not declared"
 
 
 def legend() -> str:

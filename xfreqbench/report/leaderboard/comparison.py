@@ -161,7 +161,7 @@ def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray
 def _times_drawn(number: int) -> Integer[NDArray[np.integer], "T R"]:
     """How often each of T transmitters is drawn in each of R resamples, shape (T, R)."""
     drawn = np.random.default_rng(number).integers(number, size=(NUM_RESAMPLES, number))
-    counted = [np.bincount(each, minlength=number) for each in drawn]
+    counted = [np.bincount(places, minlength=number) for places in drawn]
     return np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(number)))
 
 

@@ -120,7 +120,7 @@ def stored_maps(
     `choose` takes all tested rows and returns those whose maps are wanted.
     """
     found = {record.id: _predictions(folders, record, dataset) for record in records}
-    known = {key: each for key, each in found.items() if each is not None}
+    known = {key: predictions for key, predictions in found.items() if predictions is not None}
     if not known:
         return None
     rows = choose(next(iter(known.values())).rows)

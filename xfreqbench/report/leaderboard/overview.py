@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from math import isnan, nan
 
 from xfreqbench.methods.contract import LANES
@@ -37,14 +38,10 @@ def overview_markdown(
     scene, main = main_scene(ranked), _main_boards(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main]
-    shown = [
-        each
-        for each in compared
-        if each.board.scene == scene and each.board.protocol not in _ON_ITS_PAGE_ALONE
-    ]
+    is_shown = [board.scene == scene and board.protocol not in _ON_ITS_PAGE_ALONE for board in main]
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
     parts = [
-        *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
+        *(_board_part(comparison, pages[scene]) for comparison in compress(compared, is_shown)),
         *_budget_tables(of_scene),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
         *_time_figure(of_scene, pages),
@@ -80,8 +77,7 @@ def main_scene(ranked: Sequence[Board]) -> str:
 
 def _board_part(comparison: Comparison, page: str) -> str:
     board = comparison.board
-    told = filter(None, (board.scene, board.protocol, board.lane_title))
-    title = f"## {heading(' · '.join(told))}"
+    title = f"## {heading(' · '.join(filter(None, (board.scene, board.protocol, board.lane_title))))}"
     return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, OVERVIEW)}"
 
 
@@ -117,18 +113,12 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
         header.append(_GAIN)
         for line in body:
             few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
-            line.append(_gain_cell(many - few))
+            gain = many - few  # each of the two fits let its learning rate fall to its own end
+            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < _FLAT else ""))
         caption += (
             f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
         )
     return [f"{caption}:\n\n{table(header, body)}"] if body else []
-
-
-def _gain_cell(gain: float) -> str:
-    """What more maps bring; each of the two fits let its learning rate fall to its own end."""
-    if isnan(gain):
-        return ABSENT
-    return f"{gain:+.4f}" + (", flat" if gain < _FLAT else "")
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> str:
@@ -138,14 +128,15 @@ def _skill_matrix(compared: Sequence[Comparison]) -> str:
         for row in reversed(comparison.rows):  # the best comes last
             if not row.is_trivial:
                 by_method[row.job.method] = row
-    header = ["method", *(f"{each.board.scene}, {each.board.protocol}" for each in compared)]
+    boards = [comparison.board for comparison in compared]
+    header = ["method", *(f"{board.scene}, {board.protocol}" for board in boards)]
     rows = [
         [method, *map(_skill_cell, compared, (by_method.get(method) for by_method in best))]
         for method in sorted({method for by_method in best for method in by_method})
     ]
-    budgets = dict.fromkeys(each.board.lane_title for each in compared)
-    told = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
-    caption = f"Average skill on the splits that most methods share{told}:"
+    budgets = dict.fromkeys(board.lane_title for board in boards)
+    budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
+    caption = f"Average skill on the splits that most methods share{budget}:"
     return f"## Skill on every scene and protocol\n\n{caption}\n\n{table(header, rows)}"
 
 
@@ -168,14 +159,11 @@ def _time_figure(shown: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
 
 
 def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
-    """The first measurement of each kind that is told briefly, and a link to all."""
+    """The first measurement of each kind that `_BRIEFLY` names, and a link to all."""
     first = {record.bench: record for record in reversed(benches)}
     parts = [_measured_part(title, first[bench], page) for bench, title in _BRIEFLY.items() if bench in first]
-    return (
-        [*parts, f"Every measurement with its command and its machine: [measurements]({page})."]
-        if benches
-        else []
-    )
+    rest = f"Every measurement with its command and its machine: [measurements]({page})."
+    return [*parts, rest] if benches else []
 
 
 def _measured_part(title: str, record: BenchRecord, page: str) -> str:

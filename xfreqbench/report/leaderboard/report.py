@@ -69,9 +69,9 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     Raises as `boards` does.
     """
     return "\n\n".join(
-        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(each, BRIEF)}"
+        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(comparison, BRIEF)}"
         for board in boards(records)
-        for each in comparisons_of(board)
+        for comparison in comparisons_of(board)
     )
 
 
@@ -172,7 +172,9 @@ def _paper(found: RankedResults, ranked: Sequence[Board], path: Path) -> _Page:
 def _draw_maps(grid: MapGrid, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_map_grid
 
-    names = [f"({', '.join(f'{each:.1f}' for each in position)}) m" for position in grid.tx_position_m]
+    names = [
+        f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in grid.tx_position_m
+    ]
     plot_map_grid(grid.columns, names, path)
 
 
@@ -184,7 +186,7 @@ def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> 
 
 def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
     """The section of the benchmark's own records, which say which runs there were."""
-    return _bench_section(_WHAT_WAS_RUN_TITLE, [each for each in benches if each.bench == _WHAT_WAS_RUN])
+    return _bench_section(_WHAT_WAS_RUN_TITLE, [bench for bench in benches if bench.bench == _WHAT_WAS_RUN])
 
 
 def _board_section(board: Board) -> str:

@@ -79,7 +79,7 @@ def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord
     """
     stored = ResultsFolder(results).stored.records
     keys = {comparable(record) for record in records}
-    return [each for each in stored if comparable(each) in keys]
+    return [record for record in stored if comparable(record) in keys]
 
 
 def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

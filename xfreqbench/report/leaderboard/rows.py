@@ -92,7 +92,7 @@ class BoardRow:
         for split in splits:
             for record in self.by_split.get(split, ()):
                 values.setdefault(record.job.seed, []).append(quantity(record))
-        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
+        averages = [mean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
         return stdev(averages) if len(averages) > 1 else nan
 
 
@@ -137,7 +137,11 @@ def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
     Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
     are still equal; external predictions get the first digits of their file's hash in place of a commit.
     """
-    versions = {key: _version(next(iter(found.values()))) for key, found in by_config.items()}
+    first = {key: next(iter(found.values())) for key, found in by_config.items()}
+    versions = {
+        key: record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+        for key, record in first.items()
+    }
     times = Counter(label for label, *_ in by_config)
     data_of: dict[tuple[str, str], set[str]] = {}
     for key, version in versions.items():
@@ -148,12 +152,8 @@ def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
         name = label if times[label] == 1 else f"{label} @ {version}"
         name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
         others = (f"{name} #{number}" for number in count(2))
-        named[next(each for each in chain([name], others) if each not in named)] = found
+        named[next(label for label in chain([name], others) if label not in named)] = found
     return named
-
-
-def _version(record: RunRecord) -> str:
-    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
 
 
 def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:

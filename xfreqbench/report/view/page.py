@@ -80,12 +80,22 @@ def _lead(view: ViewPlan) -> str:
 
 def _facts(view: ViewPlan) -> dict[str, str]:
     header, dataset = view.header, view.dataset
-    facts = {"Receiver": _receiver(view), "Transmitters": _transmitters(view)}
+    in_sight = view.room.in_sight
+    facts = {
+        "Receiver": _receiver(view),
+        "Transmitters": f"{header.num_tx:,}, sight of the receiver not published"
+        if in_sight is None
+        else f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow",
+    }
     if header.rejected:
         left_out = [f"{count} {why}" for why, count in header.rejected.items() if count]
         facts["Left out"] = ", ".join(left_out) or "nothing"
     if dataset:
-        facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": _maps(dataset)}
+        rows, columns = dataset.grid.shape
+        kept = "stored" if header.maps else "derived from the channels when read"
+        channels = "with channels" if header.channels else "without channels"
+        maps = f"{header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
+        facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": maps}
     if view.settings:
         facts["Rays"] = (
             f"{view.settings.solver} solver, {', '.join(view.settings.interactions)}, depth "
@@ -103,20 +113,6 @@ def _receiver(view: ViewPlan) -> str:
         f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.pattern} pattern, "
         f"polarization {receiver.polarization}, in plane {receiver.plane} of its frame"
     )
-
-
-def _transmitters(view: ViewPlan) -> str:
-    in_sight = view.room.in_sight
-    if in_sight is None:
-        return f"{view.header.num_tx:,}, sight of the receiver not published"
-    return f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow"
-
-
-def _maps(dataset: PasDataset) -> str:
-    rows, columns = dataset.grid.shape
-    kept = "stored" if dataset.header.maps else "derived from the channels when read"
-    channels = "with channels" if dataset.header.channels else "without channels"
-    return f"{dataset.header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
 
 
 def _ray_table(view: ViewPlan) -> PageTable:
@@ -226,7 +222,7 @@ def _split_row(split: Split) -> tuple[str, ...]:
 def _origin_rows(view: ViewPlan) -> Iterator[tuple[str, str]]:
     for name, value in view.header.settings.items():
         if isinstance(value, dict):
-            yield from ((f"{name}: {key}", _words(each)) for key, each in value.items())
+            yield from ((f"{name}: {key}", _words(inner)) for key, inner in value.items())
         else:
             yield name, _words(value)
     yield from ((f"version of {name}", version) for name, version in view.header.software.items())
