@@ -27,6 +27,14 @@ from xfreqbench.errors import XFreqBenchError
 if TYPE_CHECKING:
     from xfreqbench.runs.records import RunRecord
 
+Overrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
+    ),
+]
+
 
 @app.command(group=RUN, help_epilogue=example("methods xfreq-gs"))
 def methods(method: str | None = None) -> None:
@@ -58,13 +66,7 @@ def methods(method: str | None = None) -> None:
 def check_method(
     method: str,
     *,
-    set_: Annotated[
-        tuple[str, ...],
-        Parameter(
-            name="--set",
-            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
-        ),
-    ] = (),
+    set_: Overrides = (),
 ) -> None:
     """Try every part of a method's contract on a small data set, in seconds.
 
@@ -154,13 +156,7 @@ def run(
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
     ] = "cpu",
-    set_: Annotated[
-        tuple[str, ...],
-        Parameter(
-            name="--set",
-            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
-        ),
-    ] = (),
+    set_: Overrides = (),
     executor: Executor = "serial",
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
@@ -330,7 +326,8 @@ def report(
 def compare(a: Path, b: Path) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
-    Rows of the same method, options and budget are paired; the only rows of both, whatever they are.
+    Rows of the same method, options and budget are paired, then rows that are alone with their method in A and in B,
+    and at last the only row left in A with the only one in B.
 
     Parameters
     ----------

@@ -94,7 +94,11 @@ def import_deepmimo(
         for part, own in zip(parts, paths, strict=True):
             cfr, num_paths = _channels(own, header)
             samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)
-            writer.append(first.user_m[part], _are_in_sight(scenarios, part), samples, own)
+            direct = [
+                (scenario.of_paths["inter"][part] == 0) & scenario.is_path[part] for scenario in scenarios
+            ]
+            in_sight = np.any([is_direct.any(axis=1) for is_direct in direct], axis=0)
+            writer.append(first.user_m[part], in_sight, samples, own)
             done += len(part)
             progress(done, len(users))
     return True
@@ -114,12 +118,12 @@ def _read(folder: Path, pair: str | None) -> Scenario:
     digest = hashlib.sha256()
     try:
         content = read_bytes(folder / PARAMETERS)
-        told = json.loads(content)
+        parameters = json.loads(content)
         carrier_hz, raytracer = (
-            float(told["rt_params"]["frequency"]),
-            str(told["rt_params"]["raytracer_name"]),
+            float(parameters["rt_params"]["frequency"]),
+            str(parameters["rt_params"]["raytracer_name"]),
         )
-        stations = {int(antennas["id"]) for antennas in told["txrx_sets"].values() if antennas["is_tx"]}
+        stations = {int(antennas["id"]) for antennas in parameters["txrx_sets"].values() if antennas["is_tx"]}
     except (*_UNREADABLE, AttributeError, RecursionError) as error:
         raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {error!r}.") from error
     if not (np.isfinite(carrier_hz) and 0 < carrier_hz < 1e15):
@@ -328,9 +332,3 @@ def _channels(paths: RaggedPaths, header: DatasetHeader) -> tuple[NDArray[np.com
         waves = paths.gain[:, carrier, None] * np.exp(-2j * np.pi * carrier_hz * delay_s)
         cfr[:, carrier] = np.add.reduceat(waves, first, axis=0)
     return cfr, np.add.reduceat(paths.gain != 0, first, axis=0, dtype=np.int64)
-
-
-def _are_in_sight(scenarios: Sequence[Scenario], users: IntArray) -> Bool[NDArray[np.bool_], "T"]:
-    """Whether some scenario lists a path without interactions of each user."""
-    direct = [(scenario.of_paths["inter"][users] == 0) & scenario.is_path[users] for scenario in scenarios]
-    return np.asarray(np.any([is_direct.any(axis=1) for is_direct in direct], axis=0))

@@ -175,7 +175,7 @@ def _place(path: Path, group: str | None) -> str:
 
 
 def _declaration(place: str, owners: Sequence[Any], method: str | None) -> Declaration:
-    """The attributes of the root and of a group, of which those of the group win; raises `DataError`."""
+    """The attributes of the root and of a group; those of the group replace those of the root. Raises `DataError`."""
     names = Declaration.model_fields
     given = {name: _plain(owner.attrs[name]) for owner in owners for name in names if name in owner.attrs}
     if method is not None:

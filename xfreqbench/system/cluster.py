@@ -89,7 +89,12 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
         with client:
             workers = DaskWorkers(client, address)
             _require_workers(client, address)
-            _require_alike(workers)
+            for worker, found in workers.ask(fingerprint).items():
+                if differing := differences(fingerprint(), found):
+                    raise ClusterError(
+                        f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
+                        "versions on both, as with `pip install -c constraints.txt`."
+                    )
             yield workers
 
 
@@ -162,16 +167,6 @@ def _require_workers(client: Any, address: str) -> None:
             f"{len(several)} workers of {address} make several calls at a time ({several[0]}), which the solvers "
             "are not made for. Start them with --nthreads 1, and --nworkers for as many as there are cores."
         )
-
-
-def _require_alike(workers: DaskWorkers) -> None:
-    for worker, found in workers.ask(fingerprint).items():
-        differing = differences(fingerprint(), found)
-        if differing:
-            raise ClusterError(
-                f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
-                "versions on both, as with `pip install -c constraints.txt`."
-            )
 
 
 def lost_workers(number: int, where: str = "") -> str:

@@ -208,8 +208,8 @@ def _ssim_loss() -> float:
 
 
 def _ssim_of_loss(x: Maps, y: Maps) -> NDArray[np.float64]:
-    each = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
-    return np.array([float(mean_ssim(one[None], other[None])) for one, other in each])
+    maps = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
+    return np.array([float(mean_ssim(one[None], other[None])) for one, other in maps])
 
 
 @TRAINING.case("gradient of the SSIM of flat maps", limit=0, unit="values")

@@ -1,9 +1,9 @@
 """Blends learned maps with those of a trivial predictor, by weights that are chosen on validation rows of the training.
 
 In the first half of a training one carrier and some transmitters are held out, as unseen ones will be. With them
-the weights are chosen, for each kind of query; then the training goes on with all rows. A transmitter that is far from
-all trained ones is a kind by itself, for which those of a whole region are held out in the first quarter: where no
-neighbour is trained, other predictors are good than among neighbours.
+the weights are chosen, for each kind of query; then the training goes on with all rows. Transmitters that are far from
+all trained ones are a kind of their own: without trained neighbours, other predictors are the good ones. For them, the
+transmitters of a whole region are held out in the first quarter.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Holdout:
 def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDArray[np.bool_], "N"]:
     """Whether each row is of one of the transmitters nearest to an outermost one on the floor.
 
-    At the rim of the floor they lie farther from the others than amid them.
+    At the rim of the floor they are farther from the others than in the middle.
     """
     tx_index, first = np.unique(train.tx_index, return_index=True)
     place_m = train.tx_position_m[first, :2]
@@ -241,7 +241,7 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
 def _may_be_as_good(
     similar: Float[FloatArray, "n"], best: Float[FloatArray, "n"], tx_index: Int[IntArray, "n"]
 ) -> bool:
-    """Whether the mean lies no more than the standard error of the difference below the best; of transmitters."""
+    """Whether the mean over transmitters is at most one standard error of the difference below the best mean."""
     number = np.unique(tx_index, return_inverse=True)[1]
     by_tx = np.bincount(number, best - similar) / np.bincount(number)
     error = by_tx.std() / np.sqrt(max(1, len(by_tx) - 1))

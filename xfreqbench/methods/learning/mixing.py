@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from xfreqbench.methods.learning.loss import ssim_of_each
 from xfreqbench.types import FloatArray, Maps
 
-WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps, of which one is chosen
-_STRIDE, _WINDOW = 3, 3  # of the SSIM by which maps are compared
+WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps; one of them is chosen
+_STRIDE, _WINDOW = 3, 3  # of the SSIM that compares maps
 _AT_ONCE = 64
 _TINY = 1e-12  # peak of a map where no path arrives
 
@@ -25,7 +25,7 @@ def mixed(
     learned: Float[Maps, "B E A"],
     other: Float[Maps, "B E A"],
 ) -> Float[Maps, "B E A"]:
-    """The means of maps, of which the learned ones have a weight, one for all or one each, scaled to peak 1."""
+    """Weighted means of learned and other maps, scaled to peak 1; the weight is one for all maps or one for each."""
     weights = np.asarray(weight, np.float32).reshape(-1, 1, 1)
     sums = weights * learned + (1 - weights) * other
     return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)

@@ -50,14 +50,14 @@ def bin_each(projection: Projection, num_maps: int, grid: AngularGrid, support: 
     The rows of directions are those of `stacked(grid, num_maps)`.
     """
     parts = (projection.azimuth_rad, projection.elevation_rad, projection.covariance, projection.range_m)
-    each = [
+    of_maps = [
         bin_footprints(Projection(*of_map), grid, support)
         for of_map in zip(*(part.chunk(num_maps) for part in parts), strict=True)
     ]
-    first = [nth * lists.num_gaussians for nth, lists in enumerate(each)]
-    counts = torch.cat([lists.start.diff() for lists in each])
+    first = [nth * lists.num_gaussians for nth, lists in enumerate(of_maps)]
+    counts = torch.cat([lists.start.diff() for lists in of_maps])
     start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(each, first, strict=True)])
+    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(of_maps, first, strict=True)])
     return PixelLists(start, gaussian, len(projection.range_m))
 
 

@@ -100,7 +100,7 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
 
 
 def grey_png(levels: UInt8[NDArray[np.uint8], "R C"]) -> bytes:
-    """The bytes of a PNG of grey levels, of which `grey_levels` is the inverse."""
+    """The bytes of a PNG of grey levels; `grey_levels` is the inverse."""
     return _png_bytes(Image.fromarray(levels))
 
 

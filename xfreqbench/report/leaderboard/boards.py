@@ -56,8 +56,8 @@ class Board:
     @property
     def title(self) -> str:
         """Scene, protocol, kind of map and budget, as a heading."""
-        told = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
-        return " · ".join(filter(None, told))
+        parts = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
+        return " · ".join(filter(None, parts))
 
     @property
     def lane_title(self) -> str:
@@ -76,7 +76,7 @@ class Board:
         return recipe_name(self.scene, self.data)
 
     def is_of(self, dataset: PasDataset) -> bool:
-        """Whether the records are of a data set, whatever processor made its last digits."""
+        """Whether the records are of a data set; digits in which processors differ do not count."""
         same_bytes = any(record.dataset_sha256 == dataset.sha256 for record in self.records)
         return same_bytes or self.data == dataset.recipe.id
 
@@ -230,8 +230,8 @@ def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapp
     rows = sorted(board_rows(records), key=place)
     data = records[0]  # all records of a board describe the same data set
     named = {sources.get(record_key(record), "") for record in records}
-    told = sources if len(named) > 1 else {}
-    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
+    named_sources = sources if len(named) > 1 else {}
+    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), named_sources)
 
 
 def require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:

@@ -1,4 +1,4 @@
-"""Where records come from: of which data they are, and whose machine, code and file of data made them."""
+"""Where records come from: the data, and the machine, the code and the data file that made them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def short_commit(commit: str | None) -> str:
 
 
 def record_key(record: RunRecord) -> RecordKey:
-    """What tells a record from all others, in whatever file it lies."""
+    """Values that identify a record, whichever file it is stored in."""
     return record.id, record.job, record.time_utc
 
 

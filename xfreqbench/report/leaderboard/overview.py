@@ -39,9 +39,15 @@ def overview_markdown(
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main]
     is_shown = [board.scene == scene and board.protocol not in _ON_ITS_PAGE_ALONE for board in main]
+    rankings = []
+    for comparison in compress(compared, is_shown):
+        board = comparison.board
+        title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
+        more = f"**{leak_statement(board)}** [More]({pages[scene]})"
+        rankings.append(f"## {title}\n\n{more}\n\n{ranking_table(comparison, OVERVIEW)}")
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
     parts = [
-        *(_board_part(comparison, pages[scene]) for comparison in compress(compared, is_shown)),
+        *rankings,
         *_budget_tables(of_scene),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
         *_time_figure(of_scene, pages),
@@ -75,12 +81,6 @@ def main_scene(ranked: Sequence[Board]) -> str:
     return max(records, key=lambda scene: (records[scene], scene), default="")
 
 
-def _board_part(comparison: Comparison, page: str) -> str:
-    board = comparison.board
-    title = f"## {heading(' · '.join(filter(None, (board.scene, board.protocol, board.lane_title))))}"
-    return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, OVERVIEW)}"
-
-
 def _budget_tables(ranked: Sequence[Board]) -> list[str]:
     """For each protocol that was run with several budgets: the average of each method by budget."""
     parts = []
@@ -92,7 +92,7 @@ def _budget_tables(ranked: Sequence[Board]) -> list[str]:
 
 
 def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
-    """The methods that several budgets were given to, on the splits that all of these have; nothing without any."""
+    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
     fitted = [  # trivial predictors have one value in all columns, and a row in the table above
         (lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"
     ]
@@ -161,17 +161,17 @@ def _time_figure(shown: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
 def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
     """The first measurement of each kind that `_BRIEFLY` names, and a link to all."""
     first = {record.bench: record for record in reversed(benches)}
-    parts = [_measured_part(title, first[bench], page) for bench, title in _BRIEFLY.items() if bench in first]
+    parts = []
+    for bench, title in _BRIEFLY.items():
+        if bench not in first:
+            continue
+        record = first[bench]
+        columns, rows = _by_area(record) if bench == "stress" else (record.columns, record.rows)
+        left = f"{len(rows) - _MOST_ROWS} more rows" if len(rows) > _MOST_ROWS else "More"
+        caption = f"{paragraph(record.title, prose)}. [{left}]({page})"
+        parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}")
     rest = f"Every measurement with its command and its machine: [measurements]({page})."
     return [*parts, rest] if benches else []
-
-
-def _measured_part(title: str, record: BenchRecord, page: str) -> str:
-    columns, rows = _by_area(record) if record.bench == "stress" else (record.columns, record.rows)
-    shown = rows[:_MOST_ROWS]
-    left = f"{len(rows) - len(shown)} more rows" if len(shown) < len(rows) else "More"
-    body = table(columns, shown, prose)
-    return f"## {heading(title)}\n\n{paragraph(record.title, prose)}. [{left}]({page})\n\n{body}"
 
 
 def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:

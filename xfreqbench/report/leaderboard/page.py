@@ -33,7 +33,7 @@ from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
-_TITLE = "xfreqbench results"  # by which a page is known that may be written over
+_TITLE = "xfreqbench results"  # a page with this title was written by us, and may be replaced
 Content = dict[str, Any]
 CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
 _DIGITS = 4
@@ -138,7 +138,7 @@ def overview_protocols(ranked: Sequence[Board]) -> list[str]:
 
 
 def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
-    """For each scene, for each protocol, links to the boards; given are the first comparisons of all boards."""
+    """Links to the boards, by scene and then by protocol; `compared` holds the first comparison of every board."""
     protocols = overview_protocols([comparison.board for comparison in compared])
     scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
@@ -221,7 +221,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
 
 
 def ordered_labels(boards: Sequence[Board]) -> list[str]:
-    """The labels of all rows, by which a method has the same colour on every board: ablations come last."""
+    """The labels of all rows, ablations last. The place of a label gives its method the same colour on every board."""
     rows = {row.label: row for board in boards for row in board.rows}
     return sorted(rows, key=lambda label: (rows[label].family == "ablation", label))
 

@@ -79,7 +79,7 @@ def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None 
 
 
 def has_counterparts(board: Board) -> bool:
-    """Whether some row of a board stands for one that the paper has numbers of."""
+    """Whether the paper has numbers for a method of some row of a board."""
     counterparts = published_content()["counterpart"]
     return any(_is_named(counterpart, row) for counterpart in counterparts for row in board.rows)
 
@@ -165,7 +165,7 @@ def _pairs(
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
-    """Whether a row is the one that is named; without options that is the row with the defaults."""
+    """Whether a row has the named method and options; if no options are named, it has the defaults."""
     return stands_for(named, row) and ("config" in named or row.family == "learned")
 
 
@@ -207,7 +207,7 @@ def _numbers_table(
 def _found_rows(
     counterpart: Mapping[str, Any], place: str, boards: Sequence[Board]
 ) -> dict[str, tuple[Board, BoardRow, tuple[str, ...]]]:
-    """By budget our row for a published cell, and its splits; all of the row's if the paper does not say of which."""
+    """Our row for a published cell, and its splits, by budget; all its splits if the paper does not name them."""
     found: dict[str, tuple[Board, BoardRow, tuple[str, ...]]] = {}
     for board in boards:
         for row in board.rows if board.protocol == counterpart["protocol"] else ():
@@ -220,7 +220,7 @@ def _found_rows(
 def _ours(
     board: Board, row: BoardRow, splits: tuple[str, ...], statistic: str, resampling: Mapping[str, Resampling]
 ) -> str:
-    """Our number for a published one, the mean over splits; of a median SSIM with its interval."""
+    """Our number beside a published one, the mean over splits; a median SSIM has its interval."""
     metric, name, decimals = _STATISTICS[statistic]
 
     def quantity(record: RunRecord) -> float:
@@ -233,7 +233,7 @@ def _ours(
 
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
-    """For each figure of the page its link from the page, and what draws it to a path and may raise `StorageError`."""
+    """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
     return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
 
 
@@ -272,7 +272,7 @@ def _draw_cdf(board: Board, path: Path) -> None:
 
 
 def published_rows(board: Board) -> dict[str, BoardRow]:
-    """Our rows with default options for those whose distribution the paper shows, by its names, the best first."""
+    """Our rows, with default options, of the methods whose distribution the paper shows, by its names; best first."""
     content = published_content()
     if board.protocol != content["table"]["cdf"]["protocol"]:
         return {}
@@ -338,7 +338,7 @@ def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
 
 
 def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
-    """By the links to their figures, the paper's maps of every board whose maps are stored or shipped."""
+    """The paper's maps of every board whose maps are stored or shipped, by the links to their figures."""
     grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in ranked}
     return {link: grid for link, grid in grids.items() if grid}
 
@@ -392,6 +392,6 @@ def _column(
 
 
 def _spread(values: Sequence[Value], most: int) -> list[Value]:
-    """At most so many of some values, equally far apart in their order."""
+    """At most `most` of the values, equally spaced in their order."""
     places = np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int)
     return [values[place] for place in places]

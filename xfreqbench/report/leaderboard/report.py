@@ -143,6 +143,12 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     has_paper = any(map(has_counterparts, of_main))
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     links = {scene: f"{folder}/{name}" for scene, name in names.items()}
+    paper = []
+    if has_paper:
+        grids = paper_maps(of_main, found)
+        drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
+        text = paper_markdown(of_main, grids)
+        paper = [_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn)]
     linked = links | ({"the paper's claims": f"{folder}/{_PAPER_PAGE}"} if has_paper else {})
     short = overview_markdown(found.boards, found.benches, linked, f"{folder}/{_MEASUREMENTS_PAGE}")
     return [
@@ -151,7 +157,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
-        *([_paper(found, of_main, details / _PAPER_PAGE)] if has_paper else []),
+        *paper,
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
@@ -160,13 +166,6 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             found.benches,
         ),
     ]
-
-
-def _paper(found: RankedResults, ranked: Sequence[Board], path: Path) -> _Page:
-    grids = paper_maps(ranked, found)
-    maps = {link: partial(_draw_maps, grid) for link, grid in grids.items()}
-    text = paper_markdown(ranked, grids)
-    return _Page(path, "The paper's claims", text, drawn=paper_figures(ranked) | maps)
 
 
 def _draw_maps(grid: MapGrid, path: Path) -> None:

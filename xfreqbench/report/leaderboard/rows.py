@@ -97,7 +97,7 @@ class BoardRow:
 
 
 def board_rows(records: Sequence[RunRecord]) -> list[BoardRow]:
-    """One row for each label, configuration, code and file of data; rows of equal labels are told apart."""
+    """One row for each label, configuration, code and file of data; equal labels get an addition that differs."""
     by_config: dict[Configured, Runs] = {}
     editions = _editions(records)
     for record in records:
@@ -109,7 +109,13 @@ def board_rows(records: Sequence[RunRecord]) -> list[BoardRow]:
         known = found.setdefault((record.job.split, record.job.seed), record)
         if known.dataset_sha256 == record.dataset_sha256:
             found[record.job.split, record.job.seed] = record
-    return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
+    rows = []
+    for label, found in _by_unique_label(by_config).items():
+        by_split: dict[str, tuple[RunRecord, ...]] = {}
+        for split, seed in sorted(found):
+            by_split[split] = (*by_split.get(split, ()), found[split, seed])
+        rows.append(BoardRow(label, by_split))
+    return rows
 
 
 def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
@@ -131,8 +137,8 @@ def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
     return editions
 
 
-def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
-    """The runs of each row by a label of its own.
+def _by_unique_label(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
+    """The runs of each row, by labels that differ.
 
     Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
     are still equal; external predictions get the first digits of their file's hash in place of a commit.
@@ -154,13 +160,6 @@ def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
         others = (f"{name} #{number}" for number in count(2))
         named[next(label for label in chain([name], others) if label not in named)] = found
     return named
-
-
-def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
-    by_split: dict[str, tuple[RunRecord, ...]] = {}
-    for split, seed in sorted(found):
-        by_split[split] = (*by_split.get(split, ()), found[split, seed])
-    return by_split
 
 
 def _label(record: RunRecord) -> str:
@@ -195,7 +194,7 @@ LANE_NAMES = {budget_text(budget): name for name, budget in LANES.items()}
 
 
 def is_trivial(record: RunRecord) -> bool:
-    """Whether it is of a trivial predictor without options, run here."""
+    """Whether a record is of a trivial predictor without options that was run here."""
     return record.job.method in EVERY_TRIVIAL and not record.job.overrides and record.external is None
 
 

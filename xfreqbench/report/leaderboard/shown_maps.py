@@ -61,7 +61,7 @@ class ShownMaps(SealedModel):
     predicted: dict[str, PredictedMaps]
 
     @model_validator(mode="after")
-    def _require_one_of_each(self) -> ShownMaps:
+    def _require_equal_lengths(self) -> ShownMaps:
         counted = [
             self.carrier_hz,
             *(scores for run in self.predicted.values() for scores in (run.ssim, run.psnr)),

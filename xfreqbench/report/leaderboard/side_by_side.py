@@ -32,14 +32,14 @@ class RowPair:
 
     @classmethod
     def of(cls, board: Board, a: BoardRow, b: BoardRow) -> RowPair:
-        """The pair; its rows are called by their sets in the comparison, where each needs a label of its own."""
+        """The pair. The labels of its rows in the comparison begin with A and B, because they have to differ."""
         splits = tuple(split for split in board.splits if split in a.by_split and split in b.by_split)
         rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
         return cls(*rows, Comparison(replace(board, splits=splits, rows=rows), splits))
 
     @property
     def label(self) -> str:
-        """What the rows are called, once where both are called the same."""
+        """The names of the rows, or one name if both have the same."""
         names = (row.label.partition(" ")[2] for row in (self.a, self.b))
         return " and ".join(dict.fromkeys(names))
 
@@ -70,7 +70,7 @@ def compare_results(a: Path, b: Path) -> str:
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:
-    """The records of a results folder or of a file, or of a folder those of the method or id that ends the path."""
+    """The records of a results folder or a file; of `FOLDER/NAME`, those in the folder with this method or id."""
     beside = ResultsFolder(path.parent).records if not path.exists() else ()
     if not beside:
         return read_results(path).records

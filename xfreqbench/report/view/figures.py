@@ -105,7 +105,7 @@ def plot_overview(
 
 
 def plot_carriers(summary: CarrierSummary, path: Path) -> None:
-    """Draw as SVG how similar maps are between carriers, and power, paths and silence, as far as these are known.
+    """Draw, as SVG, how similar maps are between carriers, and power, paths and silence if these are known.
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
@@ -150,7 +150,11 @@ def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
         colour = material_hex(str(room.meshes[facet.surface].material))
         axis.plot(*outline.T, color=colour, linewidth=1.2)
-    _draw_receiver(axis, room, shown)
+    start, along = room.receiver_m[shown], room.boresight[shown] * BORESIGHT_M
+    if np.linalg.norm(along) > 0.1 * BORESIGHT_M:
+        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
+        axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
+    axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)
 
 
 def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
@@ -175,14 +179,6 @@ def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
         place = np.array([np.interp(share * reached[-1], reached, part) for part in line.T])
         style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": colour}
         axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
-
-
-def _draw_receiver(axis: Any, room: ShownRoom, shown: list[int]) -> None:
-    start, along = room.receiver_m[shown], room.boresight[shown] * BORESIGHT_M
-    if np.linalg.norm(along) > 0.1 * BORESIGHT_M:
-        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
-        axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
-    axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)
 
 
 def _place_handles(room: ShownRoom) -> list[Line2D]:
@@ -220,7 +216,12 @@ def _draw_power(axis: Any, summary: CarrierSummary) -> None:
     assert summary.peak_db is not None, "drawn where it is known"
     carrier_ghz = summary.carrier_hz / 1e9
     for name, members in summary.groups().items():
-        low, middle, high = _percentiles(summary.peak_db[members])
+        peak_db = summary.peak_db[members]
+        levels = np.full((3, peak_db.shape[1]), np.nan)  # nan where no transmitter is heard
+        for carrier, column in enumerate(peak_db.T):
+            if not np.isnan(column).all():
+                levels[:, carrier] = np.nanpercentile(column, (10, 50, 90))
+        low, middle, high = levels
         axis.fill_between(carrier_ghz, low, high, color=_GROUP_COLOURS[name], alpha=0.2, linewidth=0)
         axis.plot(carrier_ghz, middle, "o-", color=_GROUP_COLOURS[name], markersize=4, label=name)
     axis.set(xscale="log", xlabel="carrier (GHz)", ylabel="peak of the map (dB)")
@@ -228,15 +229,6 @@ def _draw_power(axis: Any, summary: CarrierSummary) -> None:
     axis.set_title("power: median, and what 80 % lie within", fontsize="medium")
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small")
-
-
-def _percentiles(peak_db: Float[FloatArray, "n F"]) -> Float[FloatArray, "3 F"]:
-    """10th, 50th and 90th percentile over the transmitters heard at each carrier; nan where none is heard."""
-    levels = np.full((3, peak_db.shape[1]), np.nan)
-    for carrier, column in enumerate(peak_db.T):
-        if not np.isnan(column).all():
-            levels[:, carrier] = np.nanpercentile(column, (10, 50, 90))
-    return levels
 
 
 def _draw_path_counts(axis: Any, summary: CarrierSummary) -> None:

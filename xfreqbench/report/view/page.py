@@ -11,11 +11,12 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
-from xfreqbench.report.drawing.orbit import packed
+from xfreqbench.report.drawing.materials import material_hex
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
-from xfreqbench.report.view.orbit import orbit_scene
+from xfreqbench.report.view.figures import Rgba, group_colour, ray_colour
 from xfreqbench.report.view.plan import ViewPlan
-from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
+from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
@@ -66,6 +67,36 @@ def view_page(
         refusals=refusals,
         origin=PageTable(("what", "value"), [*_origin_rows(view)]),
     )
+
+
+def orbit_scene(room: ShownRoom) -> dict[str, Any]:
+    """What is drawn of a room, for `orbit.packed`.
+
+    `surfaces` are one a material, `groups` the transmitters in sight and in shadow, and `rays` lines from the
+    transmitter to the array centre, the weakest first, so that strong ones are drawn over them.
+    """
+    ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
+    groups = room.groups().items()
+    rays = sorted(room.rays, key=lambda ray: ray.level_db)
+    return {
+        "surfaces": [
+            one_surface(meshes, material_hex(material))
+            for material, meshes in by_material(room.meshes).items()
+        ],
+        "groups": [
+            {"colour": _hex(group_colour(name)), "points": millimetres(points)} for name, points in groups
+        ],
+        "rays": [
+            {"colour": _hex(ray_colour(ray.level_db)), "points": millimetres(ray.points_m)} for ray in rays
+        ],
+        "transmitter": millimetres(room.tx_m),
+        "receiver": millimetres(room.receiver_m),
+        "boresight": millimetres(np.stack([room.receiver_m, ahead_m])),
+    }
+
+
+def _hex(colour: Rgba) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _lead(view: ViewPlan) -> str:
