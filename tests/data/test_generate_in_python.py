@@ -16,7 +16,7 @@ from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
 OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
-OF_PYTHON_ALONE = {"freqs_ghz", "progress"}
+OF_PYTHON_ALONE = {"freqs_ghz", "progress", "tell"}
 
 
 def small(path: Path, **changes: object) -> PasDataset:

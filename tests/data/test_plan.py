@@ -12,7 +12,6 @@ import pytest
 from tests.support.furnished_room import GRID, RECEIVER, plate, write_meshes
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import plan as planning
-from xfreqbench.data import trace
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import (
@@ -23,7 +22,7 @@ from xfreqbench.errors import (
     UnknownNameError,
     XFreqBenchError,
 )
-from xfreqbench.scene import facets
+from xfreqbench.scene import facets, prepared
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -75,7 +74,7 @@ def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
 
         monkeypatch.setattr(module, name, call)
 
-    counted(planning, "surface_meshes")
+    counted(prepared, "surface_meshes")
     counted(facets, "planar_facets")
     generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
     assert calls == {"surface_meshes": 1, "planar_facets": 1}
@@ -105,20 +104,20 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
     assert told == tracing and hash(told) == hash(tracing)
     assert told.known_geometry is None
     assert len(pickled) < 10_000
-    for there, here in zip(told.geometry().meshes, tracing.geometry().meshes, strict=True):
+    for there, here in zip(told.prepared().geometry.meshes, tracing.prepared().geometry.meshes, strict=True):
         np.testing.assert_array_equal(there.corners_m, here.corners_m)
 
 
 def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     told = pickle.loads(pickle.dumps(small_plan(num_transmitters=2).tracing))
-    original = trace.surface_meshes
+    original = prepared.surface_meshes
 
     def meshes_without_the_last(scene: Scene) -> list[Any]:
         return original(scene)[:-1]
 
-    monkeypatch.setattr(trace, "surface_meshes", meshes_without_the_last)
+    monkeypatch.setattr(prepared, "surface_meshes", meshes_without_the_last)
     with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
-        told.geometry()
+        told.prepared()
 
 
 def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,7 +126,7 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
 
 
 def _unfinished_reference(scene: Scene, path: Path) -> Reference:
-    """The reference in the file as far as it is done, or an empty one where there is no file."""
+    """The reference in the file, which may be unfinished, or an empty one if there is no file."""
     asked = _empty_reference(scene)
 
     def fault_of(file: Path) -> str | None:
@@ -170,7 +170,7 @@ def _empty_reference(scene: Scene) -> Reference:
 
 
 def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
-    """Positions of transmitters, half of which see the receiver, or more where too few do not."""
+    """Positions of transmitters. Half of them see the receiver, or more if too few are in shadow."""
     meshes = surface_meshes(scene)
     usable = place_transmitters(scene, meshes)
     lit = sees(meshes, usable.tx_position_m, np.asarray(scene.receiver.position_m))

@@ -86,14 +86,6 @@ class Workload:
         tracer = tracer_of(PreparedScene.of(self.scene), self.carrier_hz, self.settings)
         return tracer.channel(self.tx_position_m).cfr
 
-    def one_transmitter_each(self) -> list[Workload]:
-        """The same work in pieces of one transmitter."""
-        return [replace(self, tx_position_m=place[None]) for place in self.tx_position_m]
-
-    def one_carrier_each(self) -> list[Workload]:
-        """The same work in pieces of one carrier."""
-        return [replace(self, carrier_hz=(carrier,)) for carrier in self.carrier_hz]
-
     def saving(
         self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]
     ) -> Saving:
@@ -215,31 +207,31 @@ def side_by_side(work: Workload, name: str) -> Saving:
     """
     tracer = tracer_of(PreparedScene.of(work.scene), work.carrier_hz, work.settings)
 
-    def one_by_one() -> ChannelArray:
-        return np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m])
-
-    def together() -> ChannelArray:
-        return tracer.channel(work.tx_position_m).cfr
-
-    return work.saving(name, "channels, rays shot beforehand", one_by_one, together)
+    return work.saving(
+        name,
+        "channels, rays shot beforehand",
+        lambda: np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m]),
+        lambda: tracer.channel(work.tx_position_m).cfr,
+    )
 
 
 def one_shooting_for_all_transmitters(work: Workload, name: str) -> Saving:
     """Rays shot from the receiver once, against anew for each transmitter."""
-
-    def anew() -> ChannelArray:
-        return np.concatenate([one.channel() for one in work.one_transmitter_each()])
-
-    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+    parts = [replace(work, tx_position_m=place[None]) for place in work.tx_position_m]
+    return work.saving(
+        name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts]), work.channel
+    )
 
 
 def one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
     """Rays shot once for the widest aperture, against anew for the aperture of each carrier."""
-
-    def anew() -> ChannelArray:
-        return np.concatenate([one.channel() for one in work.one_carrier_each()], axis=1)
-
-    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+    parts = [replace(work, carrier_hz=(carrier,)) for carrier in work.carrier_hz]
+    return work.saving(
+        name,
+        SCENE_AND_RAYS,
+        lambda: np.concatenate([part.channel() for part in parts], axis=1),
+        work.channel,
+    )
 
 
 def shooting_from_the_receiver(work: Workload) -> Saving:

@@ -106,7 +106,7 @@ def plan_of(
     """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
     if tx is not None and tx_positions is not None:
         raise XFreqBenchError(
-            "Transmitters are chosen from the scene's grid by tx, or given by tx_positions: give one."
+            "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
         )
     return plan_generation(
         scene if isinstance(scene, Scene) else load_scene(scene),

@@ -149,17 +149,17 @@ def _sets(num_users: int, num_heard: int) -> dict[str, dict[str, Any]]:
 
 def _materials(slabs: Sequence[Slab], carrier_hz: float, policy: MaterialPolicy) -> dict[str, dict[str, Any]]:
     """What the surfaces are made of at one carrier, by number."""
-    told = {}
+    materials = {}
     for number, slab in enumerate(slabs):
         permittivity = complex_permittivity(slab.material, carrier_hz, policy)
-        told[f"material_{number}"] = {
+        materials[f"material_{number}"] = {
             "id": number,
             "name": str(slab.material),
             "permittivity": permittivity.real,
             "conductivity": conductivity_s_m(permittivity, carrier_hz),
             "thickness": slab.thickness_m,
         }
-    return told
+    return materials
 
 
 def _write_scene(folder: Path, meshes: Sequence[SurfaceMesh]) -> dict[str, Any]:

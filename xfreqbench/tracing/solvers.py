@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
+from jaxtyping import Float
 from pydantic import InstanceOf
 
 from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
@@ -24,6 +25,7 @@ from xfreqbench.tracing.tracer import (
     Tracer,
     TraceSettings,
 )
+from xfreqbench.types import FloatArray
 from xfreqbench.units import ghz_to_hz
 
 
@@ -101,7 +103,9 @@ def make_tracer(
     return tracer_of(PreparedScene.of(scene), [ghz_to_hz(carrier) for carrier in freqs_ghz], settings)
 
 
-def tracer_of(scene: PreparedScene, carrier_hz: Sequence[float], settings: TraceSettings) -> Tracer:
+def tracer_of(
+    scene: PreparedScene, carrier_hz: Sequence[float] | Float[FloatArray, "F"], settings: TraceSettings
+) -> Tracer:
     """As `make_tracer`, at carriers in hertz."""
     settings = resolve_solver(scene.geometry, settings)
     if settings.solver == "image":

@@ -142,10 +142,7 @@ def _boresight(offset_m: float, polarization: Literal["V", "H"]) -> float:
 
 
 @GEOMETRY.each(
-    {
-        "ray along the edge of a wooden screen": ("wood",),
-        "ray along the edge of a metal screen": ("metal",),
-    },
+    {"ray along the edge of a wooden screen": ("wood",), "ray along the edge of a metal screen": ("metal",)},
     limit=_LIMIT,
     unit="relative",
 )

@@ -208,8 +208,8 @@ def _ssim_loss() -> float:
 
 
 def _ssim_of_loss(x: Maps, y: Maps) -> NDArray[np.float64]:
-    each = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
-    return np.array([float(mean_ssim(one[None], other[None])) for one, other in each])
+    maps = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
+    return np.array([float(mean_ssim(one[None], other[None])) for one, other in maps])
 
 
 @TRAINING.case("gradient of the SSIM of flat maps", limit=0, unit="values")
@@ -309,10 +309,7 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
 
 
 @ENCODING.case(
-    "band of 1 Hz at 24.25 GHz",
-    *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]),
-    limit=3e-4,
-    unit="absolute",
+    "band of 1 Hz at 24.25 GHz", *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]), limit=3e-4, unit="absolute"
 )
 @ENCODING.each(_BANDS_HZ, limit=1e-6, unit="absolute")  # some roundings of 6e-8
 def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:

@@ -95,7 +95,7 @@ class ImageTracer:
     def __init__(
         self,
         scene: Scene | PreparedScene,
-        carrier_hz: Sequence[float],
+        carrier_hz: Sequence[float] | Float[FloatArray, "F"],
         settings: TraceSettings,
         savings: ImageSavings = ImageSavings(),
     ) -> None:
