@@ -17,12 +17,7 @@ from typing_extensions import Doc
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.network import Attributes
-from xfreqbench.methods.learning.training import (
-    ChannelField,
-    Count,
-    Fraction,
-    LearnedMethod,
-)
+from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, LearnedMethod
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
 from xfreqbench.methods.splatting.gaussians import RFGaussians
 
@@ -54,9 +49,7 @@ class FourierLegendre(nn.Module):
     def __init__(self, max_degree: int) -> None:
         super().__init__()
         self.max_degree = max_degree
-        self.terms = [
-            (degree, order) for degree in range(max_degree + 1) for order in range(-degree, degree + 1)
-        ]
+        self.terms = [(degree, order) for degree in range(max_degree + 1) for order in range(-degree, degree + 1)]
         columns = [_in_powers_of_z(*term, max_degree) for term in self.terms]
         self.register_buffer("of_powers", torch.tensor(columns).T, persistent=False)
         self.register_buffer("degree", torch.tensor(0))
@@ -88,9 +81,7 @@ class RadiatingGaussians(RFGaussians):
     def __init__(self, num_gaussians: int, num_functions: int) -> None:
         super().__init__(num_gaussians)
         self.coefficient = nn.Parameter(torch.zeros(num_gaussians, num_functions, 2))
-        self.attenuation_logit = nn.Parameter(
-            torch.full((num_gaussians,), math.log(_ATTENUATION / (1 - _ATTENUATION)))
-        )
+        self.attenuation_logit = nn.Parameter(torch.full((num_gaussians,), math.log(_ATTENUATION / (1 - _ATTENUATION))))
 
     @torch.no_grad()
     def settle(self, position_m: Float[Tensor, "N 3"], spacing_m: float, generator: torch.Generator) -> None:

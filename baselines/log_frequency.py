@@ -21,14 +21,10 @@ class LogFrequency(TransmitterLookup):
         """For each query, one stored map, or two blended linearly in log f and scaled to peak 1."""
         return np.stack([self._map(*query) for query in zip(tx_position_m, carrier_hz, strict=True)])
 
-    def _map(
-        self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float
-    ) -> Float[NDArray[np.float32], "E A"]:
+    def _map(self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> Float[NDArray[np.float32], "E A"]:
         """The map of one query."""
         rows = self.transmitters.rows(self.transmitters.nearest(tx_position_m))
-        log_carrier = np.log(
-            self.transmitters.train.carrier_hz[rows]
-        )  # ascending, because rows are sorted by carrier
+        log_carrier = np.log(self.transmitters.train.carrier_hz[rows])  # ascending, because rows are sorted by carrier
         place = np.interp(np.log(carrier_hz), log_carrier, np.arange(len(rows)))
         low, high = math.floor(place), math.ceil(place)
         if low == high:

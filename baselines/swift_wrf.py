@@ -89,11 +89,7 @@ class SwiftWRFField(BandField):
         return {"gaussians": self.config.num_gaussians}
 
     def splatted(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power Σ_i s_i G_i from each direction in view, never negative; azimuths are taken the short way round.
 

@@ -55,9 +55,7 @@ class DeformationNetwork(nn.Module):
 
     def forward(
         self, tx_m: Float[Tensor, "B 3"], position_m: Float[Tensor, "N 3"]
-    ) -> tuple[
-        Float[Tensor, "B N 3"], Float[Tensor, "B N 4"], Float[Tensor, "B N 3"], Float[Tensor, "B N 2"]
-    ]:
+    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 4"], Float[Tensor, "B N 3"], Float[Tensor, "B N 2"]]:
         """Position (m), quaternion, log-scale and complex signal to add, in the receiver's frame."""
         query = positional_encoding(self.scaling.unit_position(tx_m), self.config.tx_octaves)
         gaussian = positional_encoding(self.scaling.unit_position(position_m), self.config.position_octaves)
@@ -96,11 +94,7 @@ class WRFGSPlusField(GaussianField):
         self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
 
     def splatted(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power R_k² of what is accumulated from each direction in view; each transmitter has its own footprints."""
         num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
@@ -119,9 +113,7 @@ class WRFGSPlusField(GaussianField):
         """Footprints of all Gaussians, for one transmitter after another, and the amplitudes of their signals."""
         gaussians, tx_m = self.gaussians, self.scaling.in_frame(tx_position_m)
         moved_m, turned, scaled, signal = self.network(tx_m, gaussians.position_m.detach())
-        of_all = covariance(
-            (gaussians.quaternion + turned).flatten(0, 1), (gaussians.log_scale + scaled).flatten(0, 1)
-        )
+        of_all = covariance((gaussians.quaternion + turned).flatten(0, 1), (gaussians.log_scale + scaled).flatten(0, 1))
         projection = project((self.position_m + moved_m).flatten(0, 1), of_all)
         return projection, torch.relu(gaussians.signal + signal.norm(dim=-1)).T
 

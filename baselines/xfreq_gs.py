@@ -8,13 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field as Limits
 
 from xfreqbench.methods.learning.low_rank import LowRankConfig
-from xfreqbench.methods.learning.training import (
-    ChannelField,
-    Count,
-    Fraction,
-    LearnedMethod,
-    Positive,
-)
+from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, LearnedMethod, Positive
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField, SplatTrainingConfig
 
 from .trivial import TRIVIAL

@@ -56,9 +56,7 @@ def sofa(x: float, y: float, width_m: float) -> list[trimesh.Trimesh]:
 
 def chair(x: float, y: float) -> list[trimesh.Trimesh]:
     """Seat, back of seven staves and four legs."""
-    legs = [
-        rod([x + dx, y + dy, 0.01], [x + dx, y + dy, 0.44], 0.018) for dx in (0, 0.38) for dy in (0, 0.38)
-    ]
+    legs = [rod([x + dx, y + dy, 0.01], [x + dx, y + dy, 0.44], 0.018) for dx in (0, 0.38) for dy in (0, 0.38)]
     staves = [rod([x + k * 0.38 / 6, y, 0.46], [x + k * 0.38 / 6, y - 0.06, 0.9], 0.009) for k in range(7)]
     return [*legs, *staves, cushion([x - 0.02, y - 0.02, 0.44], [x + 0.4, y + 0.4, 0.5], 3)]
 
@@ -73,9 +71,7 @@ def plant(x: float, y: float, seed: int, num_leaves: int = 140) -> list[trimesh.
         leaf = np.stack([0.22 * along, width, -0.08 * along**2], axis=-1).reshape(-1, 3)
         faces = [[2 * k + a, 2 * k + b, 2 * k + c] for k in range(4) for a, b, c in ((0, 1, 2), (1, 3, 2))]
         shape = trimesh.Trimesh(leaf, faces, process=False)
-        shape.apply_transform(
-            trimesh.transformations.euler_matrix(0, -chance.uniform(0, 1.2), chance.uniform(0, 6.3))
-        )
+        shape.apply_transform(trimesh.transformations.euler_matrix(0, -chance.uniform(0, 1.2), chance.uniform(0, 6.3)))
         leaves.append(shape.apply_translation([x, y, chance.uniform(0.6, 1.3)]))
     return leaves
 
@@ -95,24 +91,15 @@ def furniture() -> dict[str, tuple[str, list[trimesh.Trimesh]]]:
         "shelf": ("chipboard", shelves + frame),
         "lamp foot": (
             "metal",
-            [
-                rod([1.2, 0.6, 0.02], [1.2, 0.6, 1.3], 0.012, 32),
-                rod([1.2, 0.6, 0.005], [1.2, 0.6, 0.02], 0.16, 48),
-            ],
+            [rod([1.2, 0.6, 0.02], [1.2, 0.6, 1.3], 0.012, 32), rod([1.2, 0.6, 0.005], [1.2, 0.6, 0.02], 0.16, 48)],
         ),
         "lamp shade": ("chipboard", [turned(shade, [1.2, 0.6, 0], 96)]),
         "vases": (
             "glass",
-            [
-                turned(vase, [x, y, z], 72)
-                for x, y, z in ((5.3, 3.9, 0.74), (0.2, 4.3, 1.05), (3.2, 1.6, 0.47))
-            ],
+            [turned(vase, [x, y, z], 72) for x, y, z in ((5.3, 3.9, 0.74), (0.2, 4.3, 1.05), (3.2, 1.6, 0.47))],
         ),
         "low table": ("glass", [cushion([2.8, 1.3, 0.42], [4.0, 1.9, 0.46], 4)]),
-        "radiator": (
-            "metal",
-            [rod([7.4, 1.0 + 0.06 * k, 0.15], [7.4, 1.0 + 0.06 * k, 0.7], 0.02) for k in range(22)],
-        ),
+        "radiator": ("metal", [rod([7.4, 1.0 + 0.06 * k, 0.15], [7.4, 1.0 + 0.06 * k, 0.7], 0.02) for k in range(22)]),
         "plants": ("chipboard", [*plant(0.7, 2.2, 1), *plant(6.9, 5.3, 2), *plant(6.9, 0.5, 3)]),
         "screen": ("metal", [board([2.6, 5.93, 0.9], [3.9, 5.97, 1.65])]),
     }
@@ -135,9 +122,7 @@ def main() -> None:
         lines.append(f'    <string name="filename" value="{filename}"/>')
         lines.append(f'    <ref id="mat-{material}" name="bsdf"/>\n  </shape>')
     (FOLDER / "lounge.xml").write_text("\n".join([*lines, "</scene>", ""]), encoding="utf-8")
-    print(
-        f"{num_triangles:,} triangles, {sum(path.stat().st_size for path in FOLDER.glob('*.ply')) / 1e6:.2f} MB"
-    )
+    print(f"{num_triangles:,} triangles, {sum(path.stat().st_size for path in FOLDER.glob('*.ply')) / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

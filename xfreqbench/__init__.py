@@ -10,7 +10,5 @@ import lazy_loader as lazy
 
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep
 # it, and two fits beside each other on two cores run at a hundredth of their speed.
-os.environ.setdefault(
-    "GOMP_SPINCOUNT", "infinite" if os.getenv("OMP_WAIT_POLICY", "").upper() == "ACTIVE" else "1"
-)
+os.environ.setdefault("GOMP_SPINCOUNT", "infinite" if os.getenv("OMP_WAIT_POLICY", "").upper() == "ACTIVE" else "1")
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

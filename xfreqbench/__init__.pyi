@@ -41,9 +41,7 @@ from .system.version import __version__ as __version__
 from .tracing.solvers import make_tracer as make_tracer
 from .tracing.tracer import TraceSettings as TraceSettings
 
-if (
-    not typing.TYPE_CHECKING
-):  # lazy_loader reads this too: these packages give their names when they are called
+if not typing.TYPE_CHECKING:  # lazy_loader reads this too: these packages give their names when they are called
     from . import methods as methods
     from . import scenes as scenes
 

@@ -10,13 +10,9 @@ from cyclopts import App, Parameter
 
 from xfreqbench.cli.options import Output, Quiet, example, print_table, say
 
-findings = App(
-    name="findings", group="Results", help_epilogue=example("findings results --data office.h5 -o findings")
-)
+findings = App(name="findings", group="Results", help_epilogue=example("findings results --data office.h5 -o findings"))
 residual = App(
-    name="residual",
-    group="Results",
-    help_epilogue=example("residual results --data office.h5 -o residual.md"),
+    name="residual", group="Results", help_epilogue=example("residual results --data office.h5 -o residual.md")
 )
 RunData = Annotated[Path, Parameter(name="--data", help="The data set that the run was on.")]
 
@@ -29,9 +25,7 @@ class RecordChoice:
     id: Annotated[
         str | None, Parameter(name="--id", help="How the record's id begins; the newest record if absent.")
     ] = None
-    split: Annotated[
-        str | None, Parameter(name="--split", help="Only runs on this split, as in lofo-24.25GHz.")
-    ] = None
+    split: Annotated[str | None, Parameter(name="--split", help="Only runs on this split, as in lofo-24.25GHz.")] = None
     seed: Annotated[int | None, Parameter(name="--seed", help="Only runs of this seed.")] = None
 
 
@@ -43,20 +37,14 @@ def compare_findings(
     results: Path,
     *,
     data: RunData,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder for the page, its figures and the model.")
-    ],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for the page, its figures and the model.")],
     room: Annotated[
         Path | None,
-        Parameter(
-            help="Folder for the learned room as a scene, room.toml and room.glb, which generate traces."
-        ),
+        Parameter(help="Folder for the learned room as a scene, room.toml and room.glb, which generate traces."),
     ] = None,
     refine: Annotated[
         bool,
-        Parameter(
-            help="Show the room as the run refined it; for older records it is refined now, within minutes."
-        ),
+        Parameter(help="Show the room as the run refined it; for older records it is refined now, within minutes."),
     ] = True,
     record: RecordChoice = NEWEST,
     quiet: Quiet = False,
@@ -114,9 +102,7 @@ def measure_residual(
     data: RunData,
     output: Output,
     record: RecordChoice = NEWEST,
-    tx: Annotated[
-        int, Parameter(help="Tested transmitters, drawn at random; all where there are fewer.")
-    ] = 60,
+    tx: Annotated[int, Parameter(help="Tested transmitters, drawn at random; all where there are fewer.")] = 60,
     quiet: Quiet = False,
 ) -> None:
     """Measure what a run's maps lack: paths at planes that it did not find, or gains of paths at those it did.

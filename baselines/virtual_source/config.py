@@ -23,9 +23,7 @@ class SourceConfig:
     max_order: Annotated[int, Limits(ge=0, le=3), Doc("most reflections of a path")] = 3
     max_images: Annotated[int, Limits(ge=1), Doc("most paths that are kept")] = 160
     planes: Annotated[Literal["search", "random"], Doc("random: an ablation")] = "search"
-    looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES)), Doc("searches during training")] = len(
-        LOOK_SHARES
-    )
+    looks: Annotated[int, Limits(ge=0, le=len(LOOK_SHARES)), Doc("searches during training")] = len(LOOK_SHARES)
     phase: Annotated[bool, Doc("whether path lengths give phases; false is an ablation")] = True
     lengths: Annotated[Literal["float64", "float32"], Doc("precision of path lengths")] = "float64"
     cell_m: Annotated[float, Limits(ge=0.05, le=10), Doc("side of a plane's cells")] = 0.3
@@ -37,7 +35,5 @@ class SourceConfig:
     free_modes: Annotated[int, Limits(ge=1), Doc("channels of theirs whose powers add up")] = 2
     render: Annotated[
         Literal["learned", "traced", "blended"],
-        Doc(
-            "maps of the learned field, of the room that is made of it and traced, or of both, by validation rows"
-        ),
+        Doc("maps of the learned field, of the room that is made of it and traced, or of both, by validation rows"),
     ] = "blended"

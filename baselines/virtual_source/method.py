@@ -161,9 +161,7 @@ class VirtualSource(LearnedMethod):
         view = GridView.draw(self.config.stride, generator)
         nth, of_tx, of_carrier = rows.of(chosen)
         _, blurred_hz = targets.queries(nth, self.config.carrier_blur, generator)
-        pairs = TracedPairs(
-            rows.offset_m[chosen], rows.traces[chosen], rows.carrier_hz, of_tx, of_carrier, blurred_hz
-        )
+        pairs = TracedPairs(rows.offset_m[chosen], rows.traces[chosen], rows.carrier_hz, of_tx, of_carrier, blurred_hz)
         power = of_peak(field.power_of(pairs, view, training.beams))
         loss = self.loss_of(power, targets.maps(nth, view), training)
         return loss + self.config.sparsity * field.room.clutter()

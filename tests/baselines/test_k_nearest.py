@@ -77,9 +77,7 @@ def test_one_map_of_one_transmitter_is_the_nearest(dataset: PasDataset) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_counts_are_those_that_predict_training_rows_best_from_the_others(
-    dataset: PasDataset, kind: str
-) -> None:
+def test_the_counts_are_those_that_predict_training_rows_best_from_the_others(dataset: PasDataset, kind: str) -> None:
     softening = softening_m(dataset.tx_position_m[::NUM_CARRIERS])
     coarse = AngularGrid(dataset.grid.elevation_rad[::3], dataset.grid.azimuth_rad[::3])
     scores: dict[tuple[int, int], list[float]] = {}

@@ -68,9 +68,7 @@ def test_sixty_steps_lower_the_loss(method: type[LearnedMethod], dataset: PasDat
 
 
 @every_system
-def test_gaussians_stand_still_undivided_until_they_move(
-    method: type[LearnedMethod], dataset: PasDataset
-) -> None:
+def test_gaussians_stand_still_undivided_until_they_move(method: type[LearnedMethod], dataset: PasDataset) -> None:
     """Dividing them before would leave footprints of others; a fit of 20 steps moves them from the tenth on."""
     model = small(method, move_from=0.5, densify_every=2, densify_until=1.0, growth=0.2)
     places = []
@@ -102,9 +100,7 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
 
 
 @every_system
-def test_what_a_gaussian_holds_is_divided_and_dropped_with_it(
-    method: type[LearnedMethod], dataset: PasDataset
-) -> None:
+def test_what_a_gaussian_holds_is_divided_and_dropped_with_it(method: type[LearnedMethod], dataset: PasDataset) -> None:
     model = small(method, **DIVIDING)
     first, *_ = trained(model, dataset, 12)
     assert model._training is not None
@@ -116,9 +112,7 @@ def test_what_a_gaussian_holds_is_divided_and_dropped_with_it(
     assert {id(parameter) for parameter in gaussians.parameters()} <= optimised
 
 
-@pytest.mark.parametrize(
-    ("method", "sees_carrier"), [(GSRF, False), (WRFGSPlus, False), (Wideband3DGS, True)]
-)
+@pytest.mark.parametrize(("method", "sees_carrier"), [(GSRF, False), (WRFGSPlus, False), (Wideband3DGS, True)])
 def test_only_wideband_3dgs_tells_carriers_apart(
     method: type[LearnedMethod], sees_carrier: bool, dataset: PasDataset
 ) -> None:
@@ -210,12 +204,8 @@ def test_a_deformation_moves_a_footprint_to_where_it_says(dataset: PasDataset) -
     grid = GridView(2).of_grid(beams.grid)
     for shift_m in ((0.0, 0.0, 0.0), (0.0, 1.5, 0.0), (0.0, 0.0, 1.0)):
         head.bias.data[:3] = torch.tensor(shift_m)
-        row, column = divmod(
-            int(power(field, beams, transmitters(dataset, 1), 1e9)[0].argmax()), grid.shape[1]
-        )
-        azimuth_rad, elevation_rad, _ = angular_centre(
-            torch.tensor([[2.0, 0.0, 1.0]]) + torch.tensor(shift_m)
-        )
+        row, column = divmod(int(power(field, beams, transmitters(dataset, 1), 1e9)[0].argmax()), grid.shape[1])
+        azimuth_rad, elevation_rad, _ = angular_centre(torch.tensor([[2.0, 0.0, 1.0]]) + torch.tensor(shift_m))
         turn_rad = (grid.azimuth_rad[column] - float(azimuth_rad) + np.pi) % (2 * np.pi) - np.pi
         assert abs(turn_rad) <= np.radians(1.01)  # every second degree is looked at
         assert abs(grid.elevation_rad[row] - float(elevation_rad)) <= np.radians(1.01)
@@ -243,9 +233,7 @@ def test_footprints_of_each_transmitter_are_accumulated_as_shared_ones_are(datas
         torch.testing.assert_close(one.flatten(), shared[0].real.square(), rtol=1e-4, atol=1e-6)
 
 
-def test_what_attenuates_does_not_depend_on_the_transmitter_and_what_is_sent_does(
-    dataset: PasDataset,
-) -> None:
+def test_what_attenuates_does_not_depend_on_the_transmitter_and_what_is_sent_does(dataset: PasDataset) -> None:
     field, _ = started(Wideband3DGS, dataset)
     assert isinstance(field, Wideband3DGSField)
     everyone = torch.ones(len(field.gaussians), dtype=torch.bool)
@@ -264,7 +252,5 @@ def test_a_gaussian_twice_as_far_sends_half(dataset: PasDataset) -> None:
         parameter.data.zero_()
     field.gaussians.position_m.data[:2] = torch.tensor([[1.0, 0.0, 1.0], [2.0, 0.0, 2.0]])
     everyone = torch.ones(len(field.gaussians), dtype=torch.bool)
-    near, far, *_ = (
-        field.attributes(transmitters(dataset, 1), torch.ones(1).double(), everyone).signal[0].detach()
-    )
+    near, far, *_ = field.attributes(transmitters(dataset, 1), torch.ones(1).double(), everyone).signal[0].detach()
     torch.testing.assert_close(near, 2 * far)

@@ -26,14 +26,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def small(**options: Any) -> SwiftWRF:
-    fixed = {
-        "num_gaussians": 30,
-        "batch_size": 8,
-        "stride": 15,
-        "width": 8,
-        "layers": 2,
-        "precision": "float32",
-    }
+    fixed = {"num_gaussians": 30, "batch_size": 8, "stride": 15, "width": 8, "layers": 2, "precision": "float32"}
     return SwiftWRF(SwiftWRFConfig(**{**fixed, **options}))
 
 
@@ -108,9 +101,7 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(dataset: PasDat
     assert {point.counts["gaussians"] for point in points} == {30}
 
 
-def test_gaussians_that_the_network_pushes_away_and_shrinks_stay_in_sight_with_a_slope(
-    dataset: PasDataset,
-) -> None:
+def test_gaussians_that_the_network_pushes_away_and_shrinks_stay_in_sight_with_a_slope(dataset: PasDataset) -> None:
     field, beams = still(dataset, 8)
     tx_position_m, carrier_hz = torch.zeros(1, 3), torch.tensor([1e9], dtype=torch.float64)
     field.network.head.bias.data = torch.tensor([9.0, 9.0, -9.0, -9.0, 0.0])

@@ -43,9 +43,7 @@ def ask(method, position_m, carrier_hz):
 
 
 @pytest.mark.parametrize("name", EVERY_TRIVIAL)
-def test_every_baseline_keeps_the_contract_at_unseen_places_and_carriers(
-    dataset: PasDataset, name: str
-) -> None:
+def test_every_baseline_keeps_the_contract_at_unseen_places_and_carriers(dataset: PasDataset, name: str) -> None:
     method = fitted(build_method(name), dataset)
     places = np.random.default_rng(0).uniform((1, 1, 1), (7, 5, 2), size=(4, 3))
     maps = predict_checked(method, places, np.array([0.5e9, 3e9, 10e9, 200e9]), GRID_SHAPE)

@@ -51,9 +51,7 @@ def test_a_finished_reference_is_left_as_it_is(tmp_path: Path) -> None:
     make_reference(load_scene("office"), path, ignore_progress)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["finished"]
-    assert np.array_equal(
-        read_reference(load_scene("office"), path).cfr, read_reference(load_scene("office")).cfr
-    )
+    assert np.array_equal(read_reference(load_scene("office"), path).cfr, read_reference(load_scene("office")).cfr)
 
 
 @pytest.mark.parametrize(

@@ -156,8 +156,7 @@ def test_the_recorded_command_is_the_one_that_was_given(
 
 def points(*places: tuple[float, float]) -> tuple[BenchPoint, ...]:
     return tuple(
-        BenchPoint(series=f"series {index % 2}", label=f"{x:g} ms", x=x, y=y)
-        for index, (x, y) in enumerate(places)
+        BenchPoint(series=f"series {index % 2}", label=f"{x:g} ms", x=x, y=y) for index, (x, y) in enumerate(places)
     )
 
 

@@ -28,15 +28,10 @@ def test_a_rung_changes_what_it_says_and_nothing_else() -> None:
             assert all(f"{rung.settings.rays:,} rays" in rung.label for name in others)
 
 
-def test_the_table_of_settings_is_recorded_with_its_figure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_table_of_settings_is_recorded_with_its_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rungs = [
         Rung(
-            "image",
-            "depth 1",
-            ("depth",),
-            TraceSettings("image", ("specular", "refraction"), max_depth=1, rays=1000),
+            "image", "depth 1", ("depth",), TraceSettings("image", ("specular", "refraction"), max_depth=1, rays=1000)
         ),
         Rung(
             "image",
@@ -64,9 +59,7 @@ def test_the_table_of_settings_is_recorded_with_its_figure(
     assert "llvmlite" in record.software
 
 
-def test_a_number_of_plain_transmitters_is_checked_before_anything_is_traced(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_number_of_plain_transmitters_is_checked_before_anything_is_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(convergence, "_pipelines", lambda *_: 1 / 0)
     for number in ("1", "25"):
         outcome = xfreqbench("bench", "generate", "office", "--against-plain", "--plain-tx", number)

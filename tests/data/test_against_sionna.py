@@ -67,9 +67,7 @@ def test_the_channel_over_a_band_is_that_of_sionna_rt(tmp_path: Path, solver: st
         assert flat > 0.05 * np.abs(ours).max()  # there is a band to speak of
 
 
-def test_at_the_array_a_path_is_the_spherical_wave_that_every_element_solves_for_itself(
-    tmp_path: Path,
-) -> None:
+def test_at_the_array_a_path_is_the_spherical_wave_that_every_element_solves_for_itself(tmp_path: Path) -> None:
     data = stored(tmp_path, replace(RECEIVER, rows=2, cols=3), name="a wall")
     for sample, (tx, carrier_hz) in enumerate(zip(data.tx_position_m, data.carrier_hz.tolist(), strict=True)):
         public = public_cfr(public_paths(data.scene, carrier_hz, tx))
@@ -81,9 +79,7 @@ def test_at_the_array_a_path_is_the_spherical_wave_that_every_element_solves_for
 
 def test_the_impulse_response_is_that_of_sionna_rt_path_by_path(tmp_path: Path) -> None:
     data = stored(tmp_path, ONE_ELEMENT)
-    gain, delay_s = public_paths(data.scene, 2.4e9, TRANSMITTERS_M[0]).cir(
-        normalize_delays=False, out_type="numpy"
-    )
+    gain, delay_s = public_paths(data.scene, 2.4e9, TRANSMITTERS_M[0]).cir(normalize_delays=False, out_type="numpy")
     order = np.argsort(delay_s.reshape(-1))
     ours = data.cir(0)
     np.testing.assert_allclose(ours.delay_s[:, 0], delay_s.reshape(-1)[order], rtol=1e-6)

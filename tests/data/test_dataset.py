@@ -170,10 +170,7 @@ def test_a_map_is_drawn_in_db_below_its_peak(tmp_path: Path, kind: str) -> None:
     dataset = replace(power_maps, header=replace(power_maps.header, pas_kind=kind))
     figure = dataset.plot(4)
     disc, bar = figure.axes
-    assert (
-        disc.get_title()
-        == f"10 GHz, transmitter at ({', '.join(f'{m:.2f}' for m in dataset[4].tx_position_m)}) m"
-    )
+    assert disc.get_title() == f"10 GHz, transmitter at ({', '.join(f'{m:.2f}' for m in dataset[4].tx_position_m)}) m"
     assert bar.get_ylabel() == "dB below the peak"
     drawn_db = disc.collections[0].get_array().reshape(dataset.grid.shape)
     power = dataset[4].map.astype(float) ** (2 if kind == "amplitude" else 1)

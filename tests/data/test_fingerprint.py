@@ -62,8 +62,7 @@ def rewritten(dataset: PasDataset, path: Path, cfr: Any) -> PasDataset:
 def apart(one: PasDataset, other: PasDataset) -> float:
     """The greatest relative field error of any transmitter at any carrier."""
     off, length = (
-        np.linalg.norm(each, axis=2)
-        for each in (one.tables["cfr"] - other.tables["cfr"], other.tables["cfr"])
+        np.linalg.norm(each, axis=2) for each in (one.tables["cfr"] - other.tables["cfr"], other.tables["cfr"])
     )
     return float((off / length).max())
 
@@ -78,10 +77,7 @@ def with_wall_moved(scene: Scene, name: str, shift_m: float) -> Scene:
     return replace(scene, surface=tuple(surfaces))
 
 
-@pytest.mark.parametrize(
-    ("name", "diffraction"),
-    [(name, d) for name in shipped_scenes() for d in (False, True)],
-)
+@pytest.mark.parametrize(("name", "diffraction"), [(name, d) for name in shipped_scenes() for d in (False, True)])
 def test_the_channels_of_today_are_those_of_the_fingerprint(name: str, diffraction: bool) -> None:
     """Where this fails by more than digits, `PHYSICS_VERSION` has to be raised, and the fingerprints made anew."""
     path = fingerprint_path(name, diffraction=diffraction)
@@ -93,9 +89,7 @@ def test_the_channels_of_today_are_those_of_the_fingerprint(name: str, diffracti
     settings = TraceSettings(interactions=None if diffraction else ("specular", "refraction"))
     tracer = tracer_of(PreparedScene.of(scene), known.carrier_hz.tolist(), settings)
     cfr = tracer.channel(known.tx_position_m[::16]).cfr
-    assert (
-        field_differences(cfr, known.cfr[::16]).max() < 1e-4
-    )  # complex64 has 6e-8; rays at edges may differ
+    assert field_differences(cfr, known.cfr[::16]).max() < 1e-4  # complex64 has 6e-8; rays at edges may differ
 
 
 def test_a_traced_file_has_the_recipe_of_the_fingerprint(usual: PasDataset) -> None:
@@ -141,18 +135,9 @@ def test_the_other_solver_has_the_same_recipe_and_is_close(tmp_path: Path) -> No
 
 @pytest.mark.sionna
 def test_where_no_path_can_be_missed_the_solvers_differ_by_digits(tmp_path: Path) -> None:
-    scene, tx = (
-        load_scene("empty"),
-        read_fingerprint(fingerprint_path("empty")).tx_position_m[:MIN_TRANSMITTERS],
-    )
+    scene, tx = (load_scene("empty"), read_fingerprint(fingerprint_path("empty")).tx_position_m[:MIN_TRANSMITTERS])
     of_image, of_sionna = (
-        rooms(
-            tmp_path / f"{solver}.h5",
-            scene,
-            tx_positions=tx,
-            solver=solver,
-            interactions=["specular", "refraction"],
-        )
+        rooms(tmp_path / f"{solver}.h5", scene, tx_positions=tx, solver=solver, interactions=["specular", "refraction"])
         for solver in ("image", "sionna")
     )
     assert of_image.recipe == of_sionna.recipe
@@ -162,9 +147,7 @@ def test_where_no_path_can_be_missed_the_solvers_differ_by_digits(tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.sionna
-def test_in_the_office_the_other_solver_shares_the_recipe_and_is_as_far_off_as_documented(
-    tmp_path: Path,
-) -> None:
+def test_in_the_office_the_other_solver_shares_the_recipe_and_is_as_far_off_as_documented(tmp_path: Path) -> None:
     """0.012 at 2.4 GHz, more than solver `image` is allowed: its rays miss some of the weak paths."""
     known = read_fingerprint(fingerprint_path("office", diffraction=False))
     of_sionna = generate(
@@ -189,9 +172,7 @@ def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tm
 
     forged = rewritten(usual, tmp_path / "forged.h5", other.tables["cfr"])
     assert forged.recipe == usual.recipe
-    with pytest.raises(
-        DataError, match=r"says that it is two_rooms@1-.* a median relative field error of 2\.\de-01"
-    ):
+    with pytest.raises(DataError, match=r"says that it is two_rooms@1-.* a median relative field error of 2\.\de-01"):
         require_fingerprint(forged)
     told = xfreqbench("info", forged.path)
     assert (told.code, "is refused by run and score" in told.stdout) == (0, True)

@@ -166,9 +166,7 @@ main()
 
 
 def test_extrapolated_materials_are_recorded(tmp_path: Path) -> None:
-    settings = TraceSettings(
-        interactions=("specular", "refraction"), rays=1000, max_depth=1, materials="extrapolate"
-    )
+    settings = TraceSettings(interactions=("specular", "refraction"), rays=1000, max_depth=1, materials="extrapolate")
     plan = plan_generation(load_scene("two_rooms"), [0.9e9], settings, num_transmitters=2)
     dataset = open_dataset(generate_planned(plan, tmp_path / "low.h5"))
     assert "concrete" in dataset.header.settings["extrapolated_materials"]
@@ -178,11 +176,7 @@ def test_a_transmitter_without_any_path_is_kept_and_flagged(tmp_path: Path) -> N
     low, high = np.array([-0.5, -0.5, 1.5]), np.array([0.5, 0.5, 2.5])
     walls = [  # six rectangles: a closed box around the receiver would be refused
         Surface(
-            f"wall {axis}{end[axis]}",
-            "metal",
-            0.01,
-            tuple(np.where(flat, end, low)),
-            tuple(np.where(flat, end, high)),
+            f"wall {axis}{end[axis]}", "metal", 0.01, tuple(np.where(flat, end, low)), tuple(np.where(flat, end, high))
         )
         for axis, flat in enumerate(np.eye(3, dtype=bool))
         for end in (low, high)
@@ -193,9 +187,7 @@ def test_a_transmitter_without_any_path_is_kept_and_flagged(tmp_path: Path) -> N
         transmitters=TransmitterGrid(min_m=(3.0, 0.3, 1.0), max_m=(3.0, 0.3, 1.0), step_m=(1.0, 1.0, 1.0)),
         surface=tuple(walls),
     )
-    dataset = open_dataset(
-        generate_planned(plan_generation(scene, [5e9], SETTINGS, paths=True), tmp_path / "cage.h5")
-    )
+    dataset = open_dataset(generate_planned(plan_generation(scene, [5e9], SETTINGS, paths=True), tmp_path / "cage.h5"))
     assert len(dataset) == 1
     assert not dataset.has_path.any()
     assert not dataset.pas().any()

@@ -27,9 +27,7 @@ def test_every_option_of_the_command_is_one_here_with_the_same_default() -> None
     command = inspect.signature(commands.generate).parameters
     python = inspect.signature(xb.generate).parameters
     assert python.keys() - OF_PYTHON_ALONE == command.keys() - OF_THE_COMMAND_ALONE
-    given = {
-        name: each.default for name, each in command.items() if each.default is not inspect.Parameter.empty
-    }
+    given = {name: each.default for name, each in command.items() if each.default is not inspect.Parameter.empty}
     shared = given.keys() & python.keys() - {"scene"}
     assert {name: python[name].default for name in shared} == {name: given[name] for name in shared}
 

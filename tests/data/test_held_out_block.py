@@ -7,15 +7,7 @@ import pytest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import (
-    BLOCK_MARGIN_M,
-    NUM_BLOCKS,
-    Split,
-    blocks,
-    find_split,
-    held_out_block,
-    make_splits,
-)
+from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, find_split, held_out_block, make_splits
 from xfreqbench.errors import ProtocolError, UnknownNameError
 
 NUM_TX = 60
@@ -34,9 +26,7 @@ def _apart_m(dataset: PasDataset, split: Split) -> np.ndarray:
 
 
 @pytest.mark.parametrize("on", ["test", "validation"])
-def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(
-    dataset: PasDataset, on
-) -> None:
+def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(dataset: PasDataset, on) -> None:
     (split,) = make_splits(dataset, "held-out-block", on=on)
     assert _apart_m(dataset, split).min() >= BLOCK_MARGIN_M
     assert not split.shares_transmitters
@@ -69,9 +59,7 @@ def test_regions_are_rectangles_of_equally_many_positions() -> None:
     position_m = np.random.default_rng(0).uniform((0, 0), (10, 4), size=(403, 2))
     found = blocks(position_m, NUM_BLOCKS)
     counts = np.bincount(found)
-    assert (
-        len(counts) == NUM_BLOCKS and counts.max() - counts.min() <= 2
-    )  # a rounding at each of two halvings
+    assert len(counts) == NUM_BLOCKS and counts.max() - counts.min() <= 2  # a rounding at each of two halvings
     for region in range(NUM_BLOCKS):
         low, high = (edge(position_m[found == region], axis=0) for edge in (np.min, np.max))
         inside = ((position_m >= low) & (position_m <= high)).all(axis=1)
@@ -83,9 +71,7 @@ def test_of_few_transmitters_each_is_a_region(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", 4, (1.0,))
     (split,) = held_out_block(dataset)
     assert (len(split.train), len(split.test)) == (3, 1)
-    with pytest.raises(
-        ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 3\."
-    ):
+    with pytest.raises(ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 3\."):
         make_splits(dataset, "held-out-block", on="validation")
     alone = write_dataset(tmp_path / "alone.h5", 1, (1.0,))
     with pytest.raises(ProtocolError, match="0 samples to train on"):

@@ -122,9 +122,7 @@ def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyP
 
 def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "available_memory_mib", lambda: 0.01)
-    with pytest.raises(
-        SceneError, match=r"triangles, which take 0\.\d+ MiB to trace, but 0\.01 MiB are left"
-    ):
+    with pytest.raises(SceneError, match=r"triangles, which take 0\.\d+ MiB to trace, but 0\.01 MiB are left"):
         plan_generation(load_scene("office"), CARRIERS_HZ)
 
 

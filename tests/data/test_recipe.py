@@ -30,10 +30,7 @@ GRID_OF_MAPS = AngularGrid.hemisphere()
 
 
 def planned(
-    scene: Scene = ROOMS,
-    carrier_hz: list[float] = CARRIERS_HZ,
-    tx_position_m: Any = TRANSMITTERS_M,
-    **changes: Any,
+    scene: Scene = ROOMS, carrier_hz: list[float] = CARRIERS_HZ, tx_position_m: Any = TRANSMITTERS_M, **changes: Any
 ) -> Plan:
     of_plan = {name: changes.pop(name) for name in ("pas_kind", "maps", "paths") if name in changes}
     settings = TraceSettings(**{"interactions": ("specular", "refraction"), **changes})
@@ -104,9 +101,7 @@ def test_versions_of_software_are_in_no_recipe(usual: Recipe) -> None:
     ],
     ids=str,
 )
-def test_what_changes_channels_changes_the_recipe_and_its_physics(
-    usual: Recipe, changes: dict[str, Any]
-) -> None:
+def test_what_changes_channels_changes_the_recipe_and_its_physics(usual: Recipe, changes: dict[str, Any]) -> None:
     changed = recipe_of(planned(**changes))
     assert changed.physics_sha256 != usual.physics_sha256
     assert changed.id != usual.id

@@ -29,9 +29,7 @@ def traced(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequ
     return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("traced") / "rooms.h5"))
 
 
-def rewritten(
-    dataset: PasDataset, path: Path, cfr: object = None, tx_position_m: object = None
-) -> PasDataset:
+def rewritten(dataset: PasDataset, path: Path, cfr: object = None, tx_position_m: object = None) -> PasDataset:
     """A data set with valid hashes and the same header, but other channels, maps or positions."""
     header, tables = dataset.header, dataset.tables
     stored = tables["cfr"] if cfr is None else np.asarray(cfr)
@@ -65,9 +63,7 @@ def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp
     require_origin(rewritten(traced, tmp_path / "same.h5"), 2)
 
 
-def test_a_sample_that_is_traced_to_no_number_is_found_out(
-    traced: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sample_that_is_traced_to_no_number_is_found_out(traced: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retrace, "_apart", lambda stored, again: float("nan"))
     with pytest.raises(DataError, match="differs by nan"):
         require_origin(traced, 3)

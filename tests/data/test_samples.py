@@ -34,15 +34,7 @@ def test_negative_numbers_count_from_the_end(dataset: PasDataset, number: int) -
 
 
 @pytest.mark.parametrize(
-    "rows",
-    [
-        slice(1, 9, 4),
-        [1, 5],
-        range(1, 9, 4),
-        np.array([1, 5]),
-        np.array([-11, -7]),
-        np.isin(range(12), [1, 5]),
-    ],
+    "rows", [slice(1, 9, 4), [1, 5], range(1, 9, 4), np.array([1, 5]), np.array([-11, -7]), np.isin(range(12), [1, 5])]
 )
 def test_slices_numbers_and_masks_give_subsets(dataset: PasDataset, rows: slice | np.ndarray) -> None:
     for subset in (dataset[rows], dataset.subset(rows)):
@@ -81,9 +73,7 @@ def test_iteration_yields_every_sample_once(tmp_path: Path, maps: bool) -> None:
         (np.zeros((2, 2), np.int64), r"but got int64 of shape \(2, 2\)"),
     ],
 )
-def test_what_is_not_there_is_an_index_error_that_says_what_is(
-    dataset: PasDataset, rows: object, message: str
-) -> None:
+def test_what_is_not_there_is_an_index_error_that_says_what_is(dataset: PasDataset, rows: object, message: str) -> None:
     with pytest.raises(IndexError, match=message):
         dataset[rows]  # type: ignore[call-overload]
 

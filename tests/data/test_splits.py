@@ -108,10 +108,7 @@ def test_unknown_names_suggest_the_nearest(dataset: PasDataset) -> None:
 
 def test_the_hash_of_a_split_follows_its_rows(dataset: PasDataset) -> None:
     assert find_split(dataset, "lofo", "lofo-77GHz").sha256 == lofo(dataset)[2].sha256
-    assert (
-        len({split.sha256 for split in [*make_splits(dataset, "lofo", "all"), *sparse_frequency(dataset)]})
-        == 13
-    )
+    assert len({split.sha256 for split in [*make_splits(dataset, "lofo", "all"), *sparse_frequency(dataset)]}) == 13
     fewer = dataset.subset(np.arange(20))
     assert lofo(fewer)[2].sha256 != lofo(dataset)[2].sha256
 
@@ -122,9 +119,7 @@ def _transmitters(dataset: PasDataset, split: Split) -> tuple[set[int], set[int]
 
 
 @pytest.mark.parametrize("protocol", ["held-out-tx", "lofo-unseen-tx"])
-def test_leak_free_protocols_share_no_transmitter_between_training_and_test(
-    dataset: PasDataset, protocol: str
-) -> None:
+def test_leak_free_protocols_share_no_transmitter_between_training_and_test(dataset: PasDataset, protocol: str) -> None:
     for split in make_splits(dataset, protocol):
         trained, tested = _transmitters(dataset, split)
         assert not trained & tested
@@ -243,9 +238,7 @@ def test_validation_rows_are_training_rows_and_nothing_that_is_tested_is_seen_in
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_validation_rows_are_as_unseen_as_the_tested_ones(
-    of_many_transmitters: PasDataset, protocol: str
-) -> None:
+def test_validation_rows_are_as_unseen_as_the_tested_ones(of_many_transmitters: PasDataset, protocol: str) -> None:
     dataset = of_many_transmitters
     for split, validation in _with_validation(dataset, protocol):
         for values in (dataset.carrier_hz, dataset.tx_index):
@@ -271,9 +264,7 @@ def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_one
         assert carrier_ghz == min(inner, key=lambda each: abs(np.log(each / target_ghz)))
 
 
-def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(
-    of_many_transmitters: PasDataset,
-) -> None:
+def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(of_many_transmitters: PasDataset) -> None:
     dataset = of_many_transmitters  # 40, of which 32 are trained on: a tenth are three, and four the least
     for protocol in ("held-out-tx", "lofo-unseen-tx"):
         for _, validation in _with_validation(dataset, protocol):
@@ -312,14 +303,10 @@ def test_every_validation_split_is_found_by_its_name_and_is_no_split_of_a_test(
 
 def test_too_few_carriers_or_transmitters_to_validate_are_refused_with_their_number(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", 12)
-    with pytest.raises(
-        ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"
-    ):
+    with pytest.raises(ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"):
         make_splits(dataset, "lofo", [10], on="validation")
     few = write_dataset(tmp_path / "few.h5", 11)
-    with pytest.raises(
-        ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"
-    ):
+    with pytest.raises(ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"):
         make_splits(few, "held-out-tx", on="validation")
     assert len(make_splits(dataset, "held-out-tx", on="validation")) == 1
 

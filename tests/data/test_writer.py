@@ -39,10 +39,7 @@ def test_missing_transmitters_leave_no_file(tmp_path: Path) -> None:
 
 
 def test_too_many_transmitters_are_refused(tmp_path: Path) -> None:
-    with (
-        pytest.raises(DataError, match="do not fit"),
-        PasWriter(tmp_path / "data.h5", make_header(num_tx=2)) as writer,
-    ):
+    with pytest.raises(DataError, match="do not fit"), PasWriter(tmp_path / "data.h5", make_header(num_tx=2)) as writer:
         append_all(writer, make_header(num_tx=3))
 
 
@@ -100,10 +97,7 @@ def test_a_disk_that_fills_up_is_a_storage_error_and_leaves_nothing(tmp_path: Pa
 
 def test_a_disk_without_room_is_refused_before_the_first_byte(tmp_path: Path) -> None:
     header = make_header(num_tx=10**9)
-    with (
-        pytest.raises(StorageError, match=r"data\.h5 needs [\d,]+ bytes"),
-        PasWriter(tmp_path / "data.h5", header),
-    ):
+    with pytest.raises(StorageError, match=r"data\.h5 needs [\d,]+ bytes"), PasWriter(tmp_path / "data.h5", header):
         pass
     assert list(tmp_path.iterdir()) == []
 

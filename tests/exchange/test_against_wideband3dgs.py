@@ -47,9 +47,7 @@ def misfit(dataset: PasDataset, grid: AngularGrid, spacing: float = 1.0) -> floa
     return float(np.sqrt((rest**2).mean() / (rounding**2).mean()))
 
 
-def test_published_maps_are_those_of_the_array_on_the_grid_to_the_rounding_of_their_pngs(
-    published: PasDataset,
-) -> None:
+def test_published_maps_are_those_of_the_array_on_the_grid_to_the_rounding_of_their_pngs(published: PasDataset) -> None:
     grid = published.grid
     elevation, azimuth = grid.elevation_rad, grid.azimuth_rad
     assert grid.shape == (90, 360)
@@ -72,9 +70,7 @@ def test_the_last_published_column_repeats_the_first(published: PasDataset) -> N
     assert abs(maps[..., 0] - maps[..., 1]).max() > 10 / 255
 
 
-def test_the_published_frame_is_the_one_in_which_waves_come_from_their_transmitters(
-    published: PasDataset,
-) -> None:
+def test_the_published_frame_is_the_one_in_which_waves_come_from_their_transmitters(published: PasDataset) -> None:
     """Of all permutations and reflections of the axes only x → −x, which the array cannot see, does as well."""
     every = slice(None, None, 6)
     coarse = AngularGrid(published.grid.elevation_rad[every], published.grid.azimuth_rad[every])
@@ -95,9 +91,7 @@ def test_the_published_frame_is_the_one_in_which_waves_come_from_their_transmitt
     assert found[ranked[0]] > 0.75 > 0.6 > found[ranked[2]]  # measured: 0.81, then 0.50
 
 
-def test_the_nearest_published_transmitter_looks_like_a_lone_wave_from_where_it_is(
-    published: PasDataset,
-) -> None:
+def test_the_nearest_published_transmitter_looks_like_a_lone_wave_from_where_it_is(published: PasDataset) -> None:
     offset_m = published.tx_position_m - np.array(published.header.receiver.position_m)
     distance_m = np.where(offset_m[:, 2] > 0, np.linalg.norm(offset_m, axis=1), np.inf)  # above the horizon
     nearest = published.subset(np.flatnonzero(distance_m == distance_m.min()))

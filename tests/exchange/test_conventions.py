@@ -56,8 +56,7 @@ def xfreq_gs_levels(arrival: np.ndarray) -> np.ndarray:
     element = np.array([[0.0, y, z] for z in ticks for y in ticks])
     polar, azimuth = np.linspace(0, np.pi / 2, 90)[:, None], np.linspace(-np.pi, np.pi, 360)[None]
     looks = np.stack(
-        np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)),
-        -1,
+        np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)), -1
     )
     phase = np.angle(np.exp(1j * element @ arrival))
     beam = abs(np.exp(1j * (-(looks @ element.T) - phase)).sum(axis=-1))
@@ -161,9 +160,7 @@ def test_maps_that_peak_opposite_are_those_of_an_array_turned_half_round(
     convention = convention_named("nerf2", ["peak=opposite", f"plane={plane}"])
     turned = Rotation.from_quat(convention.quaternion_xyzw(TURNED_ABOUT_ITS_POLE)).as_matrix()
     half_turn = Rotation.from_rotvec(np.pi * np.array(normal)).as_matrix()
-    np.testing.assert_allclose(
-        turned, Rotation.from_quat(TURNED_ABOUT_ITS_POLE).as_matrix() @ half_turn, atol=1e-12
-    )
+    np.testing.assert_allclose(turned, Rotation.from_quat(TURNED_ABOUT_ITS_POLE).as_matrix() @ half_turn, atol=1e-12)
 
 
 def test_a_quaternion_that_begins_with_w_is_stated_so() -> None:
@@ -184,9 +181,7 @@ def test_a_quaternion_that_begins_with_w_is_stated_so() -> None:
         (["last_column_deg=400"], DataError, "span 400;"),
     ],
 )
-def test_a_convention_that_cannot_be_is_refused(
-    assignments: list[str], error: type[Exception], message: str
-) -> None:
+def test_a_convention_that_cannot_be_is_refused(assignments: list[str], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         convention_named("nerf2", assignments)
 
@@ -224,9 +219,7 @@ def test_maps_of_xfreq_gs_are_stretched_by_its_builder() -> None:
 
     scene = rt.load_scene()
     one, four = {"num_rows": 1, "num_cols": 1}, {"num_rows": 4, "num_cols": 4}
-    scene.tx_array, scene.rx_array = (
-        rt.PlanarArray(**size, pattern="iso", polarization="V") for size in (one, four)
-    )
+    scene.tx_array, scene.rx_array = (rt.PlanarArray(**size, pattern="iso", polarization="V") for size in (one, four))
     source = np.array([3.0, 0.4, -0.5])
     scene.add(rt.Transmitter("tx", position=source.tolist()))
     scene.add(rt.Receiver("rx", position=[0.0, 0.0, 0.0]))

@@ -28,8 +28,7 @@ CARRIER_HZ, FLOOR_GAIN = 3.5e9, 0.3 - 0.2j
 def scenario_by_hand(folder: Path, suffix: str = ".npz") -> Path:
     """Users 0 and 2 hear the station, and user 0 its image in the floor z = 0 too; user 1 hears nothing."""
     tables: dict[str, Any] = {
-        key: np.full((3, 2), np.nan)
-        for key in ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el")
+        key: np.full((3, 2), np.nan) for key in ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el")
     }
     tables |= {"inter": np.full((3, 2), np.nan), "inter_pos": np.full((3, 2, 1, 3), np.nan)}
     for user, place, image_m in ((0, 0, 1.0), (2, 0, 1.0), (0, 1, -1.0)):
@@ -112,9 +111,7 @@ def rows_of(data: PasDataset, sample: int) -> np.ndarray:
     return rows[np.lexsort(rows.round(4).T)]
 
 
-def test_what_was_exported_at_several_carriers_comes_back(
-    traced: PasDataset, exported: Path, tmp_path: Path
-) -> None:
+def test_what_was_exported_at_several_carriers_comes_back(traced: PasDataset, exported: Path, tmp_path: Path) -> None:
     assert import_deepmimo(exported, tmp_path / "back.h5")
     back = open_dataset(tmp_path / "back.h5")
     np.testing.assert_array_equal(back.carrier_hz, traced.carrier_hz)
@@ -144,10 +141,7 @@ def change(key: str, spoil: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pat
         (lambda folder: (folder / "params.json").unlink(), "there is no params.json"),
         (lambda folder: (folder / "params.json").write_text("{"), "is not that of a DeepMIMO v4 scenario"),
         (lambda folder: (folder / "delay_t001_tx000_r000.npz").unlink(), "has no delay_t001_tx000_r000.npz"),
-        (
-            lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"),
-            "not an array of DeepMIMO v4",
-        ),
+        (lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"), "not an array of DeepMIMO v4"),
         (change("delay", lambda table: table[:2]), r"delay_t001_tx000_r000\.npz has shape \(2, 2\)"),
         (change("inter_pos", lambda table: table[..., 0]), r"inter_pos_t001_tx000_r000\.npz has shape"),
         (change("delay", lambda table: -table), "do not lie between 1e-12 and 1"),
@@ -179,9 +173,7 @@ def test_of_several_pairs_one_is_chosen_by_name(tmp_path: Path) -> None:
         import_deepmimo(folder, tmp_path / "city.h5")
     with pytest.raises(UnknownNameError, match="t001_tx001_r000"):
         import_deepmimo(folder, tmp_path / "city.h5", pair="t001_tx007_r000")
-    told = xfreqbench(
-        "import", folder, "--from", "deepmimo", "-o", tmp_path / "city.h5", "--pair", "t001_tx001_r000"
-    )
+    told = xfreqbench("import", folder, "--from", "deepmimo", "-o", tmp_path / "city.h5", "--pair", "t001_tx001_r000")
     assert told.code == 0, told
 
 

@@ -72,9 +72,7 @@ COMPONENT = st.floats(-1, 1).filter(lambda component: abs(component) > 0.01)
     seed=st.integers(0, 2**32 - 1),
     num_tx=st.integers(1, 3),
     num_carriers=st.integers(1, 3),
-    quaternion=st.one_of(
-        st.just((0.0, 0.0, 0.0, 1.0)), st.tuples(COMPONENT, COMPONENT, COMPONENT, COMPONENT)
-    ),
+    quaternion=st.one_of(st.just((0.0, 0.0, 0.0, 1.0)), st.tuples(COMPONENT, COMPONENT, COMPONENT, COMPONENT)),
 )
 def test_what_was_imported_is_exported_without_loss(
     name: str, seed: int, num_tx: int, num_carriers: int, quaternion: tuple[float, ...]
@@ -90,9 +88,7 @@ def test_what_was_imported_is_exported_without_loss(
         for (transmitter, carrier), number in np.ndenumerate(source.sample):
             sample = tuple(source.tx_position_m[transmitter].tolist()), source.carrier_hz[carrier]
             published = next(
-                each
-                for (position, ghz), each in maps.items()
-                if (position, float(round(ghz * 1e9))) == sample
+                each for (position, ghz), each in maps.items() if (position, float(round(ghz * 1e9))) == sample
             )
             np.testing.assert_array_equal(levels_of(path / "second", number), published)
         np.testing.assert_array_equal(second.tx_position_m, first.tx_position_m)
@@ -115,10 +111,7 @@ def test_the_published_example_comes_back_byte_for_byte(tmp_path: Path) -> None:
     for path in published:
         assert (tmp_path / "out" / "spectrum" / path.name).read_bytes() == path.read_bytes()
     assert (tmp_path / "out" / "freq.txt").read_text().split() == (PUBLISHED / "freq.txt").read_text().split()
-    tables = [
-        np.loadtxt(folder / "tx_pos.csv", delimiter=",", skiprows=1)
-        for folder in (PUBLISHED, tmp_path / "out")
-    ]
+    tables = [np.loadtxt(folder / "tx_pos.csv", delimiter=",", skiprows=1) for folder in (PUBLISHED, tmp_path / "out")]
     np.testing.assert_array_equal(*tables)
 
 
@@ -126,9 +119,7 @@ def literal_maps(dataset: PasDataset, convention: Convention) -> np.ndarray:
     """|a(d)ᴴh| of every channel at every pixel of the convention's, in float64."""
     degrees = np.linspace(convention.first_row_deg, convention.last_row_deg, convention.num_rows)
     elevation = np.radians(90 - degrees if convention.rows == "polar" else degrees)[:, None]
-    azimuth = np.radians(
-        np.linspace(convention.first_column_deg, convention.last_column_deg, convention.num_columns)
-    )
+    azimuth = np.radians(np.linspace(convention.first_column_deg, convention.last_column_deg, convention.num_columns))
     looks = np.stack(
         np.broadcast_arrays(
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
@@ -149,12 +140,7 @@ def literal_maps(dataset: PasDataset, convention: Convention) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [
-        ("wideband3dgs", []),
-        ("wideband3dgs", ["values=power", "num_rows=45"]),
-        ("xfreq-gs", []),
-        ("nerf2", []),
-    ],
+    [("wideband3dgs", []), ("wideband3dgs", ["values=power", "num_rows=45"]), ("xfreq-gs", []), ("nerf2", [])],
 )
 def test_channels_are_drawn_on_the_convention_s_own_grid_to_half_a_level(
     tmp_path: Path, name: str, changes: list[str]
@@ -180,9 +166,7 @@ def test_a_generated_data_set_is_read_again_where_it_was(tmp_path: Path, name: s
     np.testing.assert_array_equal(again.has_path, dataset.has_path)
     np.testing.assert_allclose(again.header.receiver.rotation, RECEIVER.rotation, atol=1e-12)
     assert again.header.receiver.position_m == RECEIVER.position_m
-    np.testing.assert_array_equal(
-        again.beam.element_position_wavelengths, dataset.beam.element_position_wavelengths
-    )
+    np.testing.assert_array_equal(again.beam.element_position_wavelengths, dataset.beam.element_position_wavelengths)
 
 
 def test_an_array_that_the_layout_cannot_tell_has_to_be_stated(tmp_path: Path) -> None:
@@ -203,8 +187,7 @@ def test_a_folder_that_tells_how_it_was_drawn_is_not_read_otherwise(tmp_path: Pa
     export_png_folder(tmp_path / "data.h5", tmp_path / "out", drawn)
     assert read_png_folder(tmp_path / "out", drawn).receiver.plane == "xy"
     with pytest.raises(
-        DataError,
-        match=r"gateway_info\.yml says .* in plane, array_rows.* Give --set plane=xy --set array_rows=2",
+        DataError, match=r"gateway_info\.yml says .* in plane, array_rows.* Give --set plane=xy --set array_rows=2"
     ):
         read_png_folder(tmp_path / "out", CONVENTIONS["wideband3dgs"])
 
@@ -212,9 +195,7 @@ def test_a_folder_that_tells_how_it_was_drawn_is_not_read_otherwise(tmp_path: Pa
 def test_a_small_number_that_a_folder_tells_is_that_number(tmp_path: Path) -> None:
     """JSON writes 1e-05, which YAML takes for a text."""
     write_dataset(tmp_path / "data.h5", num_tx=2)
-    drawn = convention_named(
-        "wideband3dgs", ["plane=xy", "array_rows=2", "array_cols=2", "first_row_deg=1e-5"]
-    )
+    drawn = convention_named("wideband3dgs", ["plane=xy", "array_rows=2", "array_cols=2", "first_row_deg=1e-5"])
     export_png_folder(tmp_path / "data.h5", tmp_path / "out", drawn)
     assert read_png_folder(tmp_path / "out", drawn).convention == drawn
 
@@ -241,9 +222,7 @@ def test_two_transmitters_at_one_place_are_refused(tmp_path: Path) -> None:
         samples = SampleBlock.of_channels(np.ones((2, 1, 4), complex), np.ones((2, 1), int), beam, "power")
         writer.append(transmitters(1).repeat(2, axis=0), np.ones(2, bool), samples)
     with pytest.raises(DataError, match="two transmitters at one position"):
-        export_png_folder(
-            tmp_path / "data.h5", tmp_path / "out", convention_named("wideband3dgs", TWO_BY_TWO)
-        )
+        export_png_folder(tmp_path / "data.h5", tmp_path / "out", convention_named("wideband3dgs", TWO_BY_TWO))
 
 
 def test_a_damaged_data_set_is_not_exported(tmp_path: Path) -> None:

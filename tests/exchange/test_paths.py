@@ -22,9 +22,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 CARRIERS_GHZ = [2.4, 24.25]
 TX_M = np.array([[3.1, 4.2, 1.1], [0.6, 3.9, 1.7], [3.0, 1.2, 1.0]])
-SCENE = replace(
-    simple_scenes(ONE_ELEMENT)["a wall and a pane between"], name="Wall & pane", transmitters=GRID
-)
+SCENE = replace(simple_scenes(ONE_ELEMENT)["a wall and a pane between"], name="Wall & pane", transmitters=GRID)
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +58,7 @@ def test_every_carrier_is_a_scenario_with_a_name_that_deepmimo_takes(scenarios: 
 
 
 @pytest.mark.parametrize("carrier", [0, 1])
-def test_the_matrices_of_deepmimo_sum_up_to_the_channel(
-    data: PasDataset, scenarios: Path, carrier: int
-) -> None:
+def test_the_matrices_of_deepmimo_sum_up_to_the_channel(data: PasDataset, scenarios: Path, carrier: int) -> None:
     found = matrices(scenarios / f"wall___pane_{CARRIERS_GHZ[carrier]:g}ghz")
     amplitude = 10 ** (found["power"] / 20) * np.exp(1j * np.radians(found["phase"]))
     for tx in range(len(TX_M)):
@@ -73,14 +69,9 @@ def test_the_matrices_of_deepmimo_sum_up_to_the_channel(
     np.testing.assert_array_equal(found["tx_pos"], [ONE_ELEMENT.position_m])
 
 
-def test_the_array_is_the_base_station_and_interactions_are_told_from_it(
-    data: PasDataset, scenarios: Path
-) -> None:
+def test_the_array_is_the_base_station_and_interactions_are_told_from_it(data: PasDataset, scenarios: Path) -> None:
     found, paths = matrices(scenarios / "wall___pane_2.4ghz"), data.paths(0)
-    assert paths.interactions.tolist() == [
-        [4, 0],
-        [4, 1],
-    ]  # from the transmitter: through the pane, then the wall
+    assert paths.interactions.tolist() == [[4, 0], [4, 1]]  # from the transmitter: through the pane, then the wall
     assert found["inter"][0].tolist()[:2] == [4.0, 14.0]
     np.testing.assert_allclose(found["inter_pos"][0, 1], paths.vertices_m[1, ::-1])
     np.testing.assert_allclose(found["aod_az"][0, 1], np.degrees(paths.arrival_azimuth_rad[1]), rtol=1e-6)
@@ -117,9 +108,7 @@ def test_the_package_deepmimo_computes_our_channel_over_a_band(data: PasDataset,
     given.bs_antenna.shape = given.ue_antenna.shape = np.array([1, 1])
     given.ofdm.bandwidth, given.ofdm.subcarriers = 100e6, 64
     given.ofdm.selected_subcarriers = np.arange(64)
-    channel = loaded.compute_channels(given)[:, 0, 0] * np.sqrt(
-        64
-    )  # it spreads the power over the subcarriers
+    channel = loaded.compute_channels(given)[:, 0, 0] * np.sqrt(64)  # it spreads the power over the subcarriers
     for tx in range(len(TX_M)):
         ours = data.cfr_at(2 * tx + 1, np.arange(64) * 100e6 / 64)[:, 0]
         np.testing.assert_allclose(channel[tx], ours, rtol=0, atol=1e-5 * np.abs(ours).max())  # complex64
@@ -161,9 +150,7 @@ def test_the_arrays_are_those_of_sionna_rt(data: PasDataset, tmp_path: Path) -> 
             np.testing.assert_allclose(ours[1], theirs[1], atol=3e-5)  # float32
     for name in (*names[:-2], "a"):
         assert stored[name].shape == public[name].shape
-        padding = [
-            each[name].reshape(each["tau"].shape)[each["tau"] < 0].tolist() for each in (stored, public)
-        ]
+        padding = [each[name].reshape(each["tau"].shape)[each["tau"] < 0].tolist() for each in (stored, public)]
         assert padding[0] == padding[1]
     objects = np.array([*stored["object_names"], ""])[np.minimum(stored["objects"], 2)]
     assert objects[:, 0, 0, 1].tolist() == ["pane, between", "wall"]
@@ -180,9 +167,7 @@ def test_the_command_says_what_it_needs(data: PasDataset, tmp_path: Path) -> Non
         outcome = xfreqbench("export", data.path, "-o", tmp_path / "other", *words)
         assert (outcome.code, (tmp_path / "other").exists()) == (2, False)
         assert refusal in outcome.stderr
-    plain = generate(
-        SCENE, tmp_path / "plain.h5", [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False
-    )
+    plain = generate(SCENE, tmp_path / "plain.h5", [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False)
     outcome = xfreqbench("export", plain.path, "-o", tmp_path / "other", "--to", "deepmimo")
     assert "plain.h5 holds no paths. Generate it with --paths." in outcome.stderr
     outcome = xfreqbench("export", data.path, "-o", tmp_path / "out", "--to", "sionna-npz")

@@ -26,9 +26,7 @@ def test_samples_are_sorted_by_transmitter_and_carrier(tmp_path: Path) -> None:
 
 def test_row_0_is_the_zenith_and_column_0_looks_to_minus_x(tmp_path: Path) -> None:
     dataset = imported(write_folder(tmp_path / "small"), tmp_path / "data.h5")
-    brightest = np.unravel_index(
-        dataset.pas([1])[0].argmax(), dataset.grid.shape
-    )  # sample 1: row 1, column 10
+    brightest = np.unravel_index(dataset.pas([1])[0].argmax(), dataset.grid.shape)  # sample 1: row 1, column 10
     assert np.degrees(dataset.grid.elevation_rad[brightest[0]]) == pytest.approx(89)
     assert np.degrees(dataset.grid.azimuth_rad[brightest[1]]) == pytest.approx(-170)
     np.testing.assert_allclose(dataset.grid.directions[-1, 0], (0, 0, 1), atol=1e-9)

@@ -91,10 +91,7 @@ REFUSED = {
     "empty": (edited(lambda file: [file.pop(name) for name in SPLITS]), "is empty"),
     "group": (edited(lambda file: file.move("lofo-77GHz", "lofo-77")), r"Did you mean 'lofo-77GHz'"),
     "no group": (edited(lambda file: file.create_dataset("lofo-37GHz", data=[1])), "is no group"),
-    "soft link": (
-        edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})),
-        "is no group",
-    ),
+    "soft link": (edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})), "is no group"),
     "root too": (edited(lambda file: file.create_dataset("pas", data=[1])), "at its root and group"),
     "no maps": (edited(lambda file: file.move("lofo-77GHz/pas", "lofo-77GHz/PAS")), "it holds PAS"),
     "maps a group": (edited(replace_pas_with_group), "'pas' is a group"),
@@ -136,26 +133,20 @@ def test_a_file_with_a_fault_is_refused_in_words_before_anything_is_scored(
     assert not list(tmp_path.glob("results/**/*.*"))
 
 
-def test_predictions_for_another_data_set_are_refused(
-    dataset: PasDataset, predictions: Path, tmp_path: Path
-) -> None:
+def test_predictions_for_another_data_set_are_refused(dataset: PasDataset, predictions: Path, tmp_path: Path) -> None:
     other = write_dataset(tmp_path / "other.h5", 5, (2.4, 24.25, 77.0), maps=False)
     with pytest.raises(DataError, match="made for the data set with sha256"):
         score_file(predictions, other.path, tmp_path / "results")
 
 
-def test_rounding_at_both_ends_of_the_range_is_allowed(
-    dataset: PasDataset, predictions: Path, tmp_path: Path
-) -> None:
+def test_rounding_at_both_ends_of_the_range_is_allowed(dataset: PasDataset, predictions: Path, tmp_path: Path) -> None:
     with h5py.File(predictions, "r+") as file:
         file["lofo-77GHz/pas"][3, 20, 7:9] = -5e-5, 1.00005  # of a division in single precision
     assert len(score_file(predictions, dataset.path, tmp_path / "results").records) == 3
 
 
 TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
-VALUES = st.one_of(
-    TEXT, st.binary(min_size=1), st.floats(), st.integers(-(2**63), 2**63 - 1), st.lists(st.floats())
-)
+VALUES = st.one_of(TEXT, st.binary(min_size=1), st.floats(), st.integers(-(2**63), 2**63 - 1), st.lists(st.floats()))
 
 
 @settings(max_examples=40, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])

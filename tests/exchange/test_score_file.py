@@ -63,13 +63,7 @@ def test_predictions_of_a_built_in_method_score_exactly_as_its_run_does(
 def test_a_record_says_what_was_declared_and_that_nothing_was_measured(
     dataset: PasDataset, split_file: Path, tmp_path: Path
 ) -> None:
-    declared = {
-        "fit_seconds": 12.5,
-        "parameters": 7,
-        "hardware": "4 × H200",
-        "url": "https://a.org/x",
-        "seed": 3,
-    }
+    declared = {"fit_seconds": 12.5, "parameters": 7, "hardware": "4 × H200", "url": "https://a.org/x", "seed": 3}
     path = write_predictions(tmp_path / "told.h5", split_file, **declared)
     record = score_file(path, dataset.path, tmp_path / "results").records[0]
     assert (record.fit_seconds, record.parameters, record.job.seed) == (12.5, 7, 3)

@@ -69,9 +69,7 @@ def test_a_changed_attribute_of_a_group_is_noticed(split_file: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("maps", [False, True])
-def test_no_test_map_and_no_channel_is_in_a_split_file(
-    dataset: PasDataset, tmp_path: Path, maps: bool
-) -> None:
+def test_no_test_map_and_no_channel_is_in_a_split_file(dataset: PasDataset, tmp_path: Path, maps: bool) -> None:
     path = hand_out(dataset, tmp_path / "split.h5", targets=[24.25], maps=maps)
     (split,) = make_splits(dataset, "lofo", [24.25])
     with h5py.File(path) as file:

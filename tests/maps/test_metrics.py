@@ -133,9 +133,7 @@ def test_the_bootstrap_depends_on_nothing_but_its_seed() -> None:
 
 
 def test_quantiles_of_infinite_scores_are_scores() -> None:
-    np.testing.assert_array_equal(
-        quantiles(np.array([1.0, np.inf]), [0.0, 0.5, 0.51, 1.0]), [1, 1, np.inf, np.inf]
-    )
+    np.testing.assert_array_equal(quantiles(np.array([1.0, np.inf]), [0.0, 0.5, 0.51, 1.0]), [1, 1, np.inf, np.inf])
 
 
 def test_scores_in_decibel_are_those_of_power_for_every_kind() -> None:

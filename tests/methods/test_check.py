@@ -87,11 +87,7 @@ BROKEN = {
         "its config is a frozen dataclass",
         r"frozen=True",
     ),
-    "fit forgets to yield": (
-        FIT + "        self.mean = train.pas().mean(axis=0)\n",
-        "fit is a generator",
-        "None",
-    ),
+    "fit forgets to yield": (FIT + "        self.mean = train.pas().mean(axis=0)\n", "fit is a generator", "None"),
     "fit yields a number": (FIT + "        yield 1\n", "fit is a generator", "yielded 1;"),
     "fit yields nothing": (FIT + "        yield from ()\n", "fit is a generator", "yielded nothing"),
     "fit raises": (FIT + "        yield Progress(1, 1 / 0)\n", "fit is a generator", "ZeroDivisionError"),
@@ -108,8 +104,7 @@ BROKEN = {
         "ignored GeneratorExit",
     ),
     "steps stand still": (
-        FIT
-        + "        for progress in super().fit(train, budget, seed):\n            yield Progress(1, 0.0)\n",
+        FIT + "        for progress in super().fit(train, budget, seed):\n            yield Progress(1, 0.0)\n",
         "steps that fit yields ascend",
         r"\[1, 1, 1, 1, 1\]",
     ),
@@ -126,11 +121,7 @@ BROKEN = {
     "maps are double": (PREDICT + "        return maps.astype(float)\n", "returns float32 maps", "float64"),
     "maps are turned": (PREDICT + "        return maps.swapaxes(1, 2)\n", "returns float32 maps", "shape"),
     "maps are decibels": (PREDICT + "        return maps * 30\n", "returns float32 maps", "0, 1"),
-    "maps are not finite": (
-        PREDICT + "        return maps * np.float32('nan')\n",
-        "float32 maps",
-        "not finite",
-    ),
+    "maps are not finite": (PREDICT + "        return maps * np.float32('nan')\n", "float32 maps", "not finite"),
     "unseen carrier is refused": (
         PREDICT + "        return [maps[float(carrier == 2.4e9):] for carrier in carrier_hz]\n",
         "at a carrier it was not trained on",
@@ -148,11 +139,7 @@ BROKEN = {
         "for a transmitter that it was not trained on",
         "who is that",
     ),
-    "maps are not normalised": (
-        PREDICT + "        return maps * np.float32(0.5)\n",
-        "peak 1",
-        "from 0.5 to 0.5",
-    ),
+    "maps are not normalised": (PREDICT + "        return maps * np.float32(0.5)\n", "peak 1", "from 0.5 to 0.5"),
     "predict draws at random": (
         PREDICT + "        maps[:, 0, 0] = np.random.default_rng().random(len(maps))\n        return maps\n",
         "the same when asked twice",
@@ -164,11 +151,7 @@ BROKEN = {
         "does not depend on the other rows",
         "no mean over the batch",
     ),
-    "a lone row is squeezed": (
-        PREDICT + "        return maps.squeeze()\n",
-        "asked for alone",
-        r"shape \(90, 360\)",
-    ),
+    "a lone row is squeezed": (PREDICT + "        return maps.squeeze()\n", "asked for alone", r"shape \(90, 360\)"),
     "save forgets": (
         "class Method(Sound):\n    def save(self, directory):\n        super().save(directory)\n"
         "        np.save(directory / 'mean.npy', self.mean.round(1))\n",
@@ -197,14 +180,12 @@ BROKEN = {
         "differ by up to",
     ),
     "test rows are read": (
-        FIT
-        + "        whole = open_dataset(train.path)\n        yield from super().fit(whole, budget, seed)\n",
+        FIT + "        whole = open_dataset(train.path)\n        yield from super().fit(whole, budget, seed)\n",
         "only training rows are used",
         "never its file",
     ),
     "a file is left behind": (
-        FIT
-        + "        Path('notes.txt').write_text('here')\n        yield from super().fit(train, budget, seed)\n",
+        FIT + "        Path('notes.txt').write_text('here')\n        yield from super().fit(train, budget, seed)\n",
         "nothing is written into the working folder",
         r"notes\.txt",
     ),

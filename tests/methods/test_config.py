@@ -99,9 +99,7 @@ def test_an_unknown_key_names_the_nearest() -> None:
         override(Config(), ["hiden=128"])
 
 
-@pytest.mark.parametrize(
-    "assignment", ["hidden=many", "hidden=1.5", "scale=cubic", "carriers=[1", "spread=2"]
-)
+@pytest.mark.parametrize("assignment", ["hidden=many", "hidden=1.5", "scale=cubic", "carriers=[1", "spread=2"])
 def test_a_value_of_another_type_says_what_the_option_takes(assignment: str) -> None:
     with pytest.raises(MethodError, match=f"Option '{assignment.partition('=')[0]}' of Config takes"):
         override(Config(), [assignment])
@@ -124,9 +122,7 @@ def test_an_assignment_needs_a_value() -> None:
 
 def test_the_bounds_of_a_field_hold() -> None:
     assert override(Config(), ["depth=1"]).depth == 1
-    with pytest.raises(
-        MethodError, match=r"Option 'depth' of Config takes int, but '0' was given: .*greater"
-    ):
+    with pytest.raises(MethodError, match=r"Option 'depth' of Config takes int, but '0' was given: .*greater"):
         override(Config(), ["depth=0"])
 
 

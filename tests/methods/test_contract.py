@@ -23,9 +23,7 @@ def test_a_budget_is_read_with_its_unit(text: str | None, budget: Budget) -> Non
     assert parse_budget(text) == budget
 
 
-@pytest.mark.parametrize(
-    "text", ["", "300", "0s", "0steps", "0.2steps", "2.5steps", "2.5maps", "-1s", "1d", "slow"]
-)
+@pytest.mark.parametrize("text", ["", "300", "0s", "0steps", "0.2steps", "2.5steps", "2.5maps", "-1s", "1d", "slow"])
 def test_a_budget_without_a_unit_or_of_part_of_a_step_is_refused(text: str) -> None:
     with pytest.raises(MethodError, match="A budget is written as in 300s"):
         parse_budget(text)

@@ -45,9 +45,7 @@ def test_the_budget_in_steps_is_kept_exactly_and_the_generator_closed(train: Pas
     assert method.closed
 
 
-def test_the_budget_in_seconds_ends_training_with_the_step_that_crosses_it(
-    train: PasDataset, clock: Clock
-) -> None:
+def test_the_budget_in_seconds_ends_training_with_the_step_that_crosses_it(train: PasDataset, clock: Clock) -> None:
     method = Endless(EndlessConfig(pause_s=2))
     fit = fit_within(method, train, Budget(max_seconds=5), seed=0)
     assert (fit.step, fit.seconds, fit.share) == (3, 6, 6 / 5)
@@ -120,9 +118,7 @@ def test_a_fit_whose_budget_is_spent_takes_no_step(train: PasDataset) -> None:
 def test_a_method_that_starts_anew_is_not_charged_for_what_was_lost(train: PasDataset, clock: Clock) -> None:
     seen, spent = [], Fit(step=5, loss=1.0, seconds=100.0)
     method = Resumed(EndlessConfig(pause_s=1))
-    fit = fit_within(
-        method, train, Budget(max_steps=7), 0, spent=spent, observe=lambda *change: seen.append(change)
-    )
+    fit = fit_within(method, train, Budget(max_steps=7), 0, spent=spent, observe=lambda *change: seen.append(change))
     assert seen[0][0] is None
     assert [now.step for _, now in seen] == [1, 2, 3, 4, 5, 6, 7]
     assert fit.seconds == 7

@@ -29,12 +29,8 @@ def test_the_stored_rows_are_those_trained_on(train: PasDataset, tmp_path: Path)
     np.testing.assert_array_equal(TrainingTransmitters.load(tmp_path).train.rows, train.rows)
 
 
-@pytest.mark.parametrize(
-    "stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]']
-)
-def test_rows_that_are_not_stored_are_refused_by_the_name_of_their_file(
-    tmp_path: Path, stored: str | None
-) -> None:
+@pytest.mark.parametrize("stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]'])
+def test_rows_that_are_not_stored_are_refused_by_the_name_of_their_file(tmp_path: Path, stored: str | None) -> None:
     if stored is not None:
         (tmp_path / "training_rows.json").write_text(stored, encoding="utf-8")
     with pytest.raises(DataError, match=r"training_rows\.json names no data set and rows to look up"):

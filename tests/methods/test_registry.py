@@ -54,9 +54,7 @@ def test_a_module_that_fails_while_it_is_imported_says_how(
         resolve_method("broken_method:Method")
 
 
-def test_methods_are_listed_without_the_code_of_a_plugin(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_methods_are_listed_without_the_code_of_a_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "theirs.py").write_text("raise SystemExit(0)")
     information = tmp_path / "their_package-1.0.dist-info"
     information.mkdir()
@@ -71,9 +69,7 @@ def test_methods_are_listed_without_the_code_of_a_plugin(
         method_description("theirs")
 
 
-def test_a_plugin_cannot_take_the_name_of_another_method(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plugin_cannot_take_the_name_of_another_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     information = tmp_path / "their_package-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
@@ -84,9 +80,7 @@ def test_a_plugin_cannot_take_the_name_of_another_method(
         resolve_method("nearest")
 
 
-def test_a_method_is_described_with_its_options_and_no_other_is_imported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_method_is_described_with_its_options_and_no_other_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [EntryPoint("absent", "no_such_module:Method", "xfreqbench.methods")]
     found.append(EntryPoint("endless", "tests.support.stub_methods:Endless", "xfreqbench.methods"))
     monkeypatch.setattr("xfreqbench.methods.registry.entry_points", lambda group: found)
@@ -125,9 +119,7 @@ def test_a_method_that_ends_the_process_before_its_fit_is_an_error(
         build_method("leaving_method:Method")
 
 
-def test_a_configuration_that_ends_the_process_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_configuration_that_ends_the_process_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "leaving_config.py").write_text(
         "from dataclasses import dataclass\nfrom tests.support.stub_methods import Short\n\n\n@dataclass(frozen=True)\n"
         "class Config:\n    width: int = 1\n\n    def __post_init__(self):\n        if self.width > 1:\n"
@@ -139,9 +131,7 @@ def test_a_configuration_that_ends_the_process_is_an_error(
         build_method("leaving_config:Method", ["width=2"])
 
 
-def test_an_interruption_while_a_method_is_imported_stays_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_while_a_method_is_imported_stays_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "interrupted_method.py").write_text("raise KeyboardInterrupt")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(KeyboardInterrupt):
@@ -192,9 +182,7 @@ def test_the_hash_of_a_methods_code_covers_the_modules_of_ours_that_it_can_reach
     methods = {name: build_method(name) for name in ("aperture-gs", "nearest")}
     before = {name: code_sha256(method) for name, method in methods.items()}
     source._known.clear()
-    monkeypatch.setattr(
-        source, "_file", lambda name: tmp_path / "metrics.py" if name == changed else at(name)
-    )
+    monkeypatch.setattr(source, "_file", lambda name: tmp_path / "metrics.py" if name == changed else at(name))
     now = {name: code_sha256(method) for name, method in methods.items()}
     source._known.clear()
     assert now["aperture-gs"] != before["aperture-gs"]  # its loss is made of metrics

@@ -59,9 +59,7 @@ def interrupted(dataset: PasDataset, results: Path, method: type[Descent], step:
     method.interrupt_at, method.num_steps_done = None, 0
 
 
-def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(dataset: PasDataset, tmp_path: Path) -> None:
     unbroken = run_job(make_job(dataset), tmp_path / "unbroken")
     results = tmp_path / "killed"
     code = f"from tests.support import descent; descent.fit_half({str(dataset.path)!r}, {str(results)!r})"
@@ -118,9 +116,7 @@ def test_a_fit_whose_budget_was_spent_is_not_fitted_again(
 
 
 @pytest.mark.usefixtures("saves_every_step")
-def test_a_checkpoint_is_another_jobs_under_another_seed_or_option(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_checkpoint_is_another_jobs_under_another_seed_or_option(dataset: PasDataset, tmp_path: Path) -> None:
     interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
     for options in ({"seed": 1}, {"overrides": ("learning_rate=0.25",)}):
         Descent.num_steps_done = 0
@@ -231,9 +227,7 @@ def test_a_kill_while_the_old_checkpoint_is_removed_leaves_the_new_one(
     assert names(folder) == ["3"]
 
 
-def test_what_is_removed_is_never_found_half(
-    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_removed_is_never_found_half(folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     save(folder, 1)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(shutil, "rmtree", _raise_interrupt)

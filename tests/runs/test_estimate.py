@@ -28,9 +28,7 @@ def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
     asked = {"data": dataset.path, "results": results, "targets": "2.4,77", "dry_run": True}
     runs.run(method="nearest,aperture-gs", budget="10m", seed="0,1", executor="2", **asked)  # type: ignore[arg-type]
     said = capsys.readouterr().out
-    assert said.startswith(
-        f"lofo on {dataset.path.name}: 8 runs: 8 to run, up to 21 min, 2 at a time; nothing"
-    )
+    assert said.startswith(f"lofo on {dataset.path.name}: 8 runs: 8 to run, up to 21 min, 2 at a time; nothing")
     assert not results.exists()
 
 

@@ -26,13 +26,9 @@ def store_predictions(folder: ResultsFolder, record: RunRecord, split_sha256: st
     )
 
 
-def test_records_are_read_once_and_again_only_after_a_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_records_are_read_once_and_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reads = []
-    monkeypatch.setattr(
-        folder_module, "read", lambda path, read=folder_module.read: reads.append(1) or read(path)
-    )
+    monkeypatch.setattr(folder_module, "read", lambda path, read=folder_module.read: reads.append(1) or read(path))
     folder = ResultsFolder(tmp_path)
     assert folder.records == ()
     folder.append(make_record("nearest"))

@@ -32,9 +32,7 @@ def copied(kept: tuple[Path, RunRecord], tmp_path: Path) -> tuple[Path, RunRecor
     return tmp_path / "results", kept[1]
 
 
-def test_a_loaded_method_predicts_what_the_run_stored(
-    dataset: PasDataset, kept: tuple[Path, RunRecord]
-) -> None:
+def test_a_loaded_method_predicts_what_the_run_stored(dataset: PasDataset, kept: tuple[Path, RunRecord]) -> None:
     results, record = kept
     test = dataset.subset(task_of(record.job).split.test)
     stored = ResultsFolder(results).predictions(record).maps_of(test.rows, 8)

@@ -90,9 +90,7 @@ def test_a_method_that_fails_is_named_and_stops_no_other_job(
     dataset: PasDataset, tmp_path: Path, name: str, words: str
 ) -> None:
     jobs = [lofo_job(dataset), lofo_job(dataset, name), lofo_job(dataset, "line-of-sight")]
-    with pytest.raises(
-        RunsFailedError, match=rf"1 of 3 runs failed; .*\n{name} on lofo-24\.25GHz, seed 0: .*{words}"
-    ):
+    with pytest.raises(RunsFailedError, match=rf"1 of 3 runs failed; .*\n{name} on lofo-24\.25GHz, seed 0: .*{words}"):
         run_jobs(jobs, tmp_path)
     kept = [record.job.method for record in records.read(tmp_path / "records.jsonl").records]
     assert kept == ["nearest", "line-of-sight"]

@@ -51,9 +51,7 @@ def test_every_preset_says_what_it_leaves_out_and_builds_its_methods(name: str) 
 def test_every_learned_method_meets_the_trivial_ones_on_the_same_splits(name: str) -> None:
     blocks = PRESETS[name].blocks
     trivial = {
-        (block.scene, block.protocol): block.targets_ghz
-        for block in blocks
-        if block.settings == TRIVIAL_SETTINGS
+        (block.scene, block.protocol): block.targets_ghz for block in blocks if block.settings == TRIVIAL_SETTINGS
     }
     for block in blocks:
         targets = trivial[block.scene, block.protocol]
@@ -136,14 +134,10 @@ def _ended_with_1(command: list[str]) -> subprocess.CompletedProcess[bytes]:
     return subprocess.CompletedProcess(command, 1)
 
 
-def test_a_measurement_that_fails_is_named_and_made_again(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
     planned = plan_benchmark("small", folder / "data", folder / "measured")
-    monkeypatch.setitem(
-        benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "no such case"), 1)
-    )
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "no such case"), 1))
     (failure,) = benchmarks.measure(planned, "stress")
     assert "`xfreqbench bench stress --only no such case` ended with 2" in failure
     fails = ("bench", "stress", "--only", "skill")

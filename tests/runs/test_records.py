@@ -15,17 +15,7 @@ from tests.support.leaderboard_records import make_bench
 from tests.support.stored_records import make_record, make_summary
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.records import (
-    BenchRecord,
-    CurvePoint,
-    External,
-    Job,
-    RunRecord,
-    append,
-    pack,
-    read,
-    unpack,
-)
+from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunRecord, append, pack, read, unpack
 from xfreqbench.runs.sealed import SEAL, SealedModel, content_sha256
 
 
@@ -75,9 +65,7 @@ def test_numbers_are_those_that_are_stored(tmp_path: Path) -> None:
     assert record.findings == {"planes": [{"distance_m": 2.5999649, "std_m": 1.71e-05}], "blend": "none"}
 
 
-@pytest.mark.parametrize(
-    "numbers", [[], [0.0], [1.0, -1.0, 0.25], np.linspace(-30, 90, 1001).round(4).tolist()]
-)
+@pytest.mark.parametrize("numbers", [[], [0.0], [1.0, -1.0, 0.25], np.linspace(-30, 90, 1001).round(4).tolist()])
 def test_a_packed_list_comes_back(numbers: list[float]) -> None:
     assert unpack(pack(numbers, 1e-4), 1e-4) == pytest.approx(numbers, abs=1e-12)
 
@@ -126,9 +114,7 @@ def _append_many(path, method):
 def test_two_processes_append_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "records.jsonl"
     context = multiprocessing.get_context("spawn")
-    workers = [
-        context.Process(target=_append_many, args=(path, name)) for name in ("nearest", "line-of-sight")
-    ]
+    workers = [context.Process(target=_append_many, args=(path, name)) for name in ("nearest", "line-of-sight")]
     for worker in workers:
         worker.start()
     for worker in workers:
@@ -192,9 +178,7 @@ def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
     path = tmp_path / "records.jsonl"
     append(path, make_record())
     path.write_text(path.read_text() + edited(whole, place, value))
-    with pytest.raises(
-        DataError, match=rf"records\.jsonl, line 2, is no run record: {place.partition('.')[0]}"
-    ):
+    with pytest.raises(DataError, match=rf"records\.jsonl, line 2, is no run record: {place.partition('.')[0]}"):
         read(path)
 
 
@@ -213,9 +197,7 @@ def test_a_line_without_its_hash_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("record", [make_record(), make_bench()], ids=["run", "bench"])
-def test_a_record_that_was_changed_afterwards_is_refused(
-    tmp_path: Path, record: RunRecord | BenchRecord
-) -> None:
+def test_a_record_that_was_changed_afterwards_is_refused(tmp_path: Path, record: RunRecord | BenchRecord) -> None:
     path = tmp_path / "records.jsonl"
     append(path, record)
     append(path, record)

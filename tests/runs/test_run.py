@@ -146,9 +146,7 @@ def test_progress_counts_the_jobs(dataset: PasDataset, tmp_path: Path) -> None:
     assert seen == [(1, 2, jobs[0], records[0]), (2, 2, jobs[1], records[1])]
 
 
-def test_a_wrong_name_in_the_last_job_is_told_before_the_first_fit(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_wrong_name_in_the_last_job_is_told_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="nearst"):
         run_jobs([lofo_job(dataset), lofo_job(dataset, "nearst")], tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -231,9 +229,7 @@ def test_a_step_that_crosses_several_shares_is_one_point(dataset: PasDataset, tm
     assert [point.step for point in record.curve] == [1, 2, 3, 6]  # shares of 1/6, 1/3, 1/2 and the end
 
 
-def test_a_learning_curve_is_not_charged(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_learning_curve_is_not_charged(dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = set_clock(monkeypatch, fitting)
     monkeypatch.setattr(Stepwise, "sleep", clock.sleep)
     record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
@@ -241,9 +237,7 @@ def test_a_learning_curve_is_not_charged(
     assert clock.now_s > 4  # points of the curve alone
 
 
-def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(dataset: PasDataset, tmp_path: Path) -> None:
     assert run_stepwise(dataset, tmp_path, Budget()).curve == ()
     assert run_job(lofo_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
 

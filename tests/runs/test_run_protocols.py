@@ -22,10 +22,7 @@ def test_records_come_in_the_order_of_methods_seeds_and_splits(dataset: PasDatas
     jobs = [(record.job.method, record.job.seed, record.job.split) for record in records]
     splits = ("lofo-24.25GHz", "lofo-77GHz")
     assert jobs == [
-        (method, seed, split)
-        for method in ("nearest", "line-of-sight")
-        for seed in (0, 3)
-        for split in splits
+        (method, seed, split) for method in ("nearest", "line-of-sight") for seed in (0, 3) for split in splits
     ]
     assert xb.read_records(tmp_path) == tuple(records)
 
@@ -62,9 +59,7 @@ def test_validation_runs_stand_on_a_board_of_their_own_and_leave_the_test_alone(
 
 
 @pytest.mark.parametrize("options", [{"num_gaussians": 4, "derive_targets": False}, TEXTS])
-def test_options_of_a_method_are_values_or_texts(
-    dataset: PasDataset, tmp_path: Path, options: Options
-) -> None:
+def test_options_of_a_method_are_values_or_texts(dataset: PasDataset, tmp_path: Path, options: Options) -> None:
     asked = {"budget": "1steps", "results": tmp_path, **TARGET}
     (record,) = xb.run(dataset, {"aperture-gs": options}, **asked)  # type: ignore[arg-type]
     assert record.job.overrides == TEXTS
@@ -151,7 +146,5 @@ def test_nothing_is_told_before_an_error(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(UnknownNameError):
-        xb.run(
-            dataset, ["nearest", "neares"], results=tmp_path, progress=True, budget="2h", targets_ghz="all"
-        )
+        xb.run(dataset, ["nearest", "neares"], results=tmp_path, progress=True, budget="2h", targets_ghz="all")
     assert not capsys.readouterr().err

@@ -35,9 +35,7 @@ def test_the_truth_has_perfect_scores(dataset: PasDataset) -> None:
 def test_what_is_no_prediction_of_the_split_is_refused(dataset: PasDataset) -> None:
     (split,) = xb.make_splits(dataset, "lofo", [24.25])
     maps = dataset.pas(split.test)
-    with pytest.raises(
-        ArgumentError, match=r"numbers of shape \(5, 90, 360\).*got float32 of shape \(4, 90, 360\)"
-    ):
+    with pytest.raises(ArgumentError, match=r"numbers of shape \(5, 90, 360\).*got float32 of shape \(4, 90, 360\)"):
         xb.score(maps[1:], split, dataset)
     with pytest.raises(ArgumentError, match=r"The map of row 4 \(number 0\) has its peak at 0\.5"):
         xb.score(maps * np.float32(0.5), split, dataset)

@@ -86,10 +86,7 @@ def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> No
         (SQUARE_M, [0, 1, 2, 3], STRIP, "mat-itu_metal.002"),
     )
     listed, stripped = meshes_of(tmp_path, "nodes.glb", glb_bytes(nodes, [flat, strip]))
-    assert [(mesh.name, mesh.material) for mesh in (listed, stripped)] == [
-        ("list", "wood"),
-        ("strip", "metal"),
-    ]
+    assert [(mesh.name, mesh.material) for mesh in (listed, stripped)] == [("list", "wood"), ("strip", "metal")]
     # scaled to 2 × 2 m, turned by 90° about glTF's y, which is z here, and moved by 10 m
     np.testing.assert_allclose(bounds_m(listed), [[8, 0, 0], [10, 2, 0]], atol=1e-6)
     np.testing.assert_allclose(bounds_m(stripped), [[10, 0, 5], [11, 2, 5]], atol=1e-6)
@@ -114,9 +111,7 @@ def test_without_a_scene_every_node_without_a_parent_counts(tmp_path: Path) -> N
 def test_a_strip_and_a_fan_are_the_triangles_that_gltf_means(tmp_path: Path) -> None:
     ring = [[0, 0, 0], [1, 0, 0], [1, 0, -1], [0, 0, -1]]
     for mode, vertices in ((STRIP, SQUARE_M), (FAN, ring)):
-        (mesh,) = meshes_of(
-            tmp_path, "strip.glb", glb_bytes([{"mesh": 0}], [(vertices, range(4), mode, "itu_wood")])
-        )
+        (mesh,) = meshes_of(tmp_path, "strip.glb", glb_bytes([{"mesh": 0}], [(vertices, range(4), mode, "itu_wood")]))
         normals = np.cross(*np.moveaxis(np.diff(mesh.corners_m, axis=1), 1, 0))
         assert len(normals) == 2
         assert (normals[:, 2] > 0).all()  # both face upwards
@@ -169,10 +164,7 @@ def test_many_nodes_of_one_large_mesh_are_refused_before_they_fill_the_memory(
 ) -> None:
     monkeypatch.setattr(imported, "MAX_TRIANGLES", 99_999)
     vertices = np.zeros((1000, 3))
-    nodes: list[dict[str, Any]] = [
-        {"mesh": 0, "children": list(range(1, 100))},
-        *({"mesh": 0} for _ in range(99)),
-    ]
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "children": list(range(1, 100))}, *({"mesh": 0} for _ in range(99))]
     with pytest.raises(SceneError, match="more than 99,999 triangles"):
         meshes_of(tmp_path, "many.glb", glb_bytes(nodes, [(vertices, [0, 1, 2], TRIANGLES, "itu_wood")]))
 

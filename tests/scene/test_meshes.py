@@ -24,9 +24,7 @@ SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
 def imported(folder: Path, *elements: str, surface: tuple[Surface, ...] = ()) -> Scene:
     (folder / "scene.xml").write_text(f"<scene version='2.1.0'>{''.join(elements)}</scene>")
     trimesh.Trimesh(SQUARE_M, SQUARE, process=False).export(folder / "square.ply")
-    return Scene(
-        name="test", receiver=RECEIVER, transmitters=GRID, surface=surface, scene="scene.xml", folder=folder
-    )
+    return Scene(name="test", receiver=RECEIVER, transmitters=GRID, surface=surface, scene="scene.xml", folder=folder)
 
 
 def mesh_of(vertices_m: np.ndarray, triangles: np.ndarray) -> SurfaceMesh:
@@ -42,9 +40,7 @@ def test_a_slab_without_a_positive_thickness_is_refused_by_name(tmp_path: Path, 
 
 def test_a_material_that_no_shape_refers_to_may_be_anything(tmp_path: Path) -> None:
     unused = '<bsdf type="diffuse" id="red"/>'
-    (mesh,) = surface_meshes(
-        imported(tmp_path, unused, CONCRETE.format(""), SHAPE.format(' id="mesh-a"', "square"))
-    )
+    (mesh,) = surface_meshes(imported(tmp_path, unused, CONCRETE.format(""), SHAPE.format(' id="mesh-a"', "square")))
     assert (mesh.name, mesh.material, mesh.thickness_m) == ("a", "concrete", 0.1)
     used = unused.replace("red", "mat-a")
     with pytest.raises(SceneError, match="no ITU material"):
@@ -76,9 +72,7 @@ def test_a_point_cloud_is_no_mesh(tmp_path: Path) -> None:
 
 
 def test_vertices_at_no_place_are_refused(tmp_path: Path) -> None:
-    trimesh.Trimesh([*SQUARE_M, [np.nan] * 3], [*SQUARE, [0, 1, 4]], process=False).export(
-        tmp_path / "hole.ply"
-    )
+    trimesh.Trimesh([*SQUARE_M, [np.nan] * 3], [*SQUARE, [0, 1, 4]], process=False).export(tmp_path / "hole.ply")
     with pytest.raises(SceneError, match="not finite"):
         surface_meshes(imported(tmp_path, CONCRETE.format(""), SHAPE.format("", "hole")))
 
@@ -141,10 +135,7 @@ def test_planes_are_grouped_alike_wherever_they_stand() -> None:
     for _ in range(20):
         rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         floor, ceiling = (
-            mesh_of(
-                ((tiles_m + np.array([0, 0, height_m])) @ rotation.T).astype(np.float32).astype(float),
-                triangles,
-            )
+            mesh_of(((tiles_m + np.array([0, 0, height_m])) @ rotation.T).astype(np.float32).astype(float), triangles)
             for height_m in (0.0, 1e-3)
         )
         facets = planar_facets([floor, ceiling])

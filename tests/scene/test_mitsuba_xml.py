@@ -111,8 +111,7 @@ def test_a_sphere_is_1280_triangles_within_half_a_percent_of_its_radius(folder: 
 def test_an_axis_of_any_length_is_turned_about(folder: Path) -> None:
     """Mitsuba itself distorts a shape that is turned about an axis of another length than one."""
     one, three = (
-        only_mesh(folder, WOOD, shape("cube", to_world(f'<rotate x="{length}" angle="30"/>')))
-        for length in (1, 3)
+        only_mesh(folder, WOOD, shape("cube", to_world(f'<rotate x="{length}" angle="30"/>'))) for length in (1, 3)
     )
     np.testing.assert_allclose(three.vertices_m, one.vertices_m, atol=1e-12)
 
@@ -154,9 +153,7 @@ def test_a_transform_of_another_name_is_refused(folder: Path) -> None:
         ("metal", "metal"),
     ],
 )
-def test_materials_are_known_by_the_names_that_exports_give_them(
-    folder: Path, name: str, material: str
-) -> None:
+def test_materials_are_known_by_the_names_that_exports_give_them(folder: Path, name: str, material: str) -> None:
     mesh = only_mesh(folder, *named(name))
     assert (mesh.material, mesh.thickness_m) == (material, 0.1)
 
@@ -173,9 +170,7 @@ def test_materials_in_other_materials_are_found(folder: Path) -> None:
     assert only_mesh(folder, file_shape("meshes/table.ply", material=inline)).material == "metal"
     alias = '<alias id="M" as="other"/>'
     assert (
-        only_mesh(
-            folder, WOOD, alias, file_shape("meshes/table.ply", material=NAMED.format("other"))
-        ).material
+        only_mesh(folder, WOOD, alias, file_shape("meshes/table.ply", material=NAMED.format("other"))).material
         == "wood"
     )
 
@@ -183,10 +178,7 @@ def test_materials_in_other_materials_are_found(folder: Path) -> None:
 def test_materials_that_refer_to_others_are_followed(folder: Path) -> None:
     two = '<bsdf type="twosided" id="two"><ref id="M"/></bsdf>'
     ring = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="mask" id="b"><ref id="a"/></bsdf>'
-    assert (
-        only_mesh(folder, WOOD, two, file_shape("meshes/table.ply", material=NAMED.format("two"))).material
-        == "wood"
-    )
+    assert only_mesh(folder, WOOD, two, file_shape("meshes/table.ply", material=NAMED.format("two"))).material == "wood"
     with pytest.raises(SceneError, match="'a' is no ITU material"):
         only_mesh(folder, ring, file_shape("meshes/table.ply", material=NAMED.format("a")))
 
@@ -211,9 +203,7 @@ def test_a_material_may_have_a_permittivity_and_conductivity_of_its_own(folder: 
         only_mesh(folder, *named("foam", "radio-material"))
     with pytest.raises(SceneError, match=r"relative_permittivity of material 'foam' is '0\.5'"):
         only_mesh(folder, *named("foam", "radio-material", stated.replace("4.5", "0.5")))
-    with pytest.raises(
-        SceneError, match=r"conductivity of material 'foam' is '1e300'\. Give a number from 0 to 1e"
-    ):
+    with pytest.raises(SceneError, match=r"conductivity of material 'foam' is '1e300'\. Give a number from 0 to 1e"):
         only_mesh(folder, *named("foam", "radio-material", stated.replace("0.02", "1e300")))
 
 
@@ -277,9 +267,7 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
     assert mesh.material == "wood"  # defaults are taken as they stand, so that nothing doubles
     long = '<default name="a" value="' + "1" * 100_000 + '"/>'
     with pytest.raises(SceneError, match="more than 1,000,000 characters"):
-        only_mesh(
-            folder, long, WOOD, f'<integrator type="path">{used.replace("$x", "$a")}</integrator>', TABLE_PLY
-        )
+        only_mesh(folder, long, WOOD, f'<integrator type="path">{used.replace("$x", "$a")}</integrator>', TABLE_PLY)
 
 
 @pytest.mark.parametrize(
@@ -297,9 +285,7 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
         (named("mat-Wood.001"), r"\[\[material\]\] name = 'mat-Wood.001'"),
     ],
 )  # fmt: skip
-def test_what_would_not_be_traced_as_it_is_meant_is_refused(
-    folder: Path, elements: list[str], message: str
-) -> None:
+def test_what_would_not_be_traced_as_it_is_meant_is_refused(folder: Path, elements: list[str], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         surface_meshes(scene_with(folder, *elements))
 

@@ -11,12 +11,7 @@ from xfreqbench.scene.facets import Geometry, check_overlaps
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import Scene, load_scene, parse_scene, shipped_scenes
-from xfreqbench.scene.placement import (
-    check_receiver,
-    check_transmitters,
-    choose_transmitters,
-    place_transmitters,
-)
+from xfreqbench.scene.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -52,9 +47,7 @@ def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: s
     placement = place_transmitters(scene, meshes)
     check_transmitters(scene, meshes, placement.tx_position_m, [1e9, 94e9])
     check_overlaps(Geometry(meshes))
-    assert len(placement.tx_position_m) + sum(placement.rejected.values()) == len(
-        scene.transmitters.lattice_m
-    )
+    assert len(placement.tx_position_m) + sum(placement.rejected.values()) == len(scene.transmitters.lattice_m)
     assert name in shipped_scenes()
 
 
@@ -185,13 +178,9 @@ def test_a_users_mitsuba_scene_gives_the_same_meshes(tmp_path: Path) -> None:
     scene = parse_scene(BOX)
     meshes = surface_meshes(scene)
     write_mitsuba(meshes, tmp_path)
-    imported = parse_scene(
-        BOX[: BOX.index("[[surface]]")].replace('"box"', '"box"\nscene = "scene.xml"'), tmp_path
-    )
+    imported = parse_scene(BOX[: BOX.index("[[surface]]")].replace('"box"', '"box"\nscene = "scene.xml"'), tmp_path)
     again = surface_meshes(imported)
-    assert [(m.name, m.material, m.thickness_m) for m in again] == [
-        (m.name, m.material, m.thickness_m) for m in meshes
-    ]
+    assert [(m.name, m.material, m.thickness_m) for m in again] == [(m.name, m.material, m.thickness_m) for m in meshes]
     for mesh, original in zip(again, meshes, strict=True):
         np.testing.assert_allclose(mesh.corners_m, original.corners_m, atol=1e-6)  # PLY holds float32
 
@@ -221,9 +210,7 @@ def test_geometry_queries_agree_with_closed_forms() -> None:
     inside = ((points > low) & (points < high)).all(axis=1)
     np.testing.assert_array_equal(enclosing_mesh([floor, cabinet], points) == 1, inside)
     outside_m = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
-    np.testing.assert_allclose(
-        distance_to_surfaces([cabinet], points)[~inside], outside_m[~inside], atol=1e-9
-    )
+    np.testing.assert_allclose(distance_to_surfaces([cabinet], points)[~inside], outside_m[~inside], atol=1e-9)
     end = np.array([2.0, 2.0, -1.0])
     at_floor = points + ((-0.1 - points[:, 2]) / (end[2] - points[:, 2]))[:, None] * (end - points)
     blocked = (points[:, 2] > -0.1) & ((at_floor[:, :2] > 0) & (at_floor[:, :2] < 4)).all(axis=1)

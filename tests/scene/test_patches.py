@@ -42,9 +42,7 @@ def test_a_rings_width_is_twice_that_of_its_band() -> None:
 
 def test_triangles_need_not_share_vertices_and_are_rounded_to_float32() -> None:
     soup_m = np.add(ring(0.2, 0.5).triangles, [7.3, 5.1, 0.7])  # each triangle with corners of its own
-    soup_m = soup_m.astype(np.float32).astype(np.float64) + np.random.default_rng(0).uniform(
-        -1e-6, 1e-6, (1, 1, 3)
-    )
+    soup_m = soup_m.astype(np.float32).astype(np.float64) + np.random.default_rng(0).uniform(-1e-6, 1e-6, (1, 1, 3))
     assert len(Patches(soup_m).area_m2) == 1
 
 
@@ -70,9 +68,7 @@ def test_a_triangle_that_is_given_twice_counts_once() -> None:
 def test_a_curved_surface_is_no_patch_however_fine_it_is() -> None:
     assert patches_of(trimesh.creation.icosphere(subdivisions=4)).area_m2.max() < 0.01
     x, y = np.meshgrid(np.linspace(0, 2, 201), np.linspace(0, 0.5, 2), indexing="ij")
-    bent = np.stack([x, y, 2e-3 * x**2], axis=-1).reshape(
-        -1, 3
-    )  # neighbours tilt by 4e-5, as little as is parallel
+    bent = np.stack([x, y, 2e-3 * x**2], axis=-1).reshape(-1, 3)  # neighbours tilt by 4e-5, as little as is parallel
     a = 2 * np.arange(200)
     faces = np.vstack([np.stack([a, a + 1, a + 2], 1), np.stack([a + 1, a + 3, a + 2], 1)])
     assert patches_of(trimesh.Trimesh(bent, faces, process=False)).area_m2.max() < 0.5

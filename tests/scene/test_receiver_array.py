@@ -22,9 +22,7 @@ def test_an_array_that_faces_its_pole_is_written_as_before_planes_could_be_chose
 
 def test_a_receiver_that_is_not_turned_is_written_as_before_turns_could_be_given() -> None:
     adapter = TypeAdapter(ReceiverArray)
-    turned = ReceiverArray(
-        position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=(0.0, 0.0, 0.6, 0.8)
-    )
+    turned = ReceiverArray(position_m=(0.0, 0.0, 1.0), boresight=(0.0, 0.0, 1.0), orientation=(0.0, 0.0, 0.6, 0.8))
     assert "orientation" not in json.loads(adapter.dump_json(ReceiverArray(position_m=(0.0, 0.0, 1.0))))
     assert adapter.validate_json(adapter.dump_json(turned)) == turned
     x_axis = [0.8**2 - 0.6**2, 2 * 0.6 * 0.8, 0]  # a turn by twice the angle of (0.8, 0.6)
@@ -32,8 +30,7 @@ def test_a_receiver_that_is_not_turned_is_written_as_before_turns_could_be_given
 
 
 @pytest.mark.parametrize(
-    ("orientation", "message"),
-    [((0.0, 0.0, 0.0, 0.0), "zero quaternion"), ((1.0, 0.0, 0.0, 0.0), "turns its pole to")],
+    ("orientation", "message"), [((0.0, 0.0, 0.0, 0.0), "zero quaternion"), ((1.0, 0.0, 0.0, 0.0), "turns its pole to")]
 )
 def test_an_orientation_agrees_with_the_boresight(orientation: tuple[float, ...], message: str) -> None:
     with pytest.raises(ValidationError, match=message):

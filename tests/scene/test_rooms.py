@@ -55,9 +55,7 @@ def test_a_cabinet_about_the_receiver_is_none(others: list[str]) -> None:
 
 
 def test_a_room_and_what_is_in_it_may_be_one_mesh(tmp_path: Path) -> None:
-    joined = (
-        mesh_scenes.ROOM + mesh_scenes.TABLE + trimesh.creation.box(bounds=[[0.5, 0.5, 1.0], [1.5, 1.5, 2.0]])
-    )
+    joined = mesh_scenes.ROOM + mesh_scenes.TABLE + trimesh.creation.box(bounds=[[0.5, 0.5, 1.0], [1.5, 1.5, 2.0]])
     joined.export(tmp_path / "all.ply")
     scene = scene_with(tmp_path, WOOD, file_shape("all.ply"))
     meshes = surface_meshes(scene)

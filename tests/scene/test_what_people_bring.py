@@ -133,9 +133,7 @@ def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
         [94e9],
         TraceSettings(interactions=("specular", "refraction"), solver="sionna", max_depth=1, rays=10_000),
     )
-    with pytest.raises(
-        SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"
-    ):
+    with pytest.raises(SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"):
         tracer.channel(np.array([[3.5, 3.0, 1.5]]))
 
 
@@ -147,9 +145,7 @@ def test_sionna_is_given_own_materials_as_they_are(tmp_path: Path) -> None:
     loaded = RadioScene(meshes)
     loaded.set_carrier(60e9)
     (material,) = loaded.sionna.radio_materials.values()
-    np.testing.assert_allclose(
-        [material.relative_permittivity[0], material.conductivity[0]], [1.5, 0.002], rtol=1e-6
-    )
+    np.testing.assert_allclose([material.relative_permittivity[0], material.conductivity[0]], [1.5, 0.002], rtol=1e-6)
     again = surface_meshes(scene_of_file(tmp_path, str(write_mitsuba(meshes, tmp_path))))
     assert str(again[0].material) == "mat-own-0"
 
@@ -163,10 +159,7 @@ def test_sionna_is_given_own_materials_as_they_are(tmp_path: Path) -> None:
         ('name = "foam"\nitu = "wood"\nrelative_permittivity = 2.0', "state one of them"),
         ('name = "foam"\nrelative_permittivity = 0.5', "greater than or equal to 1"),
         ('name = "foam"\nrelative_permittivity = nan', "material.0.relative_permittivity"),
-        (
-            'name = "foam"\nitu = "wood"\n[[material]]\nname = "foam"\nitu = "wood"',
-            "two materials are named 'foam'",
-        ),
+        ('name = "foam"\nitu = "wood"\n[[material]]\nname = "foam"\nitu = "wood"', "two materials are named 'foam'"),
     ],
 )
 def test_a_table_of_materials_without_sense_is_refused(table: str, message: str) -> None:
@@ -182,9 +175,7 @@ def rough_wood(**fields: object) -> str:
 def test_scattering_is_read_from_the_table_and_from_xml(tmp_path: Path) -> None:
     write_meshes(tmp_path)
     table = file_shape("meshes/table.ply")
-    stated = (
-        '<float name="scattering_coefficient" value="0.3"/><float name="xpd_coefficient" value="0.1"/></bsdf>'
-    )
+    stated = '<float name="scattering_coefficient" value="0.3"/><float name="xpd_coefficient" value="0.1"/></bsdf>'
     lobe = '<string name="scattering_pattern" value="directive"/><integer name="alpha_r" value="4"/></bsdf>'
     smooth, flat, rough, directive, own = (
         surface_meshes(scene_with(tmp_path, bsdf, table, toml=toml))
@@ -223,9 +214,7 @@ def test_scattering_without_sense_is_refused(tmp_path: Path, fields: dict[str, o
     if "coefficient" in fields:
         with pytest.raises(SceneError, match=r"scene\.xml: material 'M', "):
             surface_meshes(
-                scene_with(
-                    tmp_path, WOOD.replace("</bsdf>", f"{told}</bsdf>"), file_shape("meshes/table.ply")
-                )
+                scene_with(tmp_path, WOOD.replace("</bsdf>", f"{told}</bsdf>"), file_shape("meshes/table.ply"))
             )
 
 
@@ -235,20 +224,11 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
     scene = parse_scene(f'name = "test"\n{PLACES}{table}{FOAM.replace("foam", "wood")}')
     without = plan_generation(scene, [1e9], maps=False)
     assert without.settings.solver == "sionna"  # the image method knows smooth surfaces only
-    assert (
-        "scattering: wood (S 0.3, directive), of which the interaction diffuse is not traced"
-        in without.summary
-    )
+    assert "scattering: wood (S 0.3, directive), of which the interaction diffuse is not traced" in without.summary
     settings = TraceSettings(interactions=("specular", "diffuse"), rays=1000)
     traced = plan_generation(scene, [1e9], settings, maps=False)
     assert "scattering: wood (S 0.3, directive)\n" in traced.summary + "\n"
-    told = {
-        "material": "wood",
-        "coefficient": 0.3,
-        "xpd_coefficient": 0.0,
-        "pattern": "directive",
-        "alpha_r": 4,
-    }
+    told = {"material": "wood", "coefficient": 0.3, "xpd_coefficient": 0.0, "pattern": "directive", "alpha_r": 4}
     assert traced.header.settings["scattering"] == [told]
     smooth = parse_scene(f'name = "test"\n{PLACES}{FOAM.replace("foam", "wood")}')
     assert "scattering" not in plan_generation(smooth, [1e9], maps=False).header.settings
@@ -256,7 +236,5 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
         plan_generation(smooth, [1e9], settings, maps=False)
     with pytest.raises(SceneError, match="rough ones too"):
         tracer_of(
-            PreparedScene.of(scene),
-            [1e9],
-            TraceSettings(interactions=("specular", "refraction"), solver="image"),
+            PreparedScene.of(scene), [1e9], TraceSettings(interactions=("specular", "refraction"), solver="image")
         )

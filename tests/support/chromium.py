@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'"
-)
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install '.[dev]'")
 _CHROMIUM = shutil.which("chromium")
 _FLAGS = (
     "--no-sandbox",
@@ -50,9 +48,7 @@ def opened(browser: Any, file: Path) -> Iterator[Any]:
     tab.on("console", lambda message: complaints.append(message.text))
     tab.on("pageerror", lambda error: complaints.append(str(error)))
     tab.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}") or dialog.dismiss())
-    tab.on(
-        "request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None
-    )
+    tab.on("request", lambda request: complaints.append(request.url) if _is_foreign(request.url, file) else None)
     tab.goto(file.as_uri())
     yield tab
     tab.close()

@@ -118,9 +118,7 @@ class Reader:
         elif block.language == "output":
             _compare(block, self._last)
         elif block.language in ("sh", "python"):
-            self._last = (
-                self.shell(block.text, block.place) if block.language == "sh" else self._python(block)
-            )
+            self._last = self.shell(block.text, block.place) if block.language == "sh" else self._python(block)
             self.printed[block.text] = self._last
         elif block.language in INTERPRETERS:
             command, _ = INTERPRETERS[block.language]

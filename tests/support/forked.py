@@ -28,17 +28,7 @@ from pathlib import Path
 from typing import NoReturn
 
 LIBRARIES = (  # none that starts threads when it is imported, as Dr.Jit does
-    *(
-        "cyclopts",
-        "filelock",
-        "h5py",
-        "jinja2",
-        "matplotlib.figure",
-        "numba",
-        "numpy",
-        "PIL.Image",
-        "pydantic",
-    ),
+    *("cyclopts", "filelock", "h5py", "jinja2", "matplotlib.figure", "numba", "numpy", "PIL.Image", "pydantic"),
     *("rich.console", "rich.progress", "rich.table", "safetensors.torch", "scipy.ndimage", "scipy.optimize"),
     *("scipy.spatial", "scipy.special", "skimage.metrics", "torch", "trimesh", "yaml"),
 )

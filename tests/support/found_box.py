@@ -35,24 +35,17 @@ CARRIERS_HZ = [2.4e9, 24.25e9, 60e9]
 WALLS = (("z", 0.0), ("z", 2.6), ("x", 0.0), ("x", 5.0), ("y", 0.0), ("y", 4.0), ("x", 3.4))
 
 
-def generated(
-    folder: Path, scene: Scene = SCENE, settings: TraceSettings = SETTINGS, **options: Any
-) -> PasDataset:
+def generated(folder: Path, scene: Scene = SCENE, settings: TraceSettings = SETTINGS, **options: Any) -> PasDataset:
     """A data set of the box, or of a scene like it, at three carriers."""
     plan = plan_generation(scene, CARRIERS_HZ, settings, **options)
     return open_dataset(generate_planned(plan, folder / "box.h5"))
 
 
-def plane(
-    axis: str, at_m: float, error_m: float = 0.0, tilt_rad: float = 0.0, **changes: object
-) -> dict[str, object]:
+def plane(axis: str, at_m: float, error_m: float = 0.0, tilt_rad: float = 0.0, **changes: object) -> dict[str, object]:
     """A plane that was found all over the box, `error_m` too far from the array and turned about the next axis."""
     index = "xyz".index(axis)
     normal, corners_m = np.zeros(3), np.zeros((4, 3))
-    normal[index], normal[(index + 1) % 3] = (
-        np.sign(at_m - ARRAY_M[index]) * np.cos(tilt_rad),
-        np.sin(tilt_rad),
-    )
+    normal[index], normal[(index + 1) % 3] = (np.sign(at_m - ARRAY_M[index]) * np.cos(tilt_rad), np.sin(tilt_rad))
     corners_m[[1, 2], (index + 1) % 3] = SIZE_M[(index + 1) % 3]
     corners_m[[2, 3], (index + 2) % 3] = SIZE_M[(index + 2) % 3]
     corners_m[:, index] = at_m

@@ -18,13 +18,7 @@ def leaderboard_markdown(records, benches=()):
 
 
 def make_records():
-    ssim = {
-        "line-of-sight": 0.8,
-        "nearest": 0.85,
-        "mean-over-frequency": 0.9,
-        "log-frequency": 0.88,
-        "ours": 0.95,
-    }
+    ssim = {"line-of-sight": 0.8, "nearest": 0.85, "mean-over-frequency": 0.9, "log-frequency": 0.88, "ours": 0.95}
     return [make_record(method, value, split) for split in SPLITS for method, value in ssim.items()]
 
 

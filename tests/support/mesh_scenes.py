@@ -56,9 +56,7 @@ def scene_with(folder: Path, *elements: str, toml: str = "", places: str = PLACE
 
 def scene_of_file(folder: Path, name: str, toml: str = "", places: str = PLACES) -> Scene:
     top, _, tables = toml.partition("[[")
-    return parse_scene(
-        f'name = "test"\nscene = "{name}"\n{top}\n{"[[" if tables else ""}{tables}{places}', folder
-    )
+    return parse_scene(f'name = "test"\nscene = "{name}"\n{top}\n{"[[" if tables else ""}{tables}{places}', folder)
 
 
 def obj_text(mesh: trimesh.Trimesh, name: str, material: str, first: int = 1) -> str:
@@ -68,9 +66,7 @@ def obj_text(mesh: trimesh.Trimesh, name: str, material: str, first: int = 1) ->
     return f"o {name}\n{corners}\nvn 0 0 1\nusemtl {material}\n{faces}\n"
 
 
-def glb_content(
-    nodes: list[dict[str, Any]], meshes: list[tuple[Any, Any, int, str]]
-) -> tuple[dict[str, Any], bytes]:
+def glb_content(nodes: list[dict[str, Any]], meshes: list[tuple[Any, Any, int, str]]) -> tuple[dict[str, Any], bytes]:
     """JSON and buffer of a GLB of meshes, each given by its vertices, its corner indices, its mode and its material."""
     binary, views, accessors, materials, told = b"", list[Any](), list[Any](), list[Any](), list[Any]()
     for vertices, corners, mode, material in meshes:
@@ -78,16 +74,10 @@ def glb_content(
             (np.asarray(vertices, "<f4"), 5126, "VEC3"),
             (np.asarray(corners, "<u4"), 5125, "SCALAR"),
         ):
-            accessors.append(
-                {"bufferView": len(views), "componentType": kind, "count": len(values), "type": form}
-            )
+            accessors.append({"bufferView": len(views), "componentType": kind, "count": len(values), "type": form})
             views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
             binary += values.tobytes()
-        primitive = {
-            "attributes": {"POSITION": len(accessors) - 2},
-            "indices": len(accessors) - 1,
-            "mode": mode,
-        }
+        primitive = {"attributes": {"POSITION": len(accessors) - 2}, "indices": len(accessors) - 1, "mode": mode}
         if material:
             primitive["material"] = len(materials)
             materials.append({"name": material})
@@ -102,9 +92,7 @@ def glb_content(
 def packed_glb(content: Any, binary: bytes) -> bytes:
     text = json.dumps(content).encode("utf-8", "surrogatepass")
     text += b" " * (-len(text) % 4)
-    body = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    )
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 

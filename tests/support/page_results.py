@@ -37,8 +37,7 @@ def stored(results: Path) -> list:
 def _append_learned(results, known, method, split, seed, ssim, seconds) -> None:
     name, _, overrides = method.partition(" (")
     curve = [
-        CurvePoint(step=n, seconds=seconds * n / 4, loss=1.0, ssim=ssim - 0.1 + n / 40, share=n / 4)
-        for n in (1, 2, 4)
+        CurvePoint(step=n, seconds=seconds * n / 4, loss=1.0, ssim=ssim - 0.1 + n / 40, share=n / 4) for n in (1, 2, 4)
     ]
     fields = {
         "dataset_sha256": known.dataset_sha256,

@@ -16,9 +16,7 @@ from xfreqbench.exchange.split_file import Handout, write_handout
 SPLITS = ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
 
 
-def hand_out(
-    dataset: PasDataset, path: Path, protocol: str = "lofo", targets=None, maps: bool = False
-) -> Path:
+def hand_out(dataset: PasDataset, path: Path, protocol: str = "lofo", targets=None, maps: bool = False) -> Path:
     write_handout(Handout(dataset, make_splits(dataset, protocol, targets), maps), path)
     return path
 

@@ -39,12 +39,7 @@ def antenna_field(direction: np.ndarray, pattern: str, polarization: str) -> np.
 
 
 def over_one_slab(
-    field: np.ndarray,
-    incident: np.ndarray,
-    outgoing: np.ndarray,
-    normal: np.ndarray,
-    te: complex,
-    tm: complex,
+    field: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, normal: np.ndarray, te: complex, tm: complex
 ) -> np.ndarray:
     """Field behind one interaction: parts across and along the plane of incidence have their own factors."""
     across = np.cross(incident, normal)
@@ -85,9 +80,7 @@ def projection_jacobian(offset_m: Tensor) -> Tensor:
     horizontal_squared = x**2 + y**2
     squared, horizontal = horizontal_squared + z**2, torch.sqrt(horizontal_squared)
     azimuth = torch.stack([-y / horizontal_squared, x / horizontal_squared, torch.zeros_like(z)])
-    elevation = torch.stack(
-        [-x * z / (squared * horizontal), -y * z / (squared * horizontal), horizontal / squared]
-    )
+    elevation = torch.stack([-x * z / (squared * horizontal), -y * z / (squared * horizontal), horizontal / squared])
     return torch.stack([azimuth, elevation])
 
 

@@ -14,12 +14,8 @@ CONCRETE_WALL = Surface(
 GLASS_PANE = Surface(
     name="pane, between", material="glass", thickness_m=0.008, min_m=(-1.0, 2.6, -3.0), max_m=(6.0, 2.6, 6.0)
 )
-METAL_BOX = Surface(
-    name="metal box", material="metal", thickness_m=0.002, min_m=(1.0, 2.2, 0.0), max_m=(1.8, 3.1, 0.9)
-)
-WOODEN_BOX = Surface(
-    name="wooden box", material="wood", thickness_m=0.02, min_m=(2.9, 2.3, 0.1), max_m=(3.7, 3.2, 1.0)
-)
+METAL_BOX = Surface(name="metal box", material="metal", thickness_m=0.002, min_m=(1.0, 2.2, 0.0), max_m=(1.8, 3.1, 0.9))
+WOODEN_BOX = Surface(name="wooden box", material="wood", thickness_m=0.02, min_m=(2.9, 2.3, 0.1), max_m=(3.7, 3.2, 1.0))
 
 
 def scene_of(*surfaces: Surface, receiver: ReceiverArray = RECEIVER) -> Scene:

@@ -65,8 +65,4 @@ def sionna_wedge(
         faces[1] = -np.eye(2)
     matrix = faces[0] * (d1 - d4) + faces[1] * (d2 - d3)
     phi_out = -unit(np.cross(outgoing, e))
-    return (
-        np.stack([phi_out, np.cross(outgoing, phi_out)]).T
-        @ matrix
-        @ np.stack([phi_in, np.cross(incoming, phi_in)])
-    )
+    return np.stack([phi_out, np.cross(outgoing, phi_out)]).T @ matrix @ np.stack([phi_in, np.cross(incoming, phi_in)])

@@ -10,20 +10,12 @@ SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
 def make_summary(median: float) -> Summary:
     spread = [median + 0.1 * (level / 100 - 0.5) for level in range(NUM_QUANTILES)]
     return Summary(
-        mean=median,
-        median=median,
-        p10=median - 0.04,
-        quantiles=spread,
-        median_by_carrier_hz={"24250000000": median},
+        mean=median, median=median, p10=median - 0.04, quantiles=spread, median_by_carrier_hz={"24250000000": median}
     )
 
 
 def make_record(
-    method: str = "nearest",
-    ssim: float = 0.9,
-    split: str = "lofo-24.25GHz",
-    protocol: str = "lofo",
-    **changes: object,
+    method: str = "nearest", ssim: float = 0.9, split: str = "lofo-24.25GHz", protocol: str = "lofo", **changes: object
 ) -> RunRecord:
     job = Job("data.h5", method, protocol, split, ("num_nearest=3",) if "=" in method else ())
     fields: dict[str, object] = {
@@ -62,6 +54,4 @@ def external(split: str = SPLITS[0], seed: int = 0, file: str = "a", method: str
     job = Job("data.h5", method, "lofo", split, seed=seed)
     unknown = {"fit_seconds": None, "predict_ms_per_map": None, "peak_memory_mib": None, "parameters": None}
     declared = {"external": {"sha256": file * 64}, "hardware": {}}
-    return make_record(
-        method, 0.9, split, job=job, id=f"{file}{split}{seed}", **(unknown | declared | changes)
-    )
+    return make_record(method, 0.9, split, job=job, id=f"{file}{split}{seed}", **(unknown | declared | changes))

@@ -19,10 +19,7 @@ MIRROR_PLANES = ((0, 0.0, 0.5), (1, 6.0, 0.3))  # axis, offset in metres, reflec
 
 
 def make_header(
-    num_tx: int = 4,
-    carriers_ghz: tuple[float, ...] = (1.0, 10.0, 37.0),
-    maps: bool = True,
-    pas_kind: PasKind = "power",
+    num_tx: int = 4, carriers_ghz: tuple[float, ...] = (1.0, 10.0, 37.0), maps: bool = True, pas_kind: PasKind = "power"
 ) -> DatasetHeader:
     return DatasetHeader(
         scene_name="synthetic",
@@ -63,9 +60,7 @@ def append_all(
 ) -> None:
     """Feed every transmitter; the channel is zero at the `silent` pairs (transmitter, carrier)."""
     tx_position_m = transmitters(header.num_tx)
-    cfr = np.array(
-        [[channel(position, carrier) for carrier in header.carrier_hz] for position in tx_position_m]
-    )
+    cfr = np.array([[channel(position, carrier) for carrier in header.carrier_hz] for position in tx_position_m])
     num_paths = np.full(cfr.shape[:2], 1 + len(MIRROR_PLANES), dtype=np.int32)
     for pair in silent:
         cfr[pair], num_paths[pair] = 0, 0

@@ -45,20 +45,9 @@ def store(folder: Path) -> None:
     for solver in SOLVERS:
         options = ["--tx", str(NUM_TRANSMITTERS), "--solver", solver]
         _xfreqbench("generate", "office", *options, "-o", str(folder / f"{solver}.h5"))
-    options = [
-        "--method",
-        "all",
-        "--targets",
-        str(TARGET_GHZ),
-        "--budget",
-        f"{NUM_STEPS}steps",
-        "--seed",
-        "0",
-    ]
+    options = ["--method", "all", "--targets", str(TARGET_GHZ), "--budget", f"{NUM_STEPS}steps", "--seed", "0"]
     _xfreqbench("run", "--data", str(folder / "image.h5"), "--results", str(folder / "results"), *options)
-    _xfreqbench(
-        "report", str(ROOT / "baselines" / "reference_results.jsonl"), "-o", str(folder / "BENCHMARK.md")
-    )
+    _xfreqbench("report", str(ROOT / "baselines" / "reference_results.jsonl"), "-o", str(folder / "BENCHMARK.md"))
     digests = {**_data_digests(folder), **_prediction_digests(folder), **_report_digests(folder)}
     (folder / "digests.json").write_text(json.dumps(digests, indent=2, sort_keys=True), encoding="utf-8")
 
@@ -75,9 +64,7 @@ def compare(before: Path, after: Path) -> bool:
 
 
 def _xfreqbench(*arguments: str) -> None:
-    subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments, "--quiet"], env={**os.environ, **ONE_THREAD}, check=True
-    )
+    subprocess.run([sys.executable, "-c", PROGRAM, *arguments, "--quiet"], env={**os.environ, **ONE_THREAD}, check=True)
 
 
 def _data_digests(folder: Path) -> dict[str, str]:

@@ -112,11 +112,7 @@ def _is_json(file: Path) -> bool:
 def _process(arguments: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *arguments],
-            cwd=log.parent,
-            env=ENVIRONMENT,
-            stdout=output,
-            stderr=output,
+            [sys.executable, "-m", "dask", *arguments], cwd=log.parent, env=ENVIRONMENT, stdout=output, stderr=output
         )
         try:
             yield process
@@ -177,9 +173,7 @@ def _command(arguments: str) -> list[str]:
 
 
 def _driver(arguments: str, folder: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        _command(arguments), cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(_command(arguments), cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
 
 
 def _given(arguments: str, folder: Path) -> str:
@@ -250,9 +244,7 @@ def _told(results: Path) -> dict[tuple[str, str, int], RunRecord]:
     }
 
 
-def test_runs_on_a_cluster_are_those_of_one_process_though_a_worker_is_killed(
-    running: Started, tmp_path: Path
-) -> None:
+def test_runs_on_a_cluster_are_those_of_one_process_though_a_worker_is_killed(running: Started, tmp_path: Path) -> None:
     paper_dataset(tmp_path / "data.h5", num_tx=4)
     methods = f"aperture-gs,{Patient.__module__}:{Patient.__name__}"
     options = f"--data data.h5 --targets 77 --method {methods} --seed 0,1 --budget 2steps --quiet"
@@ -270,8 +262,7 @@ def test_runs_on_a_cluster_are_those_of_one_process_though_a_worker_is_killed(
     assert there == here
     for record in here.values():
         mine, theirs = (
-            (tmp_path / folder / "predictions" / f"{record.id}.h5").read_bytes()
-            for folder in ("here", "there")
+            (tmp_path / folder / "predictions" / f"{record.id}.h5").read_bytes() for folder in ("here", "there")
         )
         assert theirs == mine
     assert not list((tmp_path / "there").glob("checkpoints/*"))
@@ -326,11 +317,7 @@ def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
 ) -> None:
     monkeypatch.setattr(cluster, "FIRST_WORKER_S", 1.0)
     to_start = r"has no worker\. Start some: dask worker 127\.0\.0\.1:\d+"
-    with (
-        started(tmp_path, 0) as idle,
-        pytest.raises(ClusterError, match=to_start),
-        dask_workers(idle.address),
-    ):
+    with started(tmp_path, 0) as idle, pytest.raises(ClusterError, match=to_start), dask_workers(idle.address):
         pass
     monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
     no_answer = r"No Dask scheduler answers at dask://127\.0\.0\.1:1"

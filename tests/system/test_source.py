@@ -110,21 +110,14 @@ def test_a_file_that_cannot_be_parsed_counts_with_its_bytes(folder: Path) -> Non
 
 def test_of_a_library_only_the_file_of_a_base_class_counts_and_of_python_nothing() -> None:
     assert reachable_sources(["builtins", "typing", "abc"]) == {}
-    assert set(reachable_sources(["xfreqbench.units", "pydantic.main"])) == {
-        "xfreqbench.units",
-        "pydantic.main",
-    }
+    assert set(reachable_sources(["xfreqbench.units", "pydantic.main"])) == {"xfreqbench.units", "pydantic.main"}
 
 
 def test_the_hash_of_the_package_covers_every_file_of_it_and_the_built_in_methods(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = source._package_files()
-    assert {
-        "xfreqbench/__init__.py",
-        "xfreqbench/cli/main.py",
-        "xfreqbench/baselines/nearest.py",
-    } <= files.keys()
+    assert {"xfreqbench/__init__.py", "xfreqbench/cli/main.py", "xfreqbench/baselines/nearest.py"} <= files.keys()
     ours = {path for folder in ("xfreqbench", "baselines") for path in (ROOT / folder).rglob("*.py")}
     assert set(files.values()) == ours
     before = package_sha256()

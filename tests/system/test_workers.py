@@ -41,9 +41,7 @@ def note_and_sleep(path):
 """
 
 
-pytestmark = pytest.mark.skipif(
-    not hasattr(os, "sched_getaffinity"), reason="processes are kept to no core here"
-)
+pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes are kept to no core here")
 
 
 def _cores_of_call(argument: int) -> tuple[int, tuple[int, ...]]:
@@ -193,10 +191,7 @@ def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.
     (tmp_path / "parallel_calls.py").write_text(CALLS)
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
     with subprocess.Popen(
-        [sys.executable, "parent.py", str(tmp_path / "child")],
-        cwd=tmp_path,
-        env=environment,
-        stderr=subprocess.DEVNULL,
+        [sys.executable, "parent.py", str(tmp_path / "child")], cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL
     ) as parent:
         child = int(_text_of(tmp_path / "child"))
         parent.send_signal(sent)
@@ -214,8 +209,6 @@ def _text_of(path: Path) -> str:
 def _runs(process: int) -> bool:
     status = Path(f"/proc/{process}/stat")
     try:
-        return (
-            status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
-        )  # ended, its parent gone
+        return status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"  # ended, its parent gone
     except FileNotFoundError:
         return False

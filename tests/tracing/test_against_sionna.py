@@ -91,9 +91,9 @@ def test_interactions_that_are_off_do_not_happen(
 ) -> None:
     scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
     settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
-    assert tracer_of(PreparedScene.of(scene), [1e9], settings).channel(
-        TRANSMITTERS_M[:1]
-    ).num_paths.tolist() == [[num_paths]]
+    assert tracer_of(PreparedScene.of(scene), [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [
+        [num_paths]
+    ]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -101,8 +101,7 @@ def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName)
     office = load_scene("office")
     reference = read_reference(office)
     settings = resolve_solver(
-        Geometry(surface_meshes(office)),
-        TraceSettings(interactions=("specular", "refraction"), solver=solver),
+        Geometry(surface_meshes(office)), TraceSettings(interactions=("specular", "refraction"), solver=solver)
     )
     tracer = tracer_of(PreparedScene.of(office), reference.carrier_hz.tolist(), settings)
     cfr = tracer.channel(reference.tx_position_m).cfr
@@ -133,9 +132,7 @@ def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Pat
     )
     image, sionna = (tracer.channel(TRANSMITTERS_M).cfr for tracer in tracers)
     # float32 vertices, and paths along an edge that one of the two misses
-    np.testing.assert_allclose(
-        sionna, image, rtol=0, atol=5e-3 * np.abs(image).max(axis=(0, 2), keepdims=True).max()
-    )
+    np.testing.assert_allclose(sionna, image, rtol=0, atol=5e-3 * np.abs(image).max(axis=(0, 2), keepdims=True).max())
     relative = np.linalg.norm(sionna - image, axis=2) / np.linalg.norm(image, axis=2)
     assert np.median(relative) < 5e-3
 

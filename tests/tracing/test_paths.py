@@ -16,14 +16,7 @@ from xfreqbench.scene.model import Scene, Surface, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.image.tracer import ImageTracer
-from xfreqbench.tracing.paths import (
-    DIFFRACTION,
-    NO_INTERACTION,
-    RaggedPaths,
-    angles_rad,
-    directions,
-    element_delays_s,
-)
+from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION, RaggedPaths, angles_rad, directions, element_delays_s
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import SolverName, Tracer, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -31,9 +24,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 CARRIERS_HZ = [2.4e9, 24.25e9]
 SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=50_000, max_depth=3)
 OVER_EDGES = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
-BOX = Surface(
-    "screen, metal", "metal", 0.002, (5.4, 1.5, 0.0), (5.5, 4.5, 2.3)
-)  # Sionna RT diffracts at no rim
+BOX = Surface("screen, metal", "metal", 0.002, (5.4, 1.5, 0.0), (5.5, 4.5, 2.3))  # Sionna RT diffracts at no rim
 SCENE = replace(SCREENED, surface=(*SCREENED.surface[:-1], BOX))
 SHADOWED_M = np.array([6.0, 3.0, 1.0])
 SOLVERS = [
@@ -76,13 +67,9 @@ def test_a_path_among_meshes_meets_the_surfaces_that_it_names(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("solver", "settings"), SOLVERS)
-def test_directions_and_delays_are_those_of_the_points_on_the_way(
-    solver: SolverName, settings: TraceSettings
-) -> None:
+def test_directions_and_delays_are_those_of_the_points_on_the_way(solver: SolverName, settings: TraceSettings) -> None:
     receiver_m = np.asarray(SCENE.receiver.position_m)
-    paths = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(settings, solver=solver)).paths(
-        SHADOWED_M
-    )
+    paths = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(settings, solver=solver)).paths(SHADOWED_M)
     departure = paths.departure(SHADOWED_M, receiver_m)
     for p, is_met in enumerate(paths.interactions != NO_INTERACTION):
         line_m = np.vstack([SHADOWED_M, paths.vertices_m[p][is_met], receiver_m])

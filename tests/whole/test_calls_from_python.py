@@ -99,15 +99,7 @@ REFUSED = {  # call: what the error says
     "data.batches('a')": "size='a'",
     "data.batches(0)": "greater than 0",
 }
-INDEXED = (
-    "data['pas']",
-    "data[1.5]",
-    "data[None]",
-    "data.pas('a')",
-    "data.plot('a')",
-    "data[xb]",
-    "data.torch()[99]",
-)
+INDEXED = ("data['pas']", "data[1.5]", "data[None]", "data.pas('a')", "data.plot('a')", "data[xb]", "data.torch()[99]")
 PROGRAM = """
 import json, sys
 from pathlib import Path

@@ -62,9 +62,7 @@ def test_mistakes_end_with_code_2_and_words(arguments: list[str], message: str, 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "command", [["run", "--method", "nearest", "--results", "results"], ["split", "-o", "x.h5"]]
-)
+@pytest.mark.parametrize("command", [["run", "--method", "nearest", "--results", "results"], ["split", "-o", "x.h5"]])
 def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: list[str]) -> None:
     done = xfreqbench(*command, "--data", "nowhere.h5", "--on", "tests")
     assert done.returncode != 0
@@ -80,26 +78,10 @@ def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: l
             "needs --method.",
             "Example: xfreqbench run --data office.h5 --method",
         ),
-        (
-            "view office.h5",
-            "needs --output or -o.",
-            "Example: xfreqbench view office.h5 --tx 7 -o office_view",
-        ),
-        (
-            "bench fingerprint empty",
-            "needs --output or -o.",
-            "Example: xfreqbench bench fingerprint office -o",
-        ),
-        (
-            "view office.h5 -o",
-            "-o requires an argument.",
-            "Example: xfreqbench view office.h5 --tx 7 -o office_view",
-        ),
-        (
-            "compare results",
-            "xfreqbench compare needs B.",
-            "Example: xfreqbench compare results/before results/after",
-        ),
+        ("view office.h5", "needs --output or -o.", "Example: xfreqbench view office.h5 --tx 7 -o office_view"),
+        ("bench fingerprint empty", "needs --output or -o.", "Example: xfreqbench bench fingerprint office -o"),
+        ("view office.h5 -o", "-o requires an argument.", "Example: xfreqbench view office.h5 --tx 7 -o office_view"),
+        ("compare results", "xfreqbench compare needs B.", "Example: xfreqbench compare results/before results/after"),
         ("vew", 'Did you mean "view"?', ""),
     ],
 )

@@ -84,9 +84,7 @@ def test_a_reader_knows_what_was_said_and_written_before(tmp_path: Path) -> None
 
 @every_document
 def test_what_is_not_run_says_so(document: Path) -> None:
-    not_everywhere = [
-        block for block in blocks(document) if block.language in INTERPRETERS or not block.is_followed
-    ]
+    not_everywhere = [block for block in blocks(document) if block.language in INTERPRETERS or not block.is_followed]
     assert not [block.place for block in not_everywhere if not block.says_why_not]
 
 
@@ -199,10 +197,7 @@ def table(document: Path, heading: str) -> list[list[str]]:
 def variables(path: Path) -> list[list[str]]:
     """Name, axes, type and unit of every variable of an HDF5 file, as the file itself says."""
     with h5py.File(path) as file:
-        return [
-            [name, axes(variable), str(variable.dtype), text(variable, "units")]
-            for name, variable in file.items()
-        ]
+        return [[name, axes(variable), str(variable.dtype), text(variable, "units")] for name, variable in file.items()]
 
 
 def axes(variable: h5py.Dataset) -> str:
@@ -224,8 +219,7 @@ def test_the_table_of_paths_is_that_of_the_files(tmp_path: Path) -> None:
     generate_planned(small_plan(num_transmitters=1, paths=True), tmp_path / "data.h5")
     with h5py.File(tmp_path / "data.h5") as file:
         stored = [
-            [f"paths/{name}", axes(each), str(each.dtype), text(each, "units")]
-            for name, each in file["paths"].items()
+            [f"paths/{name}", axes(each), str(each.dtype), text(each, "units")] for name, each in file["paths"].items()
         ]
     assert sorted(row[:4] for row in table(FORMATS, "### Paths")) == sorted(stored)
 

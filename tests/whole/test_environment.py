@@ -18,9 +18,7 @@ pytestmark = pytest.mark.slow
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 
-def run(
-    *words: str | Path, stdout: Path | None = None, **environment: str
-) -> subprocess.CompletedProcess[bytes]:
+def run(*words: str | Path, stdout: Path | None = None, **environment: str) -> subprocess.CompletedProcess[bytes]:
     """The command line in a process of its own."""
     command = [sys.executable, "-m", "xfreqbench.cli", *map(str, words)]
     with Path(stdout or os.devnull).open("wb") as file:
@@ -45,13 +43,7 @@ def check_line(ended: subprocess.CompletedProcess[bytes], *words: str) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [
-        "scenes",
-        "--help",
-        "methods",
-        "import --conventions",
-        "generate office --freqs 2.4 --tx 2 -o x.h5 --dry-run",
-    ],
+    ["scenes", "--help", "methods", "import --conventions", "generate office --freqs 2.4 --tx 2 -o x.h5 --dry-run"],
 )
 def test_a_locale_of_ascii_reads_and_prints_all_the_same(tmp_path: Path, command: str) -> None:
     ended = run(*command.split(), **ASCII)
@@ -72,9 +64,7 @@ def test_a_locale_of_ascii_writes_the_same_report(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
 @pytest.mark.parametrize("command", ["scenes", "--help", "import --conventions"])
 def test_a_full_device_as_output_is_said_in_one_line(command: str) -> None:
-    check_line(
-        run(*command.split(), stdout=Path("/dev/full")), "what is printed cannot be written: No space left"
-    )
+    check_line(run(*command.split(), stdout=Path("/dev/full")), "what is printed cannot be written: No space left")
 
 
 @pytest.mark.parametrize("number", ["0", "-1", "9999", "many", ""])
@@ -85,6 +75,4 @@ def test_a_number_of_threads_that_cannot_be_is_refused(number: str) -> None:
 def test_a_library_that_is_not_llvm_is_refused(tmp_path: Path) -> None:
     (tmp_path / "tx.csv").write_bytes(b"1,1,1\n")
     options = ["--solver", "sionna", "--tx-positions", tmp_path / "tx.csv", "-o", tmp_path / "x.h5"]
-    check_line(
-        run("generate", "empty", *options, DRJIT_LIBLLVM_PATH=__file__), "DRJIT_LIBLLVM_PATH", __file__
-    )
+    check_line(run("generate", "empty", *options, DRJIT_LIBLLVM_PATH=__file__), "DRJIT_LIBLLVM_PATH", __file__)

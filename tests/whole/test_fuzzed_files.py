@@ -8,15 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import strategies as st
 
-from tests.support.fuzzing.common import (
-    NUM_INPUTS,
-    check_clean,
-    fuzz,
-    refused,
-    sentinel_folder,
-    untouched,
-    xfreqbench,
-)
+from tests.support.fuzzing.common import NUM_INPUTS, check_clean, fuzz, refused, sentinel_folder, untouched, xfreqbench
 from tests.support.fuzzing.options import RUN_OPTIONS, option_texts
 from tests.support.fuzzing.png import PNG_FOLDER, png, png_folders
 from tests.support.fuzzing.sound_files import DATA, sound_files
@@ -33,13 +25,7 @@ def run_refused(options: dict[str, str]) -> None:
     """A run is small where nothing is wrong; its results go where nothing was."""
     with sentinel_folder() as folder, contextlib.chdir(folder):
         Path("data.h5").write_bytes(sound_files()[DATA])
-        given = {
-            "--data": "data.h5",
-            "--results": "new",
-            "--method": "nearest",
-            "--targets": "10",
-            "--budget": "1s",
-        }
+        given = {"--data": "data.h5", "--results": "new", "--method": "nearest", "--targets": "10", "--budget": "1s"}
         words = [f"{name}={text}" for name, text in (given | options).items()]
         with untouched(folder, folder / "new"):
             outcome = xfreqbench("run", *words, "-q")

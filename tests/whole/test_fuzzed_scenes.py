@@ -93,9 +93,7 @@ def refused_room(xml: bytes, ply: bytes | None, scene: str = REFERRING_SCENE) ->
 
 def test_no_mitsuba_scene_ends_in_a_traceback() -> None:
     encodings = st.sampled_from(["latin-1", "utf-16", "utf-7", "cp037", "no-such", "\0", ""])
-    replaced = st.sampled_from(
-        [".", "/", "wall.obj", "wall.glb", "wall.stl", "no/such.ply", "wall.ply/x", "\x01"]
-    )
+    replaced = st.sampled_from([".", "/", "wall.obj", "wall.glb", "wall.stl", "no/such.ply", "wall.ply/x", "\x01"])
     parts = re.findall(r'"[^"]*"', XML)
     strange = (
         encodings.map(lambda encoding: XML.replace("utf-8", encoding).encode())
@@ -103,14 +101,10 @@ def test_no_mitsuba_scene_ends_in_a_traceback() -> None:
         | st.tuples(st.sampled_from(parts), WORDS | ODD_NUMBERS | ODD_WORDS).map(
             lambda change: XML.replace(change[0], f'"{change[1]}"').encode("utf-8", "replace")
         )
-        | st.sampled_from([XML.replace("<string", "<b><string"), "<scene/>", "<a>" * 5000, XML + XML]).map(
-            str.encode
-        )
+        | st.sampled_from([XML.replace("<string", "<b><string"), "<scene/>", "<a>" * 5000, XML + XML]).map(str.encode)
         | edited(XML).map(lambda text: text.encode("utf-8", "surrogateescape"))
     )
-    fuzz(
-        NUM_INPUTS["a Mitsuba XML with one edit"], strange, lambda xml: refused_room(xml, ASCII_PLY.encode())
-    )
+    fuzz(NUM_INPUTS["a Mitsuba XML with one edit"], strange, lambda xml: refused_room(xml, ASCII_PLY.encode()))
 
 
 def test_no_place_of_a_mitsuba_scene_ends_in_a_traceback() -> None:
@@ -148,11 +142,7 @@ def test_no_glb_ends_in_a_traceback() -> None:
     content, binary = glb_content(nodes, [(square_m, [0, 1, 2, 2, 1, 3], 4, "itu_concrete")])
     files = spoilt_json(content).map(lambda spoilt: packed_glb(spoilt, binary))
     torn = cut_or_flipped(packed_glb(content, binary))
-    fuzz(
-        NUM_INPUTS["a GLB with one part spoilt"],
-        files | files | torn,
-        lambda glb: refused_scene("odd.glb", glb),
-    )
+    fuzz(NUM_INPUTS["a GLB with one part spoilt"], files | files | torn, lambda glb: refused_scene("odd.glb", glb))
 
 
 def test_no_obj_ends_in_a_traceback() -> None:
@@ -169,23 +159,14 @@ def positions_refused(content: bytes, name: str = "tx.csv") -> None:
 
 
 def test_no_file_of_positions_ends_in_a_traceback() -> None:
-    numbers = st.lists(
-        st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=4).map(",".join), max_size=4
-    )
+    numbers = st.lists(st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=4).map(",".join), max_size=4)
     texts = (
-        numbers.map("\n".join).map(str.encode)
-        | st.binary(max_size=60)
-        | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n")
+        numbers.map("\n".join).map(str.encode) | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n")
     )
     names = st.sampled_from(["tx.csv", "tx.csv", "tx.csv.gz", "tx.bz2", "tx.xz", "tx.npy"])
     packed = st.tuples(names, texts).flatmap(
         lambda file: st.sampled_from(
-            [
-                file[1],
-                gzip.compress(file[1], mtime=0)[:-4],
-                bz2.compress(file[1])[:-4],
-                lzma.compress(file[1])[:-4],
-            ]
+            [file[1], gzip.compress(file[1], mtime=0)[:-4], bz2.compress(file[1])[:-4], lzma.compress(file[1])[:-4]]
         ).map(lambda content: (content, file[0]))
     )
     fuzz(NUM_INPUTS["positions of transmitters"], packed, lambda file: positions_refused(*file))
@@ -204,8 +185,7 @@ def test_no_option_text_of_generate_ends_in_a_traceback() -> None:
     option = st.sampled_from(sorted(GENERATE_OPTIONS)).flatmap(
         lambda name: st.tuples(
             st.just(name),
-            st.sampled_from(GENERATE_OPTIONS[name])
-            | (WORDS | ODD_NUMBERS if name != "--output" else st.nothing()),
+            st.sampled_from(GENERATE_OPTIONS[name]) | (WORDS | ODD_NUMBERS if name != "--output" else st.nothing()),
         )
     )
     options = st.lists(option, min_size=1, max_size=3).map(dict)

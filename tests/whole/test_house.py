@@ -10,9 +10,7 @@ import pytest
 from tests.support.places import ROOT
 
 SOURCES = [
-    path
-    for folder in (ROOT / "xfreqbench", ROOT / "baselines", ROOT / "scenes")
-    for path in folder.rglob("*.py")
+    path for folder in (ROOT / "xfreqbench", ROOT / "baselines", ROOT / "scenes") for path in folder.rglob("*.py")
 ]
 FOLDERS = [path for path in SOURCES if path.name == "__init__.py"]
 OFFERS_NAMES = {

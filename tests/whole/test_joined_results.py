@@ -48,8 +48,7 @@ def test_results_of_two_machines_make_one_board(tmp_path: Path, monkeypatch: pyt
     places = read_fingerprint(fingerprint_path("two_rooms")).tx_position_m[:NUM_TRANSMITTERS]
     np.savetxt("tx.csv", places, fmt="%.17g", delimiter=",")
     traced = xfreqbench(
-        *["generate", "two_rooms", "--tx-positions", "tx.csv", "--freqs", "1,10,94", "-o", "ours.h5"],
-        is_bounded=False,
+        *["generate", "two_rooms", "--tx-positions", "tx.csv", "--freqs", "1,10,94", "-o", "ours.h5"], is_bounded=False
     )
     assert traced.code == 0, traced.message
     assert f"({NUM_TRANSMITTERS} transmitters × 3 carriers in common)" in traced.stdout
@@ -62,9 +61,7 @@ def test_results_of_two_machines_make_one_board(tmp_path: Path, monkeypatch: pyt
         done = xfreqbench(*f"run --data {name}.h5 --results {name} {fit}".split(), is_bounded=False)
         assert done.code == 0, done.message
     moved_to_their_machine(Path("theirs"))
-    done = xfreqbench(
-        *["report", "ours", "theirs", "-o", "board.md", "--html", "board.html", "-q"], is_bounded=False
-    )
+    done = xfreqbench(*["report", "ours", "theirs", "-o", "board.md", "--html", "board.html", "-q"], is_bounded=False)
     assert done.code == 0, done.message
 
     board = Path("board.md").read_text("utf-8")

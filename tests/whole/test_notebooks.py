@@ -52,7 +52,5 @@ def test_links_of_notebooks_lead_somewhere() -> None:
         ("| ---- | -: |\n", ["|", "|", ":", "|"], []),
     ],
 )
-def test_outputs_are_compared_by_words_and_numbers(
-    printed: str, words: list[str], numbers: list[float]
-) -> None:
+def test_outputs_are_compared_by_words_and_numbers(printed: str, words: list[str], numbers: list[float]) -> None:
     assert words_and_numbers(printed) == (words, numbers)

@@ -10,9 +10,7 @@ from tests.support.places import ROOT
 
 def test_every_package_is_in_the_wheel() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    folders = {
-        path.parent for name in ("xfreqbench", "baselines") for path in (ROOT / name).rglob("__init__.py")
-    }
+    folders = {path.parent for name in ("xfreqbench", "baselines") for path in (ROOT / name).rglob("__init__.py")}
     packages = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
     packages = {name if name.startswith("xfreqbench") else f"xfreqbench.{name}" for name in packages}
     assert set(listed) == packages | {"xfreqbench.examples", "xfreqbench.scenes"}

@@ -56,9 +56,7 @@ def xfreqbench(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_lists_it(
-    installed: Path,
-) -> None:
+def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_lists_it(installed: Path) -> None:
     install(installed, "their-rooms", count_rooms="their_rooms:rooms")
     other = xfreqbench(installed, "scenes")
     assert (other.returncode, other.stderr) == (0, "")

@@ -50,23 +50,16 @@ def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> Non
     [
         ("name = " + "[" * 5000, "nested too deeply"),
         ("name = " + "1" * 5000, "not TOML"),
+        (toml_file({**EMPTY_SCENE, "receiver": {"position_m": [1e300, 0.0, 0.0]}}), "less than or equal to 10000000"),
         (
-            toml_file({**EMPTY_SCENE, "receiver": {"position_m": [1e300, 0.0, 0.0]}}),
-            "less than or equal to 10000000",
-        ),
-        (
-            toml_file(
-                {**EMPTY_SCENE, "receiver": {"position_m": [0.0, 0.0, 0.0], "boresight": [0.0, 0.0, 1e-300]}}
-            ),
+            toml_file({**EMPTY_SCENE, "receiver": {"position_m": [0.0, 0.0, 0.0], "boresight": [0.0, 0.0, 1e-300]}}),
             "zero vector",
         ),
         (toml_file({**EMPTY_SCENE, "scene": "a\0b"}), "cannot be read"),
         (toml_file({**EMPTY_SCENE, "scene": "."}), "Is a directory"),
     ],
 )
-def test_scenes_that_once_ended_in_a_traceback_are_refused(
-    tmp_path: Path, content: str, message: str
-) -> None:
+def test_scenes_that_once_ended_in_a_traceback_are_refused(tmp_path: Path, content: str, message: str) -> None:
     (tmp_path / "odd.toml").write_text(content)
     outcome = xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5")
     assert message in outcome.stderr
@@ -95,12 +88,8 @@ def test_vertices_that_no_float_can_square_are_refused_without_a_warning(tmp_pat
     assert "not finite, or beyond" in outcome.stderr
 
 
-@pytest.mark.parametrize(
-    "content", [b"1,1,1e308\n", gzip.compress(b"1,1,1\n", mtime=0)[:-4], b"\xff,1,1\n", b"1,1\n"]
-)
-def test_positions_that_once_ended_in_a_traceback_or_warnings_are_refused(
-    tmp_path: Path, content: bytes
-) -> None:
+@pytest.mark.parametrize("content", [b"1,1,1e308\n", gzip.compress(b"1,1,1\n", mtime=0)[:-4], b"\xff,1,1\n", b"1,1\n"])
+def test_positions_that_once_ended_in_a_traceback_or_warnings_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "tx.csv.gz").write_bytes(content)
     words = ["generate", "empty", "--tx-positions", tmp_path / "tx.csv.gz", "-q", "-o", tmp_path / "x.h5"]
     refused(tmp_path, *words)
@@ -154,17 +143,7 @@ def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
     data.write_bytes(sound_dataset())
     for option in ("--seed=", "--budget=steps", "--budget=s", "--executor="):
         name, _, unit = option.partition("=")
-        common = [
-            "run",
-            "--data",
-            data,
-            "--results",
-            tmp_path / "new",
-            "--targets",
-            "10",
-            "--method",
-            "nearest",
-        ]
+        common = ["run", "--data", data, "--results", tmp_path / "new", "--targets", "10", "--method", "nearest"]
         outcome = xfreqbench(*common, f"{name}={'9' * 5000}{unit}")
         assert outcome.code == 2
         check_clean(outcome, name.removeprefix("--"))

@@ -47,9 +47,7 @@ def bench_scale_out(bench: Bench, num_tx: int) -> None:
         raise XFreqBenchError(f"--tx is {num_tx}; give at least {BATCH}, which is one batch.")
     bench.introduce()
     with tempfile.TemporaryDirectory() as folder:
-        generate_planned(
-            office_plan(1), Path(folder) / "compiled.h5"
-        )  # compiles kernels for all measurements
+        generate_planned(office_plan(1), Path(folder) / "compiled.h5")  # compiles kernels for all measurements
         _tabulate_executors(bench, num_tx, Path(folder))
 
 
@@ -163,9 +161,7 @@ class _Runs:
         data, results = self._folder / f"{SERIAL}.h5", self._folder / f"runs of {way}"
         dataset, methods = open_dataset(data), [(method, ()) for method in NEEDED_TRIVIAL]
         targets_ghz = LOFO_TARGETS_GHZ[:NUM_SPLITS]
-        run_jobs(
-            protocol_tasks(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers
-        )
+        run_jobs(protocol_tasks(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers)
         digest = hashlib.sha256()
         for path in ResultsFolder(results).predictions_paths():
             digest.update(path.name.encode() + path.read_bytes())

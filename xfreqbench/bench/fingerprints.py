@@ -65,11 +65,7 @@ def make_fingerprint(
         temporary.open("wb") as file,  # given a path, NumPy adds .npz to its name
     ):
         np.savez_compressed(
-            file,
-            tx_position_m=plan.tx_position_m,
-            carrier_hz=header.carrier_hz,
-            cfr=cfr,
-            about=json.dumps(about),
+            file, tx_position_m=plan.tx_position_m, carrier_hz=header.carrier_hz, cfr=cfr, about=json.dumps(about)
         )
     progress(len(rows), len(rows))
 

@@ -83,10 +83,7 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
 
 def _read(path: Path) -> Reference:
     try:
-        with (
-            require_regular(path).open("rb") as file,
-            np.load(file) as content,
-        ):  # NumPy leaves a broken file open
+        with require_regular(path).open("rb") as file, np.load(file) as content:  # NumPy leaves a broken file open
             about = json.loads(str(content["about"]))
             return Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
     except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:

@@ -59,9 +59,7 @@ _MOST_DENSE_PAIRS = 100_000_000
 _FAR = 1e4  # squared distance for Gaussians that a direction does not see; G is zero in double precision
 
 
-def bench_render(
-    bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int], with_step: bool
-) -> None:
+def bench_render(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int], with_step: bool) -> None:
     """Print the table of splatting alone and, with `with_step`, that of training steps of methods."""
     bench.introduce()
     tabulate_splatting(bench, num_gaussians, batch_sizes)
@@ -227,9 +225,7 @@ def accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float
 
 def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[Tensor, "B K"]:
     """The result of `composite` for these leaves."""
-    return composite(
-        lists, leaves.distance, leaves.inverse_spread, leaves.signal, leaves.attenuation, backend
-    )
+    return composite(lists, leaves.distance, leaves.inverse_spread, leaves.signal, leaves.attenuation, backend)
 
 
 def dense_field(leaves: Leaves) -> Complex[Tensor, "B K"]:

@@ -86,9 +86,7 @@ class Workload:
         tracer = tracer_of(PreparedScene.of(self.scene), self.carrier_hz, self.settings)
         return tracer.channel(self.tx_position_m).cfr
 
-    def saving(
-        self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]
-    ) -> Saving:
+    def saving(self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]) -> Saving:
         """Measure both ways, and compare their channels and maps."""
         off_s, without = timed_s(off)
         on_s, with_it = timed_s(on)
@@ -218,19 +216,14 @@ def side_by_side(work: Workload, name: str) -> Saving:
 def one_shooting_for_all_transmitters(work: Workload, name: str) -> Saving:
     """Rays shot from the receiver once, against anew for each transmitter."""
     parts = [replace(work, tx_position_m=place[None]) for place in work.tx_position_m]
-    return work.saving(
-        name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts]), work.channel
-    )
+    return work.saving(name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts]), work.channel)
 
 
 def one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
     """Rays shot once for the widest aperture, against anew for the aperture of each carrier."""
     parts = [replace(work, carrier_hz=(carrier,)) for carrier in work.carrier_hz]
     return work.saving(
-        name,
-        SCENE_AND_RAYS,
-        lambda: np.concatenate([part.channel() for part in parts], axis=1),
-        work.channel,
+        name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts], axis=1), work.channel
     )
 
 

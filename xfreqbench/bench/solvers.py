@@ -75,18 +75,14 @@ class MapError:
     @property
     def meets_bar(self) -> bool:
         """Whether the errors reach the accuracy bar of the default settings."""
-        return (
-            self.median_psnr_db >= MEDIAN_BAR_DB and self.fifth_percentile_psnr_db >= FIFTH_PERCENTILE_BAR_DB
-        )
+        return self.median_psnr_db >= MEDIAN_BAR_DB and self.fifth_percentile_psnr_db >= FIFTH_PERCENTILE_BAR_DB
 
     def __str__(self) -> str:
         return f"{self.median_psnr_db:.0f} / {self.fifth_percentile_psnr_db:.0f} / {self.median_ssim:.4f}"
 
 
 def map_errors(
-    scene: Scene,
-    cfr: Complex[NDArray[np.complex128], "T F M"],
-    truth: Complex[NDArray[np.complex128], "T F M"],
+    scene: Scene, cfr: Complex[NDArray[np.complex128], "T F M"], truth: Complex[NDArray[np.complex128], "T F M"]
 ) -> list[MapError]:
     """Errors of power maps at each carrier, over the transmitters."""
     grid = AngularGrid.hemisphere()
@@ -255,17 +251,12 @@ class PipelineCost:
 
 
 def measure_pipeline(
-    scene: Scene,
-    settings: TraceSettings,
-    num_tx: int | None,
-    carriers_ghz: Sequence[float] = PAPER_CARRIERS_GHZ,
+    scene: Scene, settings: TraceSettings, num_tx: int | None, carriers_ghz: Sequence[float] = PAPER_CARRIERS_GHZ
 ) -> PipelineCost:
     """Generate a data set with maps in a temporary folder and measure everything except compilation."""
     carriers = [ghz_to_hz(carrier) for carrier in carriers_ghz]
     with tempfile.TemporaryDirectory() as folder:
-        generate_planned(
-            plan_generation(scene, carriers, settings, num_transmitters=1), Path(folder) / "first.h5"
-        )
+        generate_planned(plan_generation(scene, carriers, settings, num_transmitters=1), Path(folder) / "first.h5")
         reset_peak_memory()
         start = time.perf_counter()
         plan = plan_generation(scene, carriers, settings, num_transmitters=num_tx)
@@ -352,15 +343,11 @@ def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, Pipeline
         few = min(num_tx or _FEW_TX, _FEW_TX)
         yield (
             f"price per carrier: {count}",
-            measure_pipeline(
-                scene, TraceSettings(interactions=("specular", "refraction")), few, carriers_ghz
-            ),
+            measure_pipeline(scene, TraceSettings(interactions=("specular", "refraction")), few, carriers_ghz),
         )
     yield (
         "sionna",
-        measure_pipeline(
-            scene, TraceSettings("sionna", ("specular", "refraction")), min(num_tx or _FEW_TX, _FEW_TX)
-        ),
+        measure_pipeline(scene, TraceSettings("sionna", ("specular", "refraction")), min(num_tx or _FEW_TX, _FEW_TX)),
     )
 
 
@@ -403,11 +390,7 @@ def _tabulate_pipelines(
         "From scene to finished file, maps included, compilation apart. Rates are ratios to the plain way "
         f"({usual.label}: {usual.sample_ms:.0f} ms a sample) and to "
         "the cheapest plain settings that meet the bar"
-        + (
-            f" ({best.label}: {best.sample_ms:.0f} ms a sample)."
-            if best
-            else ", of which there are none here."
-        )
+        + (f" ({best.label}: {best.sample_ms:.0f} ms a sample)." if best else ", of which there are none here.")
     )
     with bench.table(f"The full pipeline, {scene_name}", note, PIPELINE_COLUMNS, _versions(SOLVERS)) as table:
         for name, cost in pipelines.items():

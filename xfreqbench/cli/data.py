@@ -37,9 +37,7 @@ Solver = Annotated[
 @app.command(group=DATA, help_epilogue=example("scenes"))
 def scenes(
     *,
-    schema: Annotated[
-        bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")
-    ] = False,
+    schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")] = False,
 ) -> None:
     """List the scenes that ship with the toolkit."""
     import json
@@ -59,9 +57,7 @@ def generate(
     *,
     output: Output,
     freqs: Freqs = "paper",
-    tx: Annotated[
-        int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")
-    ] = None,
+    tx: Annotated[int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")] = None,
     tx_positions: Annotated[
         Path | None,
         Parameter(
@@ -83,9 +79,7 @@ def generate(
     maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
     paths: Annotated[
         bool,
-        Parameter(
-            negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."
-        ),
+        Parameter(negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."),
     ] = False,
     executor: Executor = "serial",
     dry_run: Annotated[
@@ -176,10 +170,7 @@ def info(
     file: Path,
     *,
     retrace: Annotated[
-        int,
-        Parameter(
-            help="Samples to trace again from the scene and settings in the file, and to compare with it."
-        ),
+        int, Parameter(help="Samples to trace again from the scene and settings in the file, and to compare with it.")
     ] = 0,
     glints: Annotated[
         int,
@@ -227,12 +218,9 @@ def plot(
             "power received from every transmitter."
         ),
     ] = "maps",
-    tx: Annotated[
-        int | None, Parameter(help="Index of the transmitter whose maps are drawn; 0 if absent.")
-    ] = None,
+    tx: Annotated[int | None, Parameter(help="Index of the transmitter whose maps are drawn; 0 if absent.")] = None,
     carriers: Annotated[
-        str | None,
-        Parameter(help="Carriers in GHz, comma-separated, one panel each; all of the data if absent."),
+        str | None, Parameter(help="Carriers in GHz, comma-separated, one panel each; all of the data if absent.")
     ] = None,
     db_range: Annotated[float, Parameter(help="How many dB below the strongest the colours reach.")] = 30.0,
 ) -> None:
@@ -259,9 +247,7 @@ def view(
     data_or_scene: str,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for page, figures and model.")],
-    tx: Annotated[
-        int | None, Parameter(help="Index of the transmitter shown; one in the middle if absent.")
-    ] = None,
+    tx: Annotated[int | None, Parameter(help="Index of the transmitter shown; one in the middle if absent.")] = None,
     carrier: Annotated[
         float | None, Parameter(help="Carrier in GHz at which rays are drawn; the middle one if absent.")
     ] = None,

@@ -24,9 +24,7 @@ from xfreqbench.errors import XFreqBenchError
 Convention = Annotated[
     str, Parameter(help="Whose angles, values and array: a name from `xfreqbench import --conventions`.")
 ]
-Changed = Annotated[
-    tuple[str, ...], Parameter(name="--set", help="Change a field of the convention, as in plane=yz.")
-]
+Changed = Annotated[tuple[str, ...], Parameter(name="--set", help="Change a field of the convention, as in plane=yz.")]
 
 
 @app.command(
@@ -48,8 +46,7 @@ def import_(
         float | None, Parameter(help="Carrier in GHz of all samples, for a folder without freq.txt.")
     ] = None,
     pair: Annotated[
-        str | None,
-        Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, where there are several."),
+        str | None, Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, where there are several.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -65,9 +62,7 @@ def import_(
         _import_deepmimo(folder, output, pair, freq is not None or bool(set_), quiet)
         return
     if pair is not None:
-        raise XFreqBenchError(
-            "--pair chooses among the stations of a DeepMIMO scenario; give --from deepmimo too."
-        )
+        raise XFreqBenchError("--pair chooses among the stations of a DeepMIMO scenario; give --from deepmimo too.")
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder
     from xfreqbench.exchange.png_folder import read_png_folder
@@ -120,9 +115,7 @@ def export(
     ] = "png",
     convention: Annotated[
         str | None,
-        Parameter(
-            help="For PNG maps: whose angles and values, a name from `xfreqbench import --conventions`."
-        ),
+        Parameter(help="For PNG maps: whose angles and values, a name from `xfreqbench import --conventions`."),
     ] = None,
     set_: Changed = (),
     quiet: Quiet = False,
@@ -162,35 +155,24 @@ def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], q
     write = export_deepmimo if to == "deepmimo" else export_sionna_npz
     with progress_bars("carriers", ["exporting"], quiet) as (progress,):
         dataset = write(data, output, progress)
-    say(
-        f"wrote {output} (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)",
-        quiet,
-    )
+    say(f"wrote {output} (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)", quiet)
 
 
-@app.command(
-    group=EXCHANGE, help_epilogue=example("split --data office.h5 --targets 24.25 --maps -o split.h5")
-)
+@app.command(group=EXCHANGE, help_epilogue=example("split --data office.h5 --targets 24.25 --maps -o split.h5"))
 def split(
     *,
     data: Annotated[Path, Parameter(help="Data set written by `generate` or `import`.")],
     output: Output,
     protocol: Annotated[
-        str,
-        Parameter(
-            help="lofo, sparse, held-out-tx, lofo-unseen-tx, held-out-block or random-samples; see `run`."
-        ),
+        str, Parameter(help="lofo, sparse, held-out-tx, lofo-unseen-tx, held-out-block or random-samples; see `run`.")
     ] = "lofo",
     targets: Annotated[
-        str | None,
-        Parameter(help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
+        str | None, Parameter(help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77.")
     ] = None,
     on: ScoredOnOption = "test",
     maps: Annotated[
         bool,
-        Parameter(
-            negative="", help="Include the training maps, so that the data set itself need not be handed out."
-        ),
+        Parameter(negative="", help="Include the training maps, so that the data set itself need not be handed out."),
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -215,9 +197,7 @@ def score(
     *,
     data: Annotated[Path, Parameter(help="Data set that the splits were made from.")],
     results: Annotated[Path, Parameter(help="Folder for the record and a copy of the predictions.")],
-    method: Annotated[
-        str | None, Parameter(help="Name on the leaderboard, instead of the one in the file.")
-    ] = None,
+    method: Annotated[str | None, Parameter(help="Name on the leaderboard, instead of the one in the file.")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Score maps that were predicted elsewhere in the same way as a run's, and record them, marked external.

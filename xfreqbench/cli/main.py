@@ -51,9 +51,7 @@ def main() -> None:
         if error.filename is None:
             if not _is_output_lost():
                 raise
-            fault = (
-                f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
-            )
+            fault = f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
         print(f"xfreqbench: {fault}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:

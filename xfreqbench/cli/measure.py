@@ -13,17 +13,13 @@ from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
     Path | None,
-    Parameter(
-        name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."
-    ),
+    Parameter(name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."),
 ]
 
 _MAX_GAUSSIANS, _MAX_BATCH = 1_000_000, 1000
 
 
-def _bench(
-    name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object
-) -> Any:
+def _bench(name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object) -> Any:
     """The object that prints a command's tables and appends them to `output`, with the command line that makes them.
 
     `kind` names the tables where a command makes several kinds. Options that are False or None are left out of the
@@ -46,10 +42,7 @@ def bench_generate(
     *,
     solvers: Annotated[str, Parameter(help="Comma-separated, of: image, sionna.")] = "image,sionna",
     against_plain: Annotated[
-        bool,
-        Parameter(
-            negative="", help="Compare the full pipeline's rate with one public PathSolver call a sample."
-        ),
+        bool, Parameter(negative="", help="Compare the full pipeline's rate with one public PathSolver call a sample.")
     ] = False,
     tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; all if absent.")] = None,
     plain_tx: Annotated[int, Parameter(help="Transmitters of the PathSolver calls, 2 to 24.")] = 12,
@@ -96,9 +89,7 @@ def bench_savings(*, output: BenchOutput = None) -> None:
 
 @bench.command(name="scale-out", help_epilogue=example("bench scale-out --tx 64"))
 def bench_scale_out(
-    *,
-    tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64,
-    output: BenchOutput = None,
+    *, tx: Annotated[int, Parameter(help="Transmitters to generate, 16 or more.")] = 64, output: BenchOutput = None
 ) -> None:
     """Print the time of the same work in one process, on several processes, and on a Dask cluster."""
     from xfreqbench.bench import executors as scale_out
@@ -141,9 +132,7 @@ def bench_stress(
 def _counts(option: str, text: str, most: int) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):
-        raise XFreqBenchError(
-            f"{option} takes whole numbers from 1 to {most}, as in 1,8,32, but got {text!r}."
-        )
+        raise XFreqBenchError(f"{option} takes whole numbers from 1 to {most}, as in 1,8,32, but got {text!r}.")
     return [int(part) for part in parts]
 
 
@@ -163,9 +152,7 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
     say(f"wrote {path}", quiet)
 
 
-@bench.command(
-    name="fingerprint", help_epilogue=example("bench fingerprint office -o office_fingerprint.npz")
-)
+@bench.command(name="fingerprint", help_epilogue=example("bench fingerprint office -o office_fingerprint.npz"))
 def bench_fingerprint(
     scene: str = "office", *, output: Output, interactions: Interactions = None, quiet: Quiet = False
 ) -> None:

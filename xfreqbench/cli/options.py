@@ -24,9 +24,7 @@ def _refusal(error: CycloptsError) -> RichGroup:
     shown: CycloptsError | str = error
     if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
         names = error.argument.names
-        needed = (
-            names[0].lstrip("-").upper() if error.argument.field_info.is_positional else " or ".join(names)
-        )
+        needed = names[0].lstrip("-").upper() if error.argument.field_info.is_positional else " or ".join(names)
         shown = f"xfreqbench {' '.join(chain)} needs {needed}."
     panel, command = CycloptsPanel(shown), app
     for name in chain:
@@ -47,9 +45,7 @@ GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(
         ("Data", "Run methods", "Results", "Exchange with others", "Advanced", "Plug-ins", "Options")
     )
 )
-bench = App(
-    name="bench", help="Measure accuracy against time; every table names its machine.", group=ADVANCED
-)
+bench = App(name="bench", help="Measure accuracy against time; every table names its machine.", group=ADVANCED)
 app.command(bench)
 for flag in ("--help", "--version"):
     app[flag].group = _OTHERS
@@ -60,10 +56,7 @@ Freqs = Annotated[
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
 Executor = Annotated[
-    str,
-    Parameter(
-        help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster."
-    ),
+    str, Parameter(help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster.")
 ]
 ScoredOnOption = Annotated[
     Literal["test", "validation"],

@@ -28,9 +28,7 @@ def add_plugin_commands(app: App) -> list[str]:
     ignored = [name for name in names if name in app or not _NAME.fullmatch(name)]
     for name in names:
         if name not in ignored:
-            app.command(
-                f"{__name__}:{name}", name=name
-            )  # cyclopts gets it by __getattr__, below, when it is used
+            app.command(f"{__name__}:{name}", name=name)  # cyclopts gets it by __getattr__, below, when it is used
     return [
         f"The command {name!r} of {_packages(name)} is ignored: xfreqbench has one of that name, or it is no name."
         for name in ignored
@@ -47,18 +45,14 @@ def __getattr__(name: str) -> App:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
         if len(values) > 1:
-            raise MethodError(
-                f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one."
-            )
+            raise MethodError(f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one.")
         (entry,) = {
             entry_point.value: entry_point for entry_point in entry_points(group=COMMAND_GROUP, name=name)
         }.values()
         with method_code(f"Command {name!r} cannot be loaded:", "Mend its package, or uninstall it.", ()):
             app = entry.load()
         if not isinstance(app, App) or app.name[0] != name:
-            raise MethodError(
-                f"Command {name!r} cannot be loaded: {entry.value} is no App(name={name!r}) of cyclopts."
-            )
+            raise MethodError(f"Command {name!r} cannot be loaded: {entry.value} is no App(name={name!r}) of cyclopts.")
     except MethodError as error:
         return _refusing(name, str(error))
     assert isinstance(app.group, tuple), "cyclopts makes it one"

@@ -29,10 +29,7 @@ if TYPE_CHECKING:
 
 Overrides = Annotated[
     tuple[str, ...],
-    Parameter(
-        name="--set",
-        help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
-    ),
+    Parameter(name="--set", help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them."),
 ]
 
 
@@ -59,15 +56,9 @@ def methods(method: str | None = None) -> None:
 
 
 @app.command(
-    name="check-method",
-    group=RUN,
-    help_epilogue=example("check-method your_module:YourMethod --set width=32"),
+    name="check-method", group=RUN, help_epilogue=example("check-method your_module:YourMethod --set width=32")
 )
-def check_method(
-    method: str,
-    *,
-    set_: Overrides = (),
-) -> None:
+def check_method(method: str, *, set_: Overrides = ()) -> None:
     """Try every part of a method's contract on a small data set, in seconds.
 
     Parameters
@@ -92,9 +83,7 @@ def new_method(
     *,
     output: Annotated[
         Path | None,
-        Parameter(
-            name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."
-        ),
+        Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -110,10 +99,7 @@ def new_method(
     folder = output or Path(name)
     for path in write_method_package(name, folder):
         say(f"wrote {path}", quiet)
-    say(
-        f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}",
-        quiet,
-    )
+    say(f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}", quiet)
 
 
 @app.command(
@@ -140,8 +126,7 @@ def run(
     targets: Annotated[
         str | None,
         Parameter(
-            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default "
-            "2.4,24.25,77."
+            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default 2.4,24.25,77."
         ),
     ] = None,
     on: ScoredOnOption = "test",
@@ -153,9 +138,7 @@ def run(
             "(64000maps), minutes (5m), converged (200000maps)."
         ),
     ] = "5m",
-    device: Annotated[
-        Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
-    ] = "cpu",
+    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")] = "cpu",
     set_: Overrides = (),
     executor: Executor = "serial",
     dry_run: Annotated[
@@ -180,10 +163,7 @@ def run(
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
     records = run_shown(tasks, results, executor, not quiet)
-    say(
-        f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}",
-        quiet,
-    )
+    say(f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}", quiet)
     _warn_of_busy(records, quiet)
 
 
@@ -206,9 +186,7 @@ def _seeds(text: str) -> list[int]:
     """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
-        raise XFreqBenchError(
-            f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
-        )
+        raise XFreqBenchError(f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}.")
     return list(dict.fromkeys(map(int, parts)))
 
 
@@ -223,12 +201,8 @@ def benchmark(
             "carrier; paper: the paper's experiments; paper-size: its method in its own sizes."
         ),
     ] = "standard",
-    data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path(
-        "data"
-    ),
-    results: Annotated[
-        Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")
-    ] = None,
+    data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
+    results: Annotated[Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")] = None,
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
     ] = "cpu",
@@ -280,9 +254,7 @@ def benchmark(
 def report(
     *results: Path,
     output: Output = Path("BENCHMARK.md"),
-    html: Annotated[
-        Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")
-    ] = None,
+    html: Annotated[Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")] = None,
     details: Annotated[
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),

@@ -72,9 +72,7 @@ class BatchStore:
                     return None
                 paths = {name.removeprefix("paths."): stored[name] for name in stored if "." in name}
                 return Channel(
-                    stored["cfr"],
-                    stored["num_paths"],
-                    RaggedPaths(**paths) if self.plan.header.paths else None,
+                    stored["cfr"], stored["num_paths"], RaggedPaths(**paths) if self.plan.header.paths else None
                 )
         except (ValueError, TypeError, LookupError, OSError, BadZipFile):
             return None
@@ -122,9 +120,7 @@ def _require_ours(folder: Path) -> None:
         if not folder.exists():
             return
         if not folder.is_dir():
-            raise OutputExistsError(
-                f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}"
-            )
+            raise OutputExistsError(f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}")
         started = (_LOCK, f".{_MARKER}.*.partial")  # all that is there before the marker is
         foreign = sorted(path.name for path in folder.iterdir() if not any(map(path.match, started)))
         if foreign and not (folder / _MARKER).is_file():

@@ -148,11 +148,7 @@ class PasDataset:
         """
         try:
             scene = TypeAdapter(Scene).validate_json(self.header.scene_json)
-            told = {
-                name: self.header.settings[name]
-                for name in scene.mirror_settings
-                if name in self.header.settings
-            }
+            told = {name: self.header.settings[name] for name in scene.mirror_settings if name in self.header.settings}
             return replace(scene, **(told or {"mirrors": "facets"})) if scene.scene else scene
         except ValidationError as error:
             raise DataError(
@@ -223,9 +219,7 @@ class PasDataset:
     def cfr(self) -> Complex[NDArray[np.complex64], "N M"]:
         """Channel of each sample at the array's elements (Eq. 1); raises `DataError` for a data set of maps alone."""
         if not self.header.channels:
-            raise DataError(
-                f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated."
-            )
+            raise DataError(f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated.")
         return self._samples("cfr")
 
     def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
@@ -271,9 +265,7 @@ class PasDataset:
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
             stored = read_paths(file, totals, self.tables[OFFSET][tx : tx + 2])
-            return SamplePaths.of(
-                stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names
-            )
+            return SamplePaths.of(stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names)
 
     def cir(self, sample: int) -> ImpulseResponse:
         """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""
@@ -304,9 +296,7 @@ class PasDataset:
         """
         for offered in entry_points(group=TENSORS, name="torch"):
             return offered.load()(self)
-        raise DataError(
-            f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench"
-        )
+        raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
 
     def subset(self, rows: Rows | int) -> PasDataset:
         """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
@@ -336,9 +326,7 @@ def open_dataset(path: FilePath) -> PasDataset:
     path = Path(path)
     with open_sealed(path, SCHEMA) as file:
         header = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
-        grid = AngularGrid(
-            *(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth"))
-        )
+        grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
         require_layout(file, variables(header, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}

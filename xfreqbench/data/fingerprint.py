@@ -21,9 +21,7 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
-TOLERANCE_SIONNA = (
-    1e-1  # of solver `sionna`, which misses more of the weak paths: up to 4e-2 with the default rays
-)
+TOLERANCE_SIONNA = 1e-1  # of solver `sionna`, which misses more of the weak paths: up to 4e-2 with the default rays
 MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
 _ENDING = "_fingerprint.npz"
 
@@ -130,8 +128,7 @@ def require_fingerprint(dataset: PasDataset) -> FingerprintMatch:
 
 
 def field_differences(
-    cfr: Complex[NDArray[np.complexfloating], "T F M"],
-    expected: Complex[NDArray[np.complexfloating], "T F M"],
+    cfr: Complex[NDArray[np.complexfloating], "T F M"], expected: Complex[NDArray[np.complexfloating], "T F M"]
 ) -> Float[FloatArray, "F"]:
     """Median over T transmitters of ‖h − h′‖ / ‖h′‖, at each carrier, over M elements; h′ is `expected`.
 
@@ -155,16 +152,10 @@ def read_fingerprint(path: Path) -> Fingerprint:
         with require_regular(path).open("rb") as file, np.load(file) as content:
             about = json.loads(str(content["about"]))
             return Fingerprint(
-                about["scene"],
-                about["physics_sha256"],
-                content["tx_position_m"],
-                content["carrier_hz"],
-                content["cfr"],
+                about["scene"], about["physics_sha256"], content["tx_position_m"], content["carrier_hz"], content["cfr"]
             )
     except (OSError, LookupError, ValueError, TypeError, BadZipFile) as error:
-        raise DataError(
-            f"{path} is no fingerprint that can be read: {error}. Install xfreqbench again."
-        ) from error
+        raise DataError(f"{path} is no fingerprint that can be read: {error}. Install xfreqbench again.") from error
 
 
 @cache

@@ -105,9 +105,7 @@ def plan_of(
 ) -> Plan:
     """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
     if tx is not None and tx_positions is not None:
-        raise XFreqBenchError(
-            "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
-        )
+        raise XFreqBenchError("tx chooses from the scene's grid and tx_positions replaces it; give one of them.")
     return plan_generation(
         scene if isinstance(scene, Scene) else load_scene(scene),
         [ghz_to_hz(carrier) for carrier in freqs_ghz],
@@ -146,9 +144,7 @@ def generate_planned(
     if not is_whole or holds_batches_of(path, plan):
         try:
             with claimed_batches(path, plan) as store:
-                if not holds_same_job(
-                    path, plan.sha256, "job"
-                ):  # nor did another process write it in the meantime
+                if not holds_same_job(path, plan.sha256, "job"):  # nor did another process write it in the meantime
                     _trace_missing(plan, store, progress, workers)
                     _write(plan, store, path, write_progress, workers)
         finally:

@@ -57,14 +57,9 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
         )
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
-    found = [
-        _paths(dataset, each, positions_m[np.sort(rows)])
-        for each in (scene, replace(scene, mirrors="facets"))
-    ]
+    found = [_paths(dataset, each, positions_m[np.sort(rows)]) for each in (scene, replace(scene, mirrors="facets"))]
     return Glints(
-        dataset.header.carrier_hz,
-        np.array([counts for counts, _ in found]),
-        np.array([power for _, power in found]),
+        dataset.header.carrier_hz, np.array([counts for counts, _ in found]), np.array([power for _, power in found])
     )
 
 

@@ -27,9 +27,7 @@ from xfreqbench.system.files import atomic_path, storage_errors
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25
 _SEAL = "data_sha256"
-_CONVENTIONS = {
-    "Conventions": "CF-1.11"
-}  # for other programs; not hashed by the seal, so that equal data keep theirs
+_CONVENTIONS = {"Conventions": "CF-1.11"}  # for other programs; not hashed by the seal, so that equal data keep theirs
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
@@ -83,8 +81,7 @@ class SealedWriter:
         rows = np.ascontiguousarray(rows, dtype=variable.dtype)
         if rows.shape[1:] != variable.shape[1:] or start + len(rows) > variable.shape[0]:
             raise DataError(
-                f"{name!r} has shape {variable.shape} and holds {start} rows; rows of shape {rows.shape} "
-                "do not fit."
+                f"{name!r} has shape {variable.shape} and holds {start} rows; rows of shape {rows.shape} do not fit."
             )
         with storage_errors(self._path, variable.num_bytes):
             self._file[name][start : start + len(rows)] = rows

@@ -142,9 +142,7 @@ class SamplePaths:
         return ImpulseResponse(self.carrier_hz, delay_s, turned)
 
     @classmethod
-    def of(
-        cls, paths: RaggedPaths, carrier: int, carrier_hz: float, surface_names: tuple[str, ...]
-    ) -> SamplePaths:
+    def of(cls, paths: RaggedPaths, carrier: int, carrier_hz: float, surface_names: tuple[str, ...]) -> SamplePaths:
         """The paths of one transmitter, at the carrier of that number."""
         count = paths.num_interactions
         is_met = np.arange(count.max(initial=0)) < count[:, None]
@@ -202,9 +200,7 @@ def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[V
     ]
 
 
-def _rows(
-    name: str, dtype: str, shape: tuple[int, ...], axes: tuple[str, ...], units: str, long_name: str
-) -> Variable:
+def _rows(name: str, dtype: str, shape: tuple[int, ...], axes: tuple[str, ...], units: str, long_name: str) -> Variable:
     chunk = (min(_CHUNK, shape[0]), *shape[1:]) if shape[0] else None
     return Variable(name, dtype, shape, axes, units, long_name, chunk, compressed=chunk is not None)
 

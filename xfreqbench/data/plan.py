@@ -100,13 +100,10 @@ class Plan:
             f"{each.name} (ε′ {each.relative_permittivity:g}, σ {each.conductivity_s_m:g} S/m)"
             for each in sorted(own, key=str)
         ]
-        rough = [
-            f"{name} (S {each.coefficient:g}, {each.pattern})" for name, each in self.geometry.scattering
-        ]
+        rough = [f"{name} (S {each.coefficient:g}, {each.pattern})" for name, each in self.geometry.scattering]
         is_traced = "diffuse" in self.settings.named_interactions
         return (f"\nthe same at every carrier: {', '.join(told)}" if told else "") + (
-            f"\nscattering: {', '.join(rough)}"
-            f"{'' if is_traced else ', of which the interaction diffuse is not traced'}"
+            f"\nscattering: {', '.join(rough)}{'' if is_traced else ', of which the interaction diffuse is not traced'}"
             if rough
             else ""
         )
@@ -185,13 +182,9 @@ def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:
     """Carriers in ascending order; raises `XFreqBenchError` for one that is not positive or is given twice."""
     carriers = [float(carrier) for carrier in carrier_hz]
     if not carriers or not all(np.isfinite(carriers)) or min(carriers) <= 0:
-        raise XFreqBenchError(
-            f"Carriers must be positive frequencies, but {format_ghz_list(carriers)} are given."
-        )
+        raise XFreqBenchError(f"Carriers must be positive frequencies, but {format_ghz_list(carriers)} are given.")
     if len(set(carriers)) < len(carriers):
-        raise XFreqBenchError(
-            f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice."
-        )
+        raise XFreqBenchError(f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice.")
     return sorted(carriers)
 
 

@@ -71,9 +71,7 @@ def stored_channels(
     return open_dataset(path)
 
 
-def _channel(
-    tx_position_m: Float[FloatArray, "3"], carrier_hz: float
-) -> Complex[NDArray[np.complex128], "M"]:
+def _channel(tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> Complex[NDArray[np.complex128], "M"]:
     """Channel of the direct wave and of the one reflected by the wall x = 0."""
     offset_m = np.array([tx_position_m, tx_position_m * (-1, 1, 1)]) - np.asarray(RECEIVER.position_m)
     arrival = offset_m @ RECEIVER.rotation

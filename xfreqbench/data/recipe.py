@@ -19,12 +19,7 @@ from xfreqbench.types import FloatArray
 
 OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
 _SHOWN_DIGITS = 8
-_NOT_PHYSICS = {
-    "name",
-    "description",
-    "transmitters",
-    "folder",
-}  # positions of transmitters are told by the data
+_NOT_PHYSICS = {"name", "description", "transmitters", "folder"}  # positions of transmitters are told by the data
 _TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
 
 
@@ -71,9 +66,7 @@ class Recipe:
             "physics": physics,
             "carrier_hz": header.carrier_hz.tolist(),
             "tx_position_um": micrometres(tx_position_m).tolist(),
-            "directions_deg": [
-                np.degrees(a).round(6).tolist() for a in (grid.elevation_rad, grid.azimuth_rad)
-            ],
+            "directions_deg": [np.degrees(a).round(6).tolist() for a in (grid.elevation_rad, grid.azimuth_rad)],
             "pas_kind": header.pas_kind,
         }
         return cls(header.scene_name, header.physics, _sha256(samples), physics)
@@ -111,9 +104,7 @@ def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:
 def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
     """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
     content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
-    content["surface"] = [
-        {key: value for key, value in each.items() if key != "name"} for each in content["surface"]
-    ]
+    content["surface"] = [{key: value for key, value in each.items() if key != "name"} for each in content["surface"]]
     return content | ({"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {})
 
 

@@ -54,8 +54,7 @@ def require_origin(
     """
     rows = np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
     worst = max(
-        _retraced(dataset, rows, folder, workers),
-        key=lambda each: (np.isnan(each.difference), each.difference),
+        _retraced(dataset, rows, folder, workers), key=lambda each: (np.isnan(each.difference), each.difference)
     )
     if not worst.difference <= TOLERANCE:
         raise DataError(
@@ -113,9 +112,7 @@ def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> 
         if again.paths is not None:
             receiver = dataset.header.receiver
             compared = dataset.paths(row), SamplePaths.of(again.paths, int(carrier), carrier_hz, ())
-            differences.append(
-                _apart(*(each.impulse_response(receiver).gain.sum(axis=0) for each in compared))
-            )
+            differences.append(_apart(*(each.impulse_response(receiver).gain.sum(axis=0) for each in compared)))
         yield Retraced(int(row // dataset.num_carriers), carrier_hz, float(np.max(differences)))
 
 

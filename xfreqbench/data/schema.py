@@ -98,9 +98,7 @@ class DatasetHeader:
         return {"schema": SCHEMA, **stored}
 
     @classmethod
-    def from_attributes(
-        cls, attributes: Mapping[str, str], carrier_hz: Float[FloatArray, "F"]
-    ) -> DatasetHeader:
+    def from_attributes(cls, attributes: Mapping[str, str], carrier_hz: Float[FloatArray, "F"]) -> DatasetHeader:
         """Inverse of `attributes`; raises `ValueError` naming an attribute that is missing or of another type."""
         try:
             return TypeAdapter(cls).validate_python({**attributes, "carrier_hz": carrier_hz})
@@ -165,9 +163,7 @@ def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable
     return [
         *([cfr] if header.channels else []),
         Variable("peak_power", "<f8", (T, F), sample, "1", peak, coordinates=where),
-        Variable(
-            "line_of_sight", "u1", (T,), (TX,), "1", "1 where nothing blocks the direct path", flags=in_sight
-        ),
+        Variable("line_of_sight", "u1", (T,), (TX,), "1", "1 where nothing blocks the direct path", flags=in_sight),
         Variable("num_paths", "<i4", (T, F), sample, "1", num_paths, coordinates=where),
         Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced", flags=traced),
         *([pas] if header.maps else []),

@@ -134,9 +134,7 @@ def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> 
     Returns one split for each carrier in `targets_hz`. It leaks places: every tested transmitter is trained on at
     the other carriers. Raises `ProtocolError` where the data lack a target, or have no other carrier.
     """
-    return _lofo_splits(
-        dataset, "lofo", targets_hz, np.ones(len(dataset), bool), np.zeros(len(dataset), bool)
-    )
+    return _lofo_splits(dataset, "lofo", targets_hz, np.ones(len(dataset), bool), np.zeros(len(dataset), bool))
 
 
 def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
@@ -253,9 +251,7 @@ def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
         tested = VALIDATIONS[protocol]
         return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
     if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
-        targets = {
-            _target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()
-        }
+        targets = {_target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()}
         return _BY_TARGET[protocol](dataset, [_named(targets, protocol, name)])[0]
     return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
 
@@ -276,9 +272,7 @@ def _lofo_splits(
     """A split for each target: some samples are tested there, and some are trained on nowhere."""
     _require_carriers(dataset, protocol, targets_hz)
     if dataset.num_carriers < 2:
-        raise ProtocolError(
-            f"{protocol!r} needs two carriers or more, but the data set has one. Generate more."
-        )
+        raise ProtocolError(f"{protocol!r} needs two carriers or more, but the data set has one. Generate more.")
     splits = []
     for target_hz in targets_hz:
         at_target, name = dataset.carrier_hz == target_hz, _target_name(protocol, target_hz)
@@ -354,9 +348,7 @@ def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask
     of_held_out = np.isin(dataset.tx_index, train.tx_index)
     is_left = is_offered
     if split.protocol in _AT_UNSEEN_CARRIERS:
-        at_held_out = dataset.carrier_hz == _validation_carrier_hz(
-            train, name, dataset.carrier_hz[split.test[0]]
-        )
+        at_held_out = dataset.carrier_hz == _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
         is_left = is_left & ~at_held_out
     if split.protocol in _OF_UNSEEN_TX:
         _require_training_tx(train, name)

@@ -18,10 +18,7 @@ def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
 
 
 def validation_tx(
-    train: PasDataset,
-    generator: np.random.Generator,
-    most: int | None = None,
-    least: int = LEAST_VALIDATION_TX,
+    train: PasDataset, generator: np.random.Generator, most: int | None = None, least: int = LEAST_VALIDATION_TX
 ) -> Int[IntArray, "t"]:
     """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
 

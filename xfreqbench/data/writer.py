@@ -47,15 +47,11 @@ class SampleBlock:
         stored = cfr.astype(np.complex64)
         maps, peak_power = beam.maps(stored.reshape(-1, stored.shape[-1]), kind)
         sample_shape = stored.shape[:2]
-        return cls(
-            maps.reshape(*sample_shape, *beam.grid.shape), peak_power.reshape(sample_shape), num_paths, stored
-        )
+        return cls(maps.reshape(*sample_shape, *beam.grid.shape), peak_power.reshape(sample_shape), num_paths, stored)
 
     @classmethod
     def of_maps(
-        cls,
-        maps: Float[NDArray[np.float32], "T F E A"],
-        peak_power: Float[FloatArray, "T F"] | None = None,
+        cls, maps: Float[NDArray[np.float32], "T F E A"], peak_power: Float[FloatArray, "T F"] | None = None
     ) -> SampleBlock:
         """Samples of maps without channels; `peak_power` is 1 unless it is given, and 0 where the map is zero."""
         is_heard = np.asarray(maps.any(axis=(2, 3)))
@@ -89,10 +85,7 @@ class PasWriter:
             totals = paths or PathTotals(0, 0, ())
             stored += path_variables(header.num_tx, len(header.carrier_hz), totals)
             groups[GROUP] = totals.attributes
-        attributes: dict[str, str | int] = {
-            **header.attributes(),
-            "num_tx": header.num_tx,
-        }  # a number as such
+        attributes: dict[str, str | int] = {**header.attributes(), "num_tx": header.num_tx}  # a number as such
         self._context = create_sealed(path, stored, attributes, groups, prove)
 
     def __enter__(self) -> PasWriter:
@@ -120,9 +113,7 @@ class PasWriter:
 
         Their `paths` are needed where the header says that paths are stored.
         """
-        if (
-            samples.cfr is None
-        ):  # what is written first stands first: equal data have had equal bytes since 0.1
+        if samples.cfr is None:  # what is written first stands first: equal data have had equal bytes since 0.1
             self._file.append("pas", samples.maps)
             self._file.append("peak_power", samples.peak_power)
         else:

@@ -100,8 +100,7 @@ def _tables(paths: RaggedPaths, carrier: int, carrier_hz: float) -> dict[str, An
 def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
     settings = dataset.trace_settings
     allowed = {
-        name: settings.max_depth if name in settings.named_interactions else 0
-        for name in ("specular", "refraction")
+        name: settings.max_depth if name in settings.named_interactions else 0 for name in ("specular", "refraction")
     }
     return {
         "raytracer_name": f"xfreqbench, solver {settings.solver}",
@@ -166,18 +165,12 @@ def _write_scene(folder: Path, meshes: Sequence[SurfaceMesh]) -> dict[str, Any]:
     """Write the triangles as DeepMIMO's lossless meshes, one object a surface, and return their numbers."""
     slabs = slabs_of(meshes)
     first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
-    faces: dict[str, Any] = {
-        str(n): (mesh.triangles + first[n]).astype(np.int32) for n, mesh in enumerate(meshes)
-    }
+    faces: dict[str, Any] = {str(n): (mesh.triangles + first[n]).astype(np.int32) for n, mesh in enumerate(meshes)}
     made_of: dict[str, Any] = {
         str(n): np.full(len(mesh.triangles), slabs.index(mesh.slab)) for n, mesh in enumerate(meshes)
     }
-    vertices_m: Float[FloatArray, "V 3"] = np.concatenate(
-        [np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)]
-    )
-    objects = [
-        {"name": mesh.name, "label": "objects", "id": n, "mesh_key": str(n)} for n, mesh in enumerate(meshes)
-    ]
+    vertices_m: Float[FloatArray, "V 3"] = np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)])
+    objects = [{"name": mesh.name, "label": "objects", "id": n, "mesh_key": str(n)} for n, mesh in enumerate(meshes)]
     np.savez_compressed(folder / "vertices.npz", vertices=vertices_m)
     np.savez_compressed(folder / "faces.npz", **faces)
     np.savez_compressed(folder / "materials.npz", **made_of)

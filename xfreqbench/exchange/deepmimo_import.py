@@ -94,9 +94,7 @@ def import_deepmimo(
         for part, own in zip(parts, paths, strict=True):
             cfr, num_paths = _channels(own, header)
             samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)
-            direct = [
-                (scenario.of_paths["inter"][part] == 0) & scenario.is_path[part] for scenario in scenarios
-            ]
+            direct = [(scenario.of_paths["inter"][part] == 0) & scenario.is_path[part] for scenario in scenarios]
             in_sight = np.any([is_direct.any(axis=1) for is_direct in direct], axis=0)
             writer.append(first.user_m[part], in_sight, samples, own)
             done += len(part)
@@ -242,9 +240,7 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
         raise DataError(f"{folder} holds two scenarios at the same carrier; import them one by one.")
     first = scenarios[0]
     for scenario in scenarios[1:]:
-        same = np.array_equal(scenario.station_m, first.station_m) and np.array_equal(
-            scenario.user_m, first.user_m
-        )
+        same = np.array_equal(scenario.station_m, first.station_m) and np.array_equal(scenario.user_m, first.user_m)
         if not same:
             raise DataError(
                 f"{folder}: station or users at {format_ghz(scenario.carrier_hz)} stand elsewhere than at "

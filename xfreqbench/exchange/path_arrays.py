@@ -66,9 +66,7 @@ class PaddedPaths:
         table[self._place[0][path], self._place[1][path], step] = values
         return table
 
-    def zenith_rad(
-        self, elevation_rad: Float[NDArray[np.float32], "P"], padding: float
-    ) -> Float[FloatArray, "T L"]:
+    def zenith_rad(self, elevation_rad: Float[NDArray[np.float32], "P"], padding: float) -> Float[FloatArray, "T L"]:
         """Angles from the world's z axis, from elevations above its xy plane."""
         return self.of_paths(np.pi / 2 - elevation_rad.astype(np.float64), padding)
 

@@ -137,9 +137,7 @@ def _levels(
         yield rows, convention.ascending(np.rint(maps * BRIGHTEST).astype(np.uint8))
 
 
-def _evaluated(
-    dataset: PasDataset, beam: BartlettBeam, convention: Convention
-) -> Float[NDArray[np.float32], "N E A"]:
+def _evaluated(dataset: PasDataset, beam: BartlettBeam, convention: Convention) -> Float[NDArray[np.float32], "N E A"]:
     """Maps of the channels in [0, 1], as the convention draws them."""
     is_phase_only = convention.values == "phase-only-amplitude"
     maps, _ = beam.maps(dataset.cfr, "phase-only" if is_phase_only else convention.pas_kind)

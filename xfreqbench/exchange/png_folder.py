@@ -117,9 +117,7 @@ class PngFolder:
         """Names of the files of the layout that are there, but are not used."""
         return [name for name in IGNORED if (self.folder / name).exists()]
 
-    def maps(
-        self, transmitters: slice
-    ) -> tuple[Float[NDArray[np.float32], "t F E A"], Float[FloatArray, "t F"]]:
+    def maps(self, transmitters: slice) -> tuple[Float[NDArray[np.float32], "t F E A"], Float[FloatArray, "t F"]]:
         """Maps of some transmitters, each divided by its peak, and the power at the peaks.
 
         The power is relative to that of a white pixel. Raises `DataError` for a PNG that cannot be read.
@@ -196,9 +194,7 @@ def _read_positions(path: Path) -> list[tuple[float, ...]]:
     for number, line in enumerate(lines, start=2):
         position_m = _numbers(line, 3)
         if position_m is None or max(map(abs, position_m)) > FAR_M:
-            raise DataError(
-                f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres."
-            )
+            raise DataError(f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres.")
         positions.append(position_m)
     return positions
 
@@ -227,9 +223,7 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
     content = _yaml(path)
     _check_declared(path, content, convention)
     gateway = _gateway(path, content)
-    published, position_m = (
-        _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
-    )
+    published, position_m = (_listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3)))
     quaternion = convention.quaternion_xyzw(published)
     if not 1e-6 < max(map(abs, quaternion)) < 1e6:
         raise DataError(
@@ -293,9 +287,7 @@ def _is_alike(declared: object, stated: object) -> bool:
 def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
     """The receiver in a YAML file: the only mapping in it that has a position and an orientation."""
     found = [content, *content.values()]
-    gateways = [
-        frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()
-    ]
+    gateways = [frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()]
     if len(gateways) != 1:
         raise DataError(
             f"{path} describes {len(gateways)} receivers; it must describe one, as in 'gateway1: {{position: "
@@ -310,9 +302,7 @@ def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[
     listed = listed if all(isinstance(entry, str | int | float) for entry in listed) else []
     numbers = _numbers(",".join(map(str, listed)), count)
     if numbers is None:
-        raise DataError(
-            f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}."
-        )
+        raise DataError(f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}.")
     return numbers
 
 

@@ -103,9 +103,7 @@ def known_splits(dataset: PasDataset) -> dict[str, Split]:
     return {split.name: split for splits in found for split in splits}
 
 
-def splits_or_none(
-    dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None
-) -> list[Split]:
+def splits_or_none(dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None) -> list[Split]:
     """Splits of a protocol or of its validation; an empty list if the data set lacks what they need."""
     is_validation = protocol in VALIDATIONS
     tested = VALIDATIONS[protocol] if is_validation else protocol
@@ -137,9 +135,7 @@ class _Reader:
             raise DataError(f"{self.path} is empty. Write a group for each split, with a dataset {PAS!r}.")
         for name in members:
             if name not in self.known:
-                raise UnknownNameError(
-                    f"split of {self.dataset.path.name} for {self.path},", name, self.known
-                )
+                raise UnknownNameError(f"split of {self.dataset.path.name} for {self.path},", name, self.known)
             if stands_elsewhere(file, name) or not is_group(file[name]):
                 raise DataError(
                     f"{self.path}: {name!r} is no group of this file. Make it a group with a dataset {PAS!r}."

@@ -105,9 +105,7 @@ def score_file(
     require_fingerprint(dataset)
     folder = ResultsFolder(results_dir)
     num_maps = sum(len(part.split.test) for part in parts)
-    require_space(
-        folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * _STORED_DTYPE.itemsize
-    )
+    require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * _STORED_DTYPE.itemsize)
     maps_sha256 = _each(parts, lambda part: _maps_sha256(part, dataset.grid.shape), checking)
     submission = _Submission(dataset, str(data), parts, maps_sha256)
     scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
@@ -119,9 +117,7 @@ def score_file(
     return ScoredFile(tuple(scored), missing, is_data_known)
 
 
-def _each(
-    parts: Sequence[Part], action: Callable[[Part], Result], progress: ProgressCallback
-) -> list[Result]:
+def _each(parts: Sequence[Part], action: Callable[[Part], Result], progress: ProgressCallback) -> list[Result]:
     """What `action` returns for each part, in order; `progress` is told maps done and in all."""
     total, done = sum(len(part.split.test) for part in parts), 0
     results = []

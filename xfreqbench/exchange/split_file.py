@@ -26,14 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, geometry
-from xfreqbench.data.hdf5 import (
-    SealedWriter,
-    Variable,
-    create_sealed,
-    open_sealed,
-    text_attributes,
-    verify_sealed,
-)
+from xfreqbench.data.hdf5 import SealedWriter, Variable, create_sealed, open_sealed, text_attributes, verify_sealed
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError, ProtocolError
 from xfreqbench.runs.scoring import BATCH_SIZE

@@ -73,15 +73,9 @@ class BartlettBeam:
         peak a pure number. A channel of zeros gives a map of zeros with peak 0, never NaN. Raises `ArgumentError` for
         channels of another shape, and `UnknownNameError`.
         """
-        cfr, kind, num_elements = (
-            np.asarray(cfr),
-            pas_kind_named(kind),
-            len(self.element_position_wavelengths),
-        )
+        cfr, kind, num_elements = (np.asarray(cfr), pas_kind_named(kind), len(self.element_position_wavelengths))
         if cfr.ndim != 2 or cfr.shape[1] != num_elements:
-            raise ArgumentError(
-                f"Channels of shape (B, {num_elements}) become maps, but these have shape {cfr.shape}."
-            )
+            raise ArgumentError(f"Channels of shape (B, {num_elements}) become maps, but these have shape {cfr.shape}.")
         if kind == "phase-only":
             cfr = _divided_unless_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32
@@ -91,9 +85,7 @@ class BartlettBeam:
         maps = _divided_unless_zero(power, peak)
         if kind == "amplitude":
             maps = np.sqrt(maps)
-        return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(
-            np.float64
-        ) ** 2
+        return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(np.float64) ** 2
 
     def _beams(self, cfr: Complex[NDArray[np.complex64], "B M"]) -> Complex[NDArray[np.complex64], "B K"]:
         """Beams towards all directions, one channel after another in one thread.
@@ -116,8 +108,6 @@ def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[
 def _divided_unless_zero(numerator: NDArray[Any], denominator: NDArray[Any]) -> NDArray[Any]:
     """Quotient, with the numerator where the denominator is 0."""
     divisor = np.where(denominator == 0, denominator.dtype.type(1), denominator)
-    if np.iscomplexobj(
-        numerator
-    ):  # NumPy would multiply by the inverse, which overflows for a denormal number
+    if np.iscomplexobj(numerator):  # NumPy would multiply by the inverse, which overflows for a denormal number
         return numerator.real / divisor + 1j * (numerator.imag / divisor)
     return numerator / divisor

@@ -30,10 +30,7 @@ def map_figure(power: Float[NDArray[np.float32], "E A"], grid: AngularGrid, titl
 
 
 def draw_disc(
-    axis: Any,
-    pas_map: Float[NDArray[np.float32], "E A"],
-    grid: AngularGrid,
-    range_db: float = DISPLAY_RANGE_DB,
+    axis: Any, pas_map: Float[NDArray[np.float32], "E A"], grid: AngularGrid, range_db: float = DISPLAY_RANGE_DB
 ) -> Any:
     """Draw a map of linear power on polar axes, in dB below the peak; returns what a colour bar needs.
 

@@ -61,9 +61,7 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
 
 
 @_of_maps
-def ssim(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def ssim(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid) -> Float[FloatArray, "N"]:
     """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1."""
     return _ssim(predicted, truth)
 
@@ -87,9 +85,7 @@ def ssim_wrapped(
 
 
 @_of_maps
-def psnr(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def psnr(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid) -> Float[FloatArray, "N"]:
     """Peak signal-to-noise ratio in dB with a peak of 1; infinite for identical maps."""
     error = predicted.astype(np.float64) - truth
     with np.errstate(divide="ignore"):

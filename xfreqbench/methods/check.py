@@ -30,9 +30,7 @@ NUM_STEPS = 10  # of every fit; a broken contract shows in a few steps
 _SEED = 1
 _CARRIER_HZ = np.array([ghz_to_hz(carrier) for carrier in (2.4, 24.25, 77.0)])
 _UNSEEN_CARRIER, _UNSEEN_TX, _NUM_TX = 1, 5, 6
-_PEAK_TOLERANCE = (
-    1e-2  # a peak between two grid points is a little lower; a map that is not scaled is far off
-)
+_PEAK_TOLERANCE = 1e-2  # a peak between two grid points is a little lower; a map that is not scaled is far off
 _REPEAT_TOLERANCE = 1e-6  # rounding of the same arithmetic in single precision
 _BATCH_TOLERANCE = 1e-4  # libraries add in another order for another number of rows
 _SEED_TOLERANCE = 1e-4  # rounding over a few steps
@@ -85,9 +83,7 @@ def _results(trial: _Trial) -> Iterator[CheckResult]:
 @dataclass(frozen=True)
 class _Check:
     requirement: str
-    fault_of: Callable[
-        [_Trial], object
-    ]  # the fault as a text; whatever else is returned means that there is none
+    fault_of: Callable[[_Trial], object]  # the fault as a text; whatever else is returned means that there is none
     is_warning: bool = False
     compares_fits: bool = False  # which says something where equal seeds give equal maps
 
@@ -172,9 +168,7 @@ class _Trial:
         """Predictions for some rows of the data set, checked in the same way as in a run."""
         asked = self.dataset.subset(rows)
         with chdir(self.working_folder):
-            return predict_checked(
-                method, asked.tx_position_m.copy(), asked.carrier_hz.copy(), self.dataset.grid.shape
-            )
+            return predict_checked(method, asked.tx_position_m.copy(), asked.carrier_hz.copy(), self.dataset.grid.shape)
 
 
 def _training_rows(dataset: PasDataset) -> PasDataset:
@@ -224,9 +218,7 @@ def _steps_fault(trial: _Trial) -> str | None:
 def _peak_fault(trial: _Trial) -> str | None:
     peaks = trial.maps.max(axis=(1, 2))
     if abs(peaks - 1).max() > _PEAK_TOLERANCE:
-        return (
-            f"the maxima of the maps run from {peaks.min():g} to {peaks.max():g}. Divide each map by its own."
-        )
+        return f"the maxima of the maps run from {peaks.min():g} to {peaks.max():g}. Divide each map by its own."
     return None
 
 
@@ -298,9 +290,7 @@ def _leak_fault(trial: _Trial) -> str | None:
 def _stray_file_fault(trial: _Trial) -> str | None:
     strays = sorted(path.name for path in trial.working_folder.iterdir())
     if strays:
-        return (
-            f"it wrote {', '.join(strays)} there. Write in the folder that save is given, and nowhere else."
-        )
+        return f"it wrote {', '.join(strays)} there. Write in the folder that save is given, and nowhere else."
     return None
 
 
@@ -325,9 +315,7 @@ _STAGES = (
         _Check("fit is a generator that yields Progress", _fit_fault),
         _Check("predict is valid at fit's first yield, and fit can be closed there", _first_yield_fault),
         _Check("the steps that fit yields ascend", _steps_fault),
-        _Check(
-            "num_parameters is an integer of 0 or more", lambda trial: checked_num_parameters(trial.fitted)
-        ),
+        _Check("num_parameters is an integer of 0 or more", lambda trial: checked_num_parameters(trial.fitted)),
     ),
     (
         _Check(

@@ -14,13 +14,7 @@ from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.guard import plain_json, readable
 
 Config = TypeVar("Config")
-_KINDS = {
-    "integer": "whole number",
-    "boolean": "true, false",
-    "string": "text",
-    "array": "list",
-    "null": "nothing",
-}
+_KINDS = {"integer": "whole number", "boolean": "true, false", "string": "text", "array": "list", "null": "nothing"}
 _ENDS = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "to below", "maximum": "to"}
 
 

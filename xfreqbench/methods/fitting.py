@@ -99,9 +99,7 @@ def fit_within(
 class _RunningFit:
     """The `fit` of a method, and a clock that runs only while the method's own code runs."""
 
-    def __init__(
-        self, method: Method, train: PasDataset, budget: Budget, seed: int, spent: Fit | None
-    ) -> None:
+    def __init__(self, method: Method, train: PasDataset, budget: Budget, seed: int, spent: Fit | None) -> None:
         self._method, self._budget, self._spent = method, budget, spent
         self._last = spent
         self._clock = Stopwatch(*((spent.seconds, spent.processor_seconds) if spent else ()))
@@ -124,9 +122,7 @@ class _RunningFit:
     def end(self) -> Fit:
         """How the fit stood at its end, with the time of the cleanup."""
         if self._last is None:
-            raise MethodError(
-                f"{_name(self._method)}.fit yielded nothing; it must yield Progress at least once."
-            )
+            raise MethodError(f"{_name(self._method)}.fit yielded nothing; it must yield Progress at least once.")
         clock = self._clock
         return replace(self._last, seconds=clock.seconds, processor_seconds=clock.processor_seconds)
 
@@ -151,9 +147,7 @@ class _RunningFit:
         seconds = self._clock.seconds
         counts = {name: float(count) for name, count in progress.counts.items()}
         share = self._budget.share(progress.step, seconds, counts.get("maps", 0.0))
-        return Fit(
-            int(progress.step), float(progress.loss), seconds, share, counts, self._clock.processor_seconds
-        )
+        return Fit(int(progress.step), float(progress.loss), seconds, share, counts, self._clock.processor_seconds)
 
     def _require_maps(self, before: Fit | None, now: Fit) -> None:
         """Raise `MethodError` where the budget is in maps, and a method that goes on does not count them."""
@@ -184,9 +178,7 @@ def _checked_progress(method: Method, progress: object) -> Progress:
         raise MethodError(f"{_name(method)}.fit yielded {progress!r}; it must yield Progress(step, loss).")
     for name in progress.counts:
         if not isinstance(name, str) or readable(name) != name:
-            raise MethodError(
-                f"{_name(method)}.fit yielded the count {name!r}; its name must be Unicode text."
-            )
+            raise MethodError(f"{_name(method)}.fit yielded the count {name!r}; its name must be Unicode text.")
     return progress
 
 

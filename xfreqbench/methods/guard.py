@@ -41,11 +41,7 @@ def method_code(
         raise MethodError(f"{failed} {described(error)}. {advice}".rstrip()) from error
     finally:
         if os.getpid() != process:
-            print(
-                f"xfreqbench: {failed} it forked the process; the child ends here.",
-                file=sys.stderr,
-                flush=True,
-            )
+            print(f"xfreqbench: {failed} it forked the process; the child ends here.", file=sys.stderr, flush=True)
             os._exit(1)
 
 

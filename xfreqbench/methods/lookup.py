@@ -70,9 +70,7 @@ class TrainingTransmitters:
         rows = self._row[transmitters]
         return rows[rows >= 0]
 
-    def blend(
-        self, rows: Int[IntArray, "n"], weights: Float[FloatArray, "n"]
-    ) -> Float[NDArray[np.float32], "E A"]:
+    def blend(self, rows: Int[IntArray, "n"], weights: Float[FloatArray, "n"]) -> Float[NDArray[np.float32], "E A"]:
         """The weighted sum of training maps, scaled to peak 1, as a map (E, A); rows and weights are (n,)."""
         blended = np.einsum("n,nea->ea", weights.astype(np.float32), self.train.pas(rows))
         return blended / blended.max()
@@ -89,9 +87,7 @@ class TrainingTransmitters:
             path, sha256, rows = _STORED_ROWS.validate_json(read_bytes(directory / _ROWS_FILE))
         except (OSError, ValidationError) as error:
             fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
-            raise DataError(
-                f"{directory / _ROWS_FILE} names no data set and rows to look up: {fault}."
-            ) from error
+            raise DataError(f"{directory / _ROWS_FILE} names no data set and rows to look up: {fault}.") from error
         return cls(reopen(path, sha256, np.array(rows, dtype=np.int64)))
 
 

@@ -82,18 +82,14 @@ def _entry_value(name: str) -> str:
     if not values:
         raise UnknownNameError("method", name, [*method_names(), "package.module:Class"])
     if len(values) > 1:
-        raise MethodError(
-            f"Several packages offer a method {name!r}. Uninstall one, or name {' or '.join(values)}."
-        )
+        raise MethodError(f"Several packages offer a method {name!r}. Uninstall one, or name {' or '.join(values)}.")
     return values[0]
 
 
 def _check_contract(name: str, method_class: Any) -> None:
     if not isinstance(method_class, type):
         raise MethodError(f"Method {name!r} is {method_class!r}; it must be a class.")
-    declared = {
-        key for base in method_class.__mro__ for key in (*vars(base), *vars(base).get("__annotations__", ()))
-    }
+    declared = {key for base in method_class.__mro__ for key in (*vars(base), *vars(base).get("__annotations__", ()))}
     missing = [part for part in _CONTRACT if part not in declared]
     if missing:
         raise MethodError(
@@ -114,18 +110,14 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     for attribute in ("config", "num_parameters"):
         with method_code(f"Method {name!r} failed in {attribute}:", "Mend it."):
             if not hasattr(defaults, attribute):
-                raise MethodError(
-                    f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes."
-                )
+                raise MethodError(f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes.")
     if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
         raise MethodError(
             f"Method {name!r} has config {defaults.config!r}; it must be an instance of a frozen dataclass."
         )
     if not overrides:
         return defaults
-    with method_code(
-        f"Method {name!r} cannot be configured with {', '.join(overrides)}:", "Mend the values."
-    ):
+    with method_code(f"Method {name!r} cannot be configured with {', '.join(overrides)}:", "Mend the values."):
         config = override(defaults.config, overrides)
     return _constructed(name, method_class, config)
 

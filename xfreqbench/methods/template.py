@@ -33,9 +33,7 @@ def write_method_package(name: str, folder: Path) -> list[Path]:
     that cannot be all of these or is taken, `OutputExistsError` where the folder is neither absent nor empty, and
     `StorageError`.
     """
-    contents = {
-        name: (files("xfreqbench.examples") / TEMPLATE / name).read_text("utf-8") for name in TEMPLATE_FILES
-    }
+    contents = {name: (files("xfreqbench.examples") / TEMPLATE / name).read_text("utf-8") for name in TEMPLATE_FILES}
     module, class_name = name.replace("-", "_"), "".join(part.capitalize() for part in name.split("-"))
     _require_free(name, module, class_name, "\n".join(contents.values()))
     names = {

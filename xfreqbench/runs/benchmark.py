@@ -28,15 +28,7 @@ from xfreqbench.runs.records import BenchRecord
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import sole_worker
-from xfreqbench.system.workers import (
-    HERE,
-    SERIAL,
-    LocalProcesses,
-    Workers,
-    all_cores,
-    open_workers,
-    own_cores,
-)
+from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, all_cores, open_workers, own_cores
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -104,9 +96,7 @@ class Benchmark:
         """All jobs, each once, in the order of the blocks. The data sets must have been generated."""
         datasets = {scene: open_dataset(self.data_path(scene)) for scene in self.scenes}
         by_job = {
-            task.job: task
-            for block in self.preset.blocks
-            for task in self._tasks_of(block, datasets[block.scene])
+            task.job: task for block in self.preset.blocks for task in self._tasks_of(block, datasets[block.scene])
         }
         return list(by_job.values())
 
@@ -164,8 +154,7 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
     num_bytes = sum(  # if every split tests every transmitter once
-        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2
-        for block in preset.blocks
+        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 for block in preset.blocks
     )
     return "\n".join(
         [
@@ -182,9 +171,7 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
 def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
     """Estimated seconds for all runs, as if none was done yet, and all measurements."""
     runs_s = sum(
-        _num_splits(block)
-        * len(block.seeds)
-        * sum(_run_seconds(block, setting) for setting in block.settings)
+        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, setting) for setting in block.settings)
         for block in benchmark.preset.blocks
     )
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
@@ -201,9 +188,7 @@ def _run_seconds(block: Block, setting: Setting) -> float:
 
 
 def generate_data(
-    benchmark: Benchmark,
-    progress: Mapping[str, ProgressCallback] = MappingProxyType({}),
-    workers: Workers = HERE,
+    benchmark: Benchmark, progress: Mapping[str, ProgressCallback] = MappingProxyType({}), workers: Workers = HERE
 ) -> None:
     """Generate the data sets that do not exist yet; a generation that was killed goes on.
 
@@ -215,9 +200,7 @@ def generate_data(
         generate_planned(plan, benchmark.data_path(scene), callback, workers=workers)
 
 
-def run_benchmark(
-    benchmark: Benchmark, progress: RunProgress | None = None, executor: str | None = None
-) -> list[str]:
+def run_benchmark(benchmark: Benchmark, progress: RunProgress | None = None, executor: str | None = None) -> list[str]:
     """Run the jobs that are not finished, on the workers of `run_workers`; returns a line for each run that failed.
 
     Raises what `run_jobs` raises before the first run.
@@ -251,8 +234,7 @@ def record_contents(benchmark: Benchmark) -> None:
         bench="benchmark",
         title="What was run",
         command=f"xfreqbench benchmark --preset {benchmark.name}",
-        note=f"Preset {benchmark.name}: {benchmark.preset.description}. "
-        f"Left out: {benchmark.preset.left_out}.",
+        note=f"Preset {benchmark.name}: {benchmark.preset.description}. Left out: {benchmark.preset.left_out}.",
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
         rows=tuple(map(_contents, benchmark.preset.blocks)),
     )

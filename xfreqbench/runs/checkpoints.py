@@ -163,6 +163,4 @@ class CheckpointFolder:
 def _sha256_by_name(folder: Path) -> dict[str, str]:
     """The hash of every file, by its path within the folder; raises `OSError`."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
-    }
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

@@ -30,9 +30,7 @@ class Estimate:
     @property
     def seconds(self) -> float:
         """The most that the runs with a budget in seconds take, one after the other; other fits may take any time."""
-        return sum(
-            OVERHEAD_S + (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0) for job in self.left
-        )
+        return sum(OVERHEAD_S + (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0) for job in self.left)
 
     @property
     def is_long(self) -> bool:
@@ -41,9 +39,7 @@ class Estimate:
 
     def __str__(self) -> str:
         num_finished, num_left = self.num_asked - len(self.left), len(self.left)
-        counted = f"{self.num_asked} runs" + (
-            f", {num_finished} of them finished before" if num_finished else ""
-        )
+        counted = f"{self.num_asked} runs" + (f", {num_finished} of them finished before" if num_finished else "")
         if not num_left:
             return f"{counted}: nothing is left to run"
         if self.num_places is None:

@@ -88,9 +88,7 @@ class TaskFit:
     def _point(self, fit: Fit) -> CurvePoint:
         with self._task.method_errors("predict"):
             ssim_median = median(self._sampled_ssim())
-        return CurvePoint(
-            step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median, share=fit.share
-        )
+        return CurvePoint(step=fit.step, seconds=fit.seconds, loss=fit.loss, ssim=ssim_median, share=fit.share)
 
     def _sampled_ssim(self) -> Float[FloatArray, "n"]:
         """SSIM of what the method now predicts for a sample of the test rows, the same sample for every method."""

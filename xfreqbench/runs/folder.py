@@ -105,10 +105,7 @@ class ResultsFolder:
                 "which stores them, or choose another record."
             )
         predictions = read_predictions(path)
-        if (predictions.dataset_sha256, predictions.split_sha256) != (
-            record.dataset_sha256,
-            record.split_sha256,
-        ):
+        if (predictions.dataset_sha256, predictions.split_sha256) != (record.dataset_sha256, record.split_sha256):
             raise DataError(f"{path} holds predictions of another split. Delete it and run again.")
         return predictions
 
@@ -157,9 +154,7 @@ def load_method(results: FilePath, run: str | InstanceOf[RunRecord]) -> Method:
     folder, record_id = ResultsFolder.holding(Path(results)), run if isinstance(run, str) else run.id
     found = [record for record in folder.records if record.id == record_id]
     if not found:
-        raise DataError(
-            f"{folder.records_path} has no run {record_id!r}; xfreqbench.read_records lists its runs."
-        )
+        raise DataError(f"{folder.records_path} has no run {record_id!r}; xfreqbench.read_records lists its runs.")
     job, stored = found[-1].job, folder.fitted(record_id)
     if stored.read() is None:
         elsewhere = found[-1].external is not None

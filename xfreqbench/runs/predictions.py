@@ -27,9 +27,7 @@ from xfreqbench.types import IntArray
 
 SCHEMA = "xfreqbench/predictions/1"
 RANGE_TOLERANCE = 1e-4  # single-precision rounding of a map that was divided by its own maximum
-PEAK_TOLERANCE = (
-    1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
-)
+PEAK_TOLERANCE = 1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
 SILENT_PEAK = 1e-5  # of a map without any power, which no number can scale to peak 1; it is scored as it is
 _ADVICE = "Delete it and run again."
 MapBatch = tuple[IntArray, NDArray[np.float32]]
@@ -51,9 +49,7 @@ class Predictions:
                 part = slice(start, start + size)
                 maps = file["pas"][part].astype(np.float32)
                 if fault := fault_of_maps(maps):
-                    raise DataError(
-                        f"{self.path}, map of row {self.rows[start + fault[0]]}: it {fault[1]} {_ADVICE}"
-                    )
+                    raise DataError(f"{self.path}, map of row {self.rows[start + fault[0]]}: it {fault[1]} {_ADVICE}")
                 yield self.rows[part], maps
 
     def require_of(self, dataset: PasDataset) -> None:

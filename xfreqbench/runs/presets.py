@@ -106,10 +106,7 @@ QUICK = Preset(
     description="a look at our methods and the reduced baselines on 240 office transmitters, one seed, 64,000 maps "
     "a fit",
     blocks=(
-        *(
-            Block("office", protocol, TRIVIAL_SETTINGS, None)
-            for protocol in ("lofo", "held-out-tx", "lofo-unseen-tx")
-        ),
+        *(Block("office", protocol, TRIVIAL_SETTINGS, None) for protocol in ("lofo", "held-out-tx", "lofo-unseen-tx")),
         *(Block("office", protocol, LEARNED, "quick") for protocol in ("lofo", "held-out-tx")),
         Block("office", "lofo", (VIRTUAL_SOURCE,), "quick"),
         Block("office", "lofo-unseen-tx", LEARNED, "quick", targets_ghz=(24.25,)),
@@ -130,20 +127,12 @@ STANDARD = Preset(
         Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
         _trivial("held-out-block", "office"),
         Block("office", "lofo", (*_OURS, *_REDUCED, SWIFT_WRF), "quick", SEEDS),
-        *(
-            Block("office", protocol, _OURS, "quick", SEEDS)
-            for protocol in (*_PROTOCOLS[1:], "held-out-block")
-        ),
+        *(Block("office", protocol, _OURS, "quick", SEEDS) for protocol in (*_PROTOCOLS[1:], "held-out-block")),
         Block("two_rooms", "lofo", (*_OURS, *_REDUCED), "quick", SEEDS),
         Block("corridor", "lofo", _OURS, "quick", SEEDS),
         Block("two_rooms", "held-out-tx", _OURS, "quick", SEEDS),
-        *(
-            Block("two_rooms", protocol, _OURS[:2], "quick", SEEDS)
-            for protocol in ("sparse", "lofo-unseen-tx")
-        ),
-        Block(
-            "office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS, targets_ghz=(24.25,)
-        ),
+        *(Block("two_rooms", protocol, _OURS[:2], "quick", SEEDS) for protocol in ("sparse", "lofo-unseen-tx")),
+        Block("office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS, targets_ghz=(24.25,)),
     ),
     left_out="gsrf, wrf-gs-plus and wideband-3dgs (preset paper); ablations (presets ablations and paper); the lane "
     "converged (preset converged), and the lane minutes for other methods, carriers, protocols and scenes (preset "

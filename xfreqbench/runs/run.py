@@ -19,14 +19,7 @@ from pydantic import InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import ScoredOn, TargetsGhz
-from xfreqbench.errors import (
-    ClusterError,
-    DataError,
-    MethodError,
-    RunsFailedError,
-    XFreqBenchError,
-    was_interrupted,
-)
+from xfreqbench.errors import ClusterError, DataError, MethodError, RunsFailedError, XFreqBenchError, was_interrupted
 from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
 from xfreqbench.methods.guard import plain_json
@@ -132,9 +125,7 @@ def _texts(options: Options) -> tuple[str, ...]:
     """Options as texts `key=value`, each value as JSON has it unless it is a text already."""
     if not isinstance(options, Mapping):
         return tuple(options)
-    return tuple(
-        f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in options.items()
-    )
+    return tuple(f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in options.items())
 
 
 def run_jobs(

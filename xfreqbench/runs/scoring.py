@@ -94,9 +94,7 @@ def scored_record(
 
 @checked
 def score(
-    maps: SkipValidation[Num[NDArray[Any], "N E A"]],
-    split: InstanceOf[Split],
-    dataset: InstanceOf[PasDataset],
+    maps: SkipValidation[Num[NDArray[Any], "N E A"]], split: InstanceOf[Split], dataset: InstanceOf[PasDataset]
 ) -> dict[str, Float[FloatArray, "N"]]:
     """Scores (N,) of maps that were predicted for the N test samples of a split, by the name of the metric.
 
@@ -136,15 +134,11 @@ def median(values: Float[FloatArray, "N"]) -> float:
 
 def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Float[FloatArray, "N"]]:
     """The score of every predicted map, (N,), by the name of the metric, from batches of rows and maps."""
-    batches = [
-        score_all(maps, dataset.pas(rows), dataset.grid, dataset.header.pas_kind) for rows, maps in predicted
-    ]
+    batches = [score_all(maps, dataset.pas(rows), dataset.grid, dataset.header.pas_kind) for rows, maps in predicted]
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def _by_transmitter(
-    values: Float[FloatArray, "N"], tx_index: Int[IntArray, "N"]
-) -> tuple[tuple[float, ...], ...]:
+def _by_transmitter(values: Float[FloatArray, "N"], tx_index: Int[IntArray, "N"]) -> tuple[tuple[float, ...], ...]:
     """Values, rounded, in one tuple for each transmitter; `tx_index` ascends, as rows do."""
     starts = np.flatnonzero(np.diff(tx_index)) + 1
     return tuple(tuple(part.tolist()) for part in np.split(values.round(_SSIM_DECIMALS), starts))

@@ -84,14 +84,10 @@ class Geometry:
 
 def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
     """Facets of all meshes, in their order: two triangles that form a parallelogram are one facet."""
-    return [
-        PlanarFacet(corners, surface) for surface, mesh in enumerate(meshes) for corners in mesh.outlines_m
-    ]
+    return [PlanarFacet(corners, surface) for surface, mesh in enumerate(meshes) for corners in mesh.outlines_m]
 
 
-def group_by_plane(
-    facets: Sequence[PlanarFacet],
-) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
+def group_by_plane(facets: Sequence[PlanarFacet]) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
     """The P distinct planes of Q facets, each as unit normal n and offset n·x, and each facet's plane.
 
     The largest facet left, whose plane is known best, claims every facet left whose normal and corners

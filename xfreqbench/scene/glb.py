@@ -122,9 +122,7 @@ def _primitives(
         yield ImportedShape(name, slab_of(stated, materials, where, name), triangles, where)
 
 
-def _accessor(
-    header: dict[str, Any], binary: bytes, index: int, types: dict[int, str], columns: int
-) -> NDArray[Any]:
+def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int, str], columns: int) -> NDArray[Any]:
     """Values (N, columns) of an accessor into the file's own buffer, at most as many as the buffer holds."""
     accessor = header["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:

@@ -69,9 +69,7 @@ def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedSha
         yield shape
 
 
-def slab_of(
-    stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], source: str, name: str
-) -> Slab:
+def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], source: str, name: str) -> Slab:
     """The slab that the material of a shape stands for; `source` says in words which shape that is.
 
     A shape without a material has the one of its own `name` in the scene's table. An entry of

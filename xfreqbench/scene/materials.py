@@ -23,11 +23,7 @@ from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
-MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (
-    1e3,
-    1e6,
-    1e9,
-)  # Sionna RT's float32 holds their fields
+MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (1e3, 1e6, 1e9)  # Sionna RT's float32 holds their fields
 Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
 
@@ -184,12 +180,8 @@ class SceneMaterial:
 
     name: str
     itu: str | None = None
-    relative_permittivity: Annotated[float, Field(ge=1, le=MAX_PERMITTIVITY, allow_inf_nan=False)] | None = (
-        None
-    )
-    conductivity_s_m: Annotated[float, Field(ge=0, le=MAX_CONDUCTIVITY_S_M, allow_inf_nan=False)] | None = (
-        None
-    )
+    relative_permittivity: Annotated[float, Field(ge=1, le=MAX_PERMITTIVITY, allow_inf_nan=False)] | None = None
+    conductivity_s_m: Annotated[float, Field(ge=0, le=MAX_CONDUCTIVITY_S_M, allow_inf_nan=False)] | None = None
     thickness_m: Thickness | None = None
     scattering: Scattering | None = None
 
@@ -205,9 +197,7 @@ class SceneMaterial:
                 f"material {self.name!r} is {self.itu!r} and has a relative_permittivity; state one of them"
             )
         if self.conductivity_s_m is not None and not is_own:
-            raise ValueError(
-                f"material {self.name!r} has a conductivity_s_m; state its relative_permittivity too"
-            )
+            raise ValueError(f"material {self.name!r} has a conductivity_s_m; state its relative_permittivity too")
         if not is_own:
             material_bands(self.itu or self.name)
         return self
@@ -247,10 +237,7 @@ def complex_permittivity(material: Material, carrier_hz: float, policy: Material
         band = _nearest_band(material, carrier_hz)
     carrier_ghz = carrier_hz / 1e9
     conductivity_s_m = band.c * carrier_ghz**band.d
-    return complex(
-        band.a * carrier_ghz**band.b,
-        -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M),
-    )
+    return complex(band.a * carrier_ghz**band.b, -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M))
 
 
 @checked

@@ -23,10 +23,7 @@ from xfreqbench.types import FloatArray
 
 MeshKind = Literal["ply", "stl", "obj"]
 UpAxis = Literal["y", "z"]
-_DEFAULT_UP: dict[str, UpAxis] = {
-    ".glb": "y",
-    ".obj": "z",
-}  # glTF says y; OBJ says nothing, and Mitsuba takes z
+_DEFAULT_UP: dict[str, UpAxis] = {".glb": "y", ".obj": "z"}  # glTF says y; OBJ says nothing, and Mitsuba takes z
 SCENE_SUFFIXES = tuple(_DEFAULT_UP)  # of files that are a whole scene
 _UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 
@@ -57,19 +54,13 @@ def _merged(parts: Sequence[Triangles]) -> Triangles:
     return Triangles(
         np.concatenate([np.zeros((0, 3)), *(part.vertices_m for part in parts)]),
         np.concatenate(
-            [
-                np.zeros((0, 3), np.int64),
-                *(part.triangles + number for part, number in zip(parts, first, strict=True)),
-            ]
+            [np.zeros((0, 3), np.int64), *(part.triangles + number for part, number in zip(parts, first, strict=True))]
         ),
     )
 
 
 def read_scene(
-    path: Path,
-    materials: Mapping[str, SceneMaterial],
-    up: UpAxis | None,
-    receiver_m: Float[FloatArray, "3"],
+    path: Path, materials: Mapping[str, SceneMaterial], up: UpAxis | None, receiver_m: Float[FloatArray, "3"]
 ) -> list[ImportedShape]:
     """Shapes of a GLB or OBJ, one for each object and material, turned so that `up` is z.
 

@@ -26,9 +26,7 @@ from xfreqbench.types import FloatArray, IntArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
 PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
-SLIVER = (
-    1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
-)
+SLIVER = 1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,7 @@ def _parallelogram(
 
 def slabs_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:
     """The distinct slabs of some meshes, in alphabetical order."""
-    return sorted(
-        {mesh.slab for mesh in meshes}, key=lambda slab: (str(slab.material), slab.thickness_m, repr(slab))
-    )
+    return sorted({mesh.slab for mesh in meshes}, key=lambda slab: (str(slab.material), slab.thickness_m, repr(slab)))
 
 
 def triangle_corners_m(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "K 3 3"]:
@@ -159,9 +155,7 @@ def _imported_shapes(scene: Scene) -> Iterator[ImportedShape]:
     path = _mesh_file(scene.scene, scene.folder)
     is_one_file = path.suffix.lower() in SCENE_SUFFIXES
     if scene.up is not None and not is_one_file:
-        raise SceneError(
-            f"The scene states up = {scene.up!r}, which is for a GLB or OBJ; {path} has z upwards."
-        )
+        raise SceneError(f"The scene states up = {scene.up!r}, which is for a GLB or OBJ; {path} has z upwards.")
     if is_one_file:
         yield from read_scene(path, scene.materials, scene.up, np.asarray(scene.receiver.position_m))
     else:
@@ -188,9 +182,7 @@ def _imported_mesh(shape: ImportedShape) -> SurfaceMesh:
     if not (np.abs(mesh.vertices_m) <= FAR_M).all():
         raise SceneError(f"{shape.source} has vertices that are not finite, or beyond {FAR_M:g} m.")
     if len(mesh.triangles) == 0:
-        raise SceneError(
-            f"{shape.source} has no face of any area. Export it with its faces, or remove the shape."
-        )
+        raise SceneError(f"{shape.source} has no face of any area. Export it with its faces, or remove the shape.")
     return mesh
 
 
@@ -230,9 +222,7 @@ def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
                 value = repr(getattr(material, name))
                 ElementTree.SubElement(bsdf, "float", name=name.removesuffix("_s_m"), value=value)
         else:
-            bsdf = ElementTree.SubElement(
-                root, "bsdf", type="itu-radio-material", id=f"mat-{material}-{index}"
-            )
+            bsdf = ElementTree.SubElement(root, "bsdf", type="itu-radio-material", id=f"mat-{material}-{index}")
             ElementTree.SubElement(bsdf, "string", name="type", value=material)
         ElementTree.SubElement(bsdf, "float", name="thickness", value=repr(thickness_m))
         identifiers.append(bsdf.get("id", ""))

@@ -138,11 +138,7 @@ class _Document:
         file = self.folder / filename
         try:
             is_below = file.resolve().is_relative_to(self.folder.resolve())
-        except (
-            OSError,
-            ValueError,
-            RuntimeError,
-        ) as error:  # of a name that no file can have, or a ring of links
+        except (OSError, ValueError, RuntimeError) as error:  # of a name that no file can have, or a ring of links
             raise SceneError(f"{path} includes {filename!r}, which is no file's name.") from error
         if not is_below:
             raise SceneError(
@@ -393,17 +389,13 @@ def _matrix(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"
         return matrix
     matrix = values.reshape(4, 4)
     if matrix[3].tolist() != [0, 0, 0, 1]:
-        raise SceneError(
-            f"{where} has a <matrix> whose last row is {matrix[3].tolist()}; it must be 0 0 0 1."
-        )
+        raise SceneError(f"{where} has a <matrix> whose last row is {matrix[3].tolist()}; it must be 0 0 0 1.")
     return matrix
 
 
 def _look_at(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
     """The frame at `origin` whose z looks to `target`, and whose y leans towards `up`."""
-    origin, target, up = (
-        _numbers(element.get(key, ""), element, where, 3) for key in ("origin", "target", "up")
-    )
+    origin, target, up = (_numbers(element.get(key, ""), element, where, 3) for key in ("origin", "target", "up"))
     forward = _direction(target - origin, "way to its target", where)
     left = _direction(np.cross(up, forward), "turn about its way to the target", where)
     matrix = np.eye(4)
@@ -414,7 +406,5 @@ def _look_at(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4
 def _direction(vector: Float[FloatArray, "3"], what: str, where: str) -> Float[FloatArray, "3"]:
     length = np.linalg.norm(vector)
     if not length > 0:
-        raise SceneError(
-            f"{where} has a <transform> whose {what} has no direction; give one that is not zero."
-        )
+        raise SceneError(f"{where} has a <transform> whose {what} has no direction; give one that is not zero.")
     return vector / length

@@ -17,22 +17,14 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_seri
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.errors import SceneError, UnknownNameError
-from xfreqbench.scene.array import (
-    ArrayPlane,
-    frame_rotation,
-    planar_array,
-    quaternion_rotation,
-    rotation_quaternion,
-)
+from xfreqbench.scene.array import ArrayPlane, frame_rotation, planar_array, quaternion_rotation, rotation_quaternion
 from xfreqbench.scene.materials import Material, SceneMaterial, Thickness, material_bands
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
-MAX_CANDIDATES = (
-    1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
-)
+MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]
@@ -103,11 +95,7 @@ class ReceiverArray:
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         default = {"plane": "xy", "orientation": None}
-        return {
-            key: value
-            for key, value in serialize(self).items()
-            if key not in default or value != default[key]
-        }
+        return {key: value for key, value in serialize(self).items() if key not in default or value != default[key]}
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ReceiverArray:
@@ -285,9 +273,7 @@ class Scene:
         if self.scene is None:
             return {}
         size = self.least_patch
-        told = (
-            {} if size is None else {f"least_patch_{name}": value for name, value in size._asdict().items()}
-        )
+        told = {} if size is None else {f"least_patch_{name}": value for name, value in size._asdict().items()}
         return {"mirrors": self.mirrors or "patches", **told}
 
     @property

@@ -40,9 +40,7 @@ def place_transmitters(
     inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
     to_receiver_m = np.linalg.norm(lattice_m - np.asarray(scene.receiver.position_m), axis=1)
-    near_receiver = (
-        ~inside & ~near_surface & (to_receiver_m < clearance_m + _half_aperture_m(scene, lowest_carrier_hz))
-    )
+    near_receiver = ~inside & ~near_surface & (to_receiver_m < clearance_m + _half_aperture_m(scene, lowest_carrier_hz))
     usable = ~(inside | near_surface | near_receiver)
     rejected = {
         "inside an object": int(inside.sum()),
@@ -57,9 +55,7 @@ def place_transmitters(
     return Placement(lattice_m[usable], rejected)
 
 
-def choose_transmitters(
-    placement: Placement, num_transmitters: int | None, seed: int
-) -> Float[FloatArray, "T 3"]:
+def choose_transmitters(placement: Placement, num_transmitters: int | None, seed: int) -> Float[FloatArray, "T 3"]:
     """All usable positions, or a random choice of so many in grid order, which depends on the seed alone.
 
     Raises `PlacementError` where more are asked for than there are, or none.
@@ -84,10 +80,7 @@ def _half_aperture_m(scene: Scene, carrier_hz: float | None) -> float:
 
 
 def check_transmitters(
-    scene: Scene,
-    meshes: Sequence[SurfaceMesh],
-    tx_position_m: Float[FloatArray, "T 3"],
-    carrier_hz: Sequence[float],
+    scene: Scene, meshes: Sequence[SurfaceMesh], tx_position_m: Float[FloatArray, "T 3"], carrier_hz: Sequence[float]
 ) -> None:
     """Raise `PlacementError` for the first position where no transmitter can stand.
 

@@ -56,9 +56,7 @@ def _without_shell(room: SurfaceMesh, receiver_m: Float[FloatArray, "3"]) -> lis
         replace(room, vertices_m=np.asarray(part.vertices), triangles=np.asarray(part.faces, np.int64))
         for part in trimesh.Trimesh(room.vertices_m, room.triangles).split(only_watertight=False)
     ]
-    shell = max(
-        parts, key=lambda part: float(np.ptp(part.vertices_m, axis=0).prod()) * _encloses(part, receiver_m)
-    )
+    shell = max(parts, key=lambda part: float(np.ptp(part.vertices_m, axis=0).prod()) * _encloses(part, receiver_m))
     return [part for part in parts if part is not shell]
 
 

@@ -14,9 +14,7 @@ from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.types import FloatArray, IntArray
 
 
-def distance_to_surfaces(
-    meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]
-) -> Float[FloatArray, "N"]:
+def distance_to_surfaces(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Float[FloatArray, "N"]:
     """Distance in metres from each of N points to the nearest triangle; infinite where there are no triangles."""
     corners_m = np.ascontiguousarray(triangle_corners_m(meshes))
     return visibility_kernels.nearest_distances(corners_m, np.ascontiguousarray(points_m, dtype=np.float64))

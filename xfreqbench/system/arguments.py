@@ -11,15 +11,7 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-    validate_call,
-)
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError, validate_call
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.types import FloatArray

@@ -23,9 +23,7 @@ class Bars:
         console = self._progress.console
         return console.is_interactive or console.is_jupyter
 
-    def show(
-        self, stage: int, done: float, total: float | None, state: str, title: str | None = None
-    ) -> None:
+    def show(self, stage: int, done: float, total: float | None, state: str, title: str | None = None) -> None:
         """Draw the bar of a stage at `done` of `total`, None where nobody knows; `state` stands beside it."""
         self._progress.start()
         changed = {} if title is None else {"description": title}

@@ -83,8 +83,7 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ClusterError(
-                f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend "
-                "--executor."
+                f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
             ) from error
         with client:
             workers = DaskWorkers(client, address)
@@ -138,9 +137,7 @@ def fingerprint() -> Mapping[str, str]:
 def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
     """The names whose values differ, each with both values, in words; empty if all are equal."""
     names = [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]
-    return ", ".join(
-        f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names)
-    )
+    return ", ".join(f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names))
 
 
 def _imported() -> Any:
@@ -223,9 +220,7 @@ def _killed(error: Any) -> ClusterError | None:
 
     if not isinstance(error, KilledWorker):
         return None
-    return ClusterError(
-        lost_workers(error.allowed_failures + 1, f", the last at {error.last_worker.address}")
-    )
+    return ClusterError(lost_workers(error.allowed_failures + 1, f", the last at {error.last_worker.address}"))
 
 
 def _version(name: str) -> str:

@@ -184,9 +184,7 @@ def exclusive(lock: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        lock.unlink(
-            missing_ok=True
-        )  # while it is held: a process that waits for it notices, and makes it anew
+        lock.unlink(missing_ok=True)  # while it is held: a process that waits for it notices, and makes it anew
         held.release()
 
 

@@ -91,9 +91,7 @@ def hardware() -> dict[str, str]:
 def _gpus() -> dict[str, str]:
     """Names of the GPUs, as the NVIDIA driver has them; empty without that driver."""
     lines = [
-        line
-        for path in sorted(_GPUS.glob("*/information"))
-        for line in path.read_text(encoding="utf-8").splitlines()
+        line for path in sorted(_GPUS.glob("*/information")) for line in path.read_text(encoding="utf-8").splitlines()
     ]
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
     return {"gpu": " + ".join(names)} if names else {}

@@ -261,9 +261,7 @@ def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
 
 
 def _is_standard(path: Path | None) -> bool:
-    return (
-        path is not None and not _is_library_folder(path) and any(map(path.is_relative_to, _STANDARD_LIBRARY))
-    )
+    return path is not None and not _is_library_folder(path) and any(map(path.is_relative_to, _STANDARD_LIBRARY))
 
 
 def _is_library_folder(path: Path) -> bool:

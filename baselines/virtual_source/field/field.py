@@ -43,17 +43,13 @@ class PathGain(nn.Module):
     It depends on the transmitter, the arrival and the planes that the path bounces off, and not on the carrier.
     """
 
-    def __init__(
-        self, num_planes: int, width: int, num_octaves: int, max_change: float, scaling: Scaling
-    ) -> None:
+    def __init__(self, num_planes: int, width: int, num_octaves: int, max_change: float, scaling: Scaling) -> None:
         super().__init__()
         self.num_octaves, self.max_change, self.scaling = num_octaves, max_change, scaling
         self.of_plane = nn.Embedding(num_planes + 1, width)
         self.of_tx = nn.Linear(3 * (1 + 2 * num_octaves), width)
         self.of_arrival = nn.Linear(3, width)
-        self.layers = nn.Sequential(
-            nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
-        )
+        self.layers = nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.head = nn.Linear(width, 2)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
@@ -107,9 +103,7 @@ class VirtualSourceField(ChannelField):
         self.register_buffer("num_looks", torch.tensor(0))
         self.register_buffer("last_look", torch.tensor(0))
         self.room = LearnedRoom(config)
-        self.free = (
-            ApertureField(config.free_sources, config.free_modes, network) if config.free_sources else None
-        )
+        self.free = ApertureField(config.free_sources, config.free_modes, network) if config.free_sources else None
         self.log_free = nn.Parameter(torch.tensor(_START_FREE).log())
         self.gain = self._new_gain()
 
@@ -163,9 +157,7 @@ class VirtualSourceField(ChannelField):
         has_time = self.budget.max_seconds is None or share < 1 - _LOOK_SHARE
         return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned and has_time
 
-    def look_again(
-        self, train: PasDataset, explained: Explained, step: int, generator: torch.Generator
-    ) -> None:
+    def look_again(self, train: PasDataset, explained: Explained, step: int, generator: torch.Generator) -> None:
         """Search for planes in what the field does not explain, and choose images anew by what was learned."""
         is_over = self.budget.timer(_LOOK_SHARE)
         self.num_looks += 1
@@ -197,9 +189,7 @@ class VirtualSourceField(ChannelField):
             gain = gain * self._travel(traces.length_m, carrier_hz)
         return torch.einsum("bkf,bkfm->bfm", gain, self._response(traces, carrier_hz, element))
 
-    def _travel(
-        self, length_m: Float[Tensor, "B K"], carrier_hz: Float[Tensor, "F"]
-    ) -> Complex[Tensor, "B K F"]:
+    def _travel(self, length_m: Float[Tensor, "B K"], carrier_hz: Float[Tensor, "F"]) -> Complex[Tensor, "B K F"]:
         """exp(−j2πf d/c), whole turns subtracted before the angle is rounded to float32."""
         kind = getattr(torch, self.config.lengths)
         turns = length_m.to(kind)[..., None] * (carrier_hz.to(kind) / SPEED_OF_LIGHT_M_S)
@@ -211,19 +201,15 @@ class VirtualSourceField(ChannelField):
     ) -> Complex[Tensor, "B K F M"]:
         """Phase factors at the elements of the paths' spherical waves, to second order in the aperture."""
         along = traces.arrival @ self.scaling.rotation @ element.T
-        bend = ((element * element).sum(-1) - along * along) / traces.length_m.clamp_min(
-            MIN_LENGTH_M
-        ).float()[..., None]
+        bend = ((element * element).sum(-1) - along * along) / traces.length_m.clamp_min(MIN_LENGTH_M).float()[
+            ..., None
+        ]
         wavelength_m = (SPEED_OF_LIGHT_M_S / carrier_hz).float()
         angle = 2 * math.pi * along[:, :, None] - math.pi * bend[:, :, None] * wavelength_m[:, None]
         return torch.polar(torch.ones_like(angle), angle)
 
     def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Bartlett maps of virtual and free sources; positions are float64, for the phases of high carriers."""
         offset_m = self.offsets(tx_position_m)
@@ -248,9 +234,7 @@ class VirtualSourceField(ChannelField):
         """Channels of the free sources in units of the line of sight: Q channels that do not interfere."""
         if self.free is None:
             return torch.zeros(0, len(offset_m), len(element), dtype=torch.complex64)
-        signal = self.free.network(
-            offset_m.float() @ self.scaling.rotation, carrier_hz, self.free.position_m
-        ).signal
+        signal = self.free.network(offset_m.float() @ self.scaling.rotation, carrier_hz, self.free.position_m).signal
         return self.log_free.exp() * (signal.mT @ self.free.response(element))
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:

@@ -131,9 +131,7 @@ def sequences(num_planes: int, max_order: int) -> Int[Tensor, "K O"]:
     return torch.tensor(found, dtype=torch.int64).reshape(len(found), max_order)
 
 
-def trace(
-    mirrors: Mirrors, sequence: Int[Tensor, "K O"], tx_m: Float[Tensor, "B 3"], antenna: Antenna
-) -> Traces:
+def trace(mirrors: Mirrors, sequence: Int[Tensor, "K O"], tx_m: Float[Tensor, "B 3"], antenna: Antenna) -> Traces:
     """The paths from B transmitters over K sequences of planes; `tx_m` is relative to the array centre."""
     images = _images(mirrors, sequence, tx_m)
     points, is_real = _bounces(mirrors, sequence, images)
@@ -152,9 +150,7 @@ def trace(
     )
 
 
-def _images(
-    mirrors: Mirrors, sequence: Int[Tensor, "K O"], tx_m: Float[Tensor, "B 3"]
-) -> list[Float[Tensor, "B K 3"]]:
+def _images(mirrors: Mirrors, sequence: Int[Tensor, "K O"], tx_m: Float[Tensor, "B 3"]) -> list[Float[Tensor, "B K 3"]]:
     """Positions of the transmitter and of its image after each bounce; the receiver sees the last one."""
     images = [tx_m[:, None].expand(-1, len(sequence), 3)]
     for plane in sequence.T:
@@ -218,9 +214,7 @@ def _polarised(
         ]
         fields_ = split
     order = (sequence >= 0).sum(-1)
-    received = antenna_field(
-        stretch[:, torch.arange(len(sequence)), order], antenna
-    )  # along the last stretch
+    received = antenna_field(stretch[:, torch.arange(len(sequence)), order], antenna)  # along the last stretch
     return torch.stack([(field * received).sum(-1) for field in fields_], dim=-1)
 
 
@@ -237,10 +231,7 @@ def _touch(
 
 
 def _crossings(
-    mirrors: Mirrors,
-    nodes: Float[Tensor, "B K N 3"],
-    stretch: Float[Tensor, "B K S 3"],
-    is_real: Bool[Tensor, "B K"],
+    mirrors: Mirrors, nodes: Float[Tensor, "B K N 3"], stretch: Float[Tensor, "B K S 3"], is_real: Bool[Tensor, "B K"]
 ) -> Touch:
     """Where the stretches of real paths go through planes."""
     height = nodes @ mirrors.normal.T - mirrors.distance_m

@@ -49,9 +49,7 @@ class LearnedRoom(nn.Module):
         self.register_buffer("antenna_code", torch.zeros(2, dtype=torch.bool))
         self._make_room(0, 1, 0, 0, Presence(0, cell_m=config.cell_m))
 
-    def _make_room(
-        self, num_planes: int, num_images: int, num_tx: int, num_carriers: int, presence: Presence
-    ) -> None:
+    def _make_room(self, num_planes: int, num_images: int, num_tx: int, num_carriers: int, presence: Presence) -> None:
         """Replace all tensors by new ones of these sizes, without planes' values."""
         order = self.config.max_order if num_planes else 0
         sizes = {
@@ -175,9 +173,7 @@ class LearnedRoom(nn.Module):
             gain = gain * crossing
         return gain * spread.float()[..., None]
 
-    def _factors(
-        self, touch: Touch, table: Float[Tensor, "R C"], *, is_crossed: bool
-    ) -> Complex[Tensor, "B K O F"]:
+    def _factors(self, touch: Touch, table: Float[Tensor, "R C"], *, is_crossed: bool) -> Complex[Tensor, "B K O F"]:
         """Factors where paths meet planes: transmission, or reflection for TE and then TM; 1 where there is none."""
         flat = touch.flattened()
         met = (flat.plane >= 0).nonzero()[:, 0]
@@ -206,9 +202,7 @@ class LearnedRoom(nn.Module):
             for sequence, value in zip(self.sequence.tolist(), power.tolist(), strict=True)
         ]
         images.sort(key=lambda image: image["power"], reverse=True)
-        told = [
-            {**face._asdict(), "corners_m": (array_m.numpy() + face.corners_m).tolist()} for face in found
-        ]
+        told = [{**face._asdict(), "corners_m": (array_m.numpy() + face.corners_m).tolist()} for face in found]
         return {"receiver_m": array_m.tolist(), "planes": planes, "images": images, "faces": told}
 
     def _cells(self, traces: Traces) -> list[Cells]:
@@ -226,9 +220,7 @@ class LearnedRoom(nn.Module):
         is_touched = (bounce.plane >= 0) & traces.is_real[..., None]
         plane, point_m = bounce.plane[is_touched], bounce.point_m[is_touched]
         limit = torch.tensor(share.shape[1:3]) - 1
-        place = (
-            ((point_m - presence.low_m[plane]) / presence.cell_m).round().long().clamp_min(0).minimum(limit)
-        )
+        place = ((point_m - presence.low_m[plane]) / presence.cell_m).round().long().clamp_min(0).minimum(limit)
         seen = torch.zeros(share.shape[:3]).index_put((plane, *place.T), power[is_touched], accumulate=True)
         tables = (self.normal, self.distance_m, self.mirrors.axes, presence.low_m, share, seen)
         return [

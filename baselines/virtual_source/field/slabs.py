@@ -43,9 +43,7 @@ class LearnedSlabs(nn.Module):
         self.log_susceptibility = nn.Parameter(torch.full(shape, math.log(_START_PERMITTIVITY - 1)))
         self.log_conductivity = nn.Parameter(torch.full(shape, math.log(_START_CONDUCTIVITY_S_M)))
         self.power = nn.Parameter(torch.full(shape, _START_POWER))
-        self.log_thickness = nn.Parameter(
-            torch.tensor(_START_THICKNESS_M).log()[:, None].repeat(1, num_planes)
-        )
+        self.log_thickness = nn.Parameter(torch.tensor(_START_THICKNESS_M).log()[:, None].repeat(1, num_planes))
 
     def coefficients(
         self, carrier_hz: Float[Tensor, "F"], cosine: Float[Tensor, "N"]
@@ -123,9 +121,7 @@ def looked_up(
     second = first + num_planes * NUM_COSINES
     rows = torch.stack([first, first + 1, second, second + 1], dim=-1)
     blend = torch.stack([1 - weight, weight], dim=-1)
-    return embedding_bag(
-        rows, table, per_sample_weights=(share[:, :, None] * blend[:, None]).flatten(1), mode="sum"
-    )
+    return embedding_bag(rows, table, per_sample_weights=(share[:, :, None] * blend[:, None]).flatten(1), mode="sum")
 
 
 class Presence(nn.Module):
@@ -146,11 +142,7 @@ class Presence(nn.Module):
 
     @classmethod
     def covering(
-        cls,
-        axes: Float[Tensor, "Q 2 3"],
-        corners_m: Float[Tensor, "c 3"],
-        is_wall: Bool[Tensor, "Q"],
-        cell_m: float,
+        cls, axes: Float[Tensor, "Q 2 3"], corners_m: Float[Tensor, "c 3"], is_wall: Bool[Tensor, "Q"], cell_m: float
     ) -> Presence:
         """Cells that cover the projection of a box on every plane: walls are full at the start, other planes hardly."""
         place_m = torch.einsum("qac,nc->qna", axes, corners_m)

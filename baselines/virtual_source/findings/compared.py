@@ -32,9 +32,7 @@ from ..stored import FoundPlane, FoundSlab, StoredFindings
 MATCH_DISTANCE_M = 0.05  # a found plane further from every surface shows none of them
 MATCH_TILT_RAD = float(np.radians(2))
 _MIN_SHARE = 0.01  # a surface with a smaller share of a found plane is not named
-_TOWARDS_ARRAY = (
-    1e-6  # points on a surface move by this share of the way, so that it does not hide them itself
-)
+_TOWARDS_ARRAY = 1e-6  # points on a surface move by this share of the way, so that it does not hide them itself
 _ON_PLANE_M = 1e-6
 
 TrueSlab = tuple[Material, float]  # a material, and the thickness in metres
@@ -311,9 +309,7 @@ def choose_record(
     told = _only(told, "run with findings of seed", seed, lambda record: record.job.seed)
     chosen = [record for record in told if record.id.startswith(id_prefix or "")]
     if not chosen:
-        raise UnknownNameError(
-            "record with findings whose id begins with", str(id_prefix), {each.id for each in told}
-        )
+        raise UnknownNameError("record with findings whose id begins with", str(id_prefix), {each.id for each in told})
     return max(chosen, key=lambda record: record.time_utc)
 
 

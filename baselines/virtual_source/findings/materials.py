@@ -50,9 +50,7 @@ class ShownMaterial:
         material, thickness_m = self.truth
         return f"{str(material).replace('_', ' ')} {thickness_m * 1e3:g} mm"
 
-    def true_over_angle(
-        self, carrier_hz: float, angle_rad: Float[FloatArray, "A"]
-    ) -> Float[FloatArray, "2 A"]:
+    def true_over_angle(self, carrier_hz: float, angle_rad: Float[FloatArray, "A"]) -> Float[FloatArray, "2 A"]:
         """|R| of the scene's slab by P.2040, TE and TM."""
         material, thickness_m = self.truth
         return _over_angle(true_permittivity(material, carrier_hz), thickness_m, carrier_hz, angle_rad)
@@ -84,11 +82,7 @@ def shown_materials(compared: ComparedFindings) -> list[ShownMaterial]:
             continue
         for number_of_slab, slab in enumerate(plane.slabs):
             if slab.share >= LEAST_SHARE:
-                faces = [
-                    face
-                    for face in compared.findings.faces
-                    if (face.plane, face.slab) == (index, number_of_slab)
-                ]
+                faces = [face for face in compared.findings.faces if (face.plane, face.slab) == (index, number_of_slab)]
                 areas_m2 = np.array([polygon_area_m2(np.array(face.corners_m)) for face in faces])
                 seen = float(areas_m2 @ [face.seen for face in faces] / areas_m2.sum()) if faces else np.nan
                 nearest = names.nearest(slab)
@@ -138,8 +132,7 @@ def _true_slab(compared: ComparedFindings, match: Match, faces: Sequence[FoundFa
         beyond_m = (centre_m - compared.findings.array_m) @ plane.normal - plane.distance_m
         foot_m = centre_m - beyond_m * plane.normal
         away_m = [
-            np.linalg.norm(nearest_point(facet.corners_m, plane.normal, foot_m) - foot_m)
-            for facet in plane.facets
+            np.linalg.norm(nearest_point(facet.corners_m, plane.normal, foot_m) - foot_m) for facet in plane.facets
         ]
         mesh = compared.meshes[plane.facets[int(np.argmin(away_m))].surface]
         slab = mesh.material, mesh.thickness_m

@@ -145,9 +145,7 @@ def _is_on(
     return is_near & (tilt_rad < FOUND_TILT_RAD) & (beside_m <= HELD_MARGIN_M)
 
 
-def _distance_m(
-    point_m: Float[FloatArray, "*S 3"], corners_m: Float[FloatArray, "4 3"]
-) -> Float[FloatArray, "*S"]:
+def _distance_m(point_m: Float[FloatArray, "*S 3"], corners_m: Float[FloatArray, "4 3"]) -> Float[FloatArray, "*S"]:
     """Distance of points from a rectangle, whose corners are given in turn; it may have no area."""
     offset_m = point_m - corners_m[0]
     nearest_m = np.zeros_like(offset_m)
@@ -241,9 +239,7 @@ def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: Pro
             parts[label].append(Scores(ssim(shown, truth, samples.grid), psnr(shown, truth, samples.grid)))
         scoring(done, len(transmitters))
     scores = {
-        label: Scores(
-            np.concatenate([part.ssim for part in own]), np.concatenate([part.psnr for part in own])
-        )
+        label: Scores(np.concatenate([part.ssim for part in own]), np.concatenate([part.psnr for part in own]))
         for label, own in parts.items()
     }
     return Residual(plan.compared, scores, samples, share_not_found)

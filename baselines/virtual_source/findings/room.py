@@ -77,9 +77,7 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
     return refinement
 
 
-def score_rooms(
-    results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]
-) -> ScoredRoom:
+def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]) -> ScoredRoom:
     """The last of some rooms, with the SSIM of tested rows: of each room, and of the predictions if they are stored.
 
     Rooms are traced as the data were. The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where
@@ -99,10 +97,7 @@ def score_rooms(
         cfr = channels_in(room, samples, settings_in_room(samples))
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
-    cells = [
-        (label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each)))
-        for label, each in scores.items()
-    ]
+    cells = [(label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each))) for label, each in scores.items()]
     return ScoredRoom(list(rooms.values())[-1], cells)
 
 
@@ -151,8 +146,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
         "mirrors": "facets",
     }
     scores = [
-        f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n"
-        for what, median, mean, number in room.scores
+        f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n" for what, median, mean, number in room.scores
     ]
     parts = [
         _first_line(compared.record.id),
@@ -166,11 +160,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     for name, own in sorted(by_slab.items()):
         unseen = [surface.name for surface in own if surface.seen < MIN_SEEN]
         learned = [surface.slab.distance for surface in own if surface.plane != NO_PLANE]
-        note = (
-            f"|ΔR| {max(learned):.3f} from what was learned"
-            if learned
-            else "of those tried, nearest to the maps"
-        )
+        note = f"|ΔR| {max(learned):.3f} from what was learned" if learned else "of those tried, nearest to the maps"
         note += f"; unseen: {', '.join(unseen)}" if unseen else ""
         entry = {"name": name, "itu": own[0].slab.material, "thickness_m": own[0].slab.thickness_m}
         parts.append(f"[[material]]  # {note}\n{_table(entry)}")

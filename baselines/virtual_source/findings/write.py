@@ -26,11 +26,7 @@ from .room import ROOM_HEADER, ScoredRoom
 
 _TRUE, _FOUND, _SOURCE = "#f5f0dc", "#d55e00", "#f0e442"  # none is that of a material
 _SOURCE_PIXELS = 8
-_LAYERS = {
-    "true": "the true surfaces, pale",
-    "learned": "what was learned",
-    "sources": "virtual sources, yellow",
-}
+_LAYERS = {"true": "the true surfaces, pale", "learned": "what was learned", "sources": "virtual sources, yellow"}
 
 
 PAGE, TABLE, NUMBERS, MODEL, PICTURE = "index.html", "findings.md", "findings.json", "scene.glb", "scene.png"
@@ -120,9 +116,7 @@ def write_findings(compared: ComparedFindings, folder: Path) -> list[Path]:
         if found.corners_m
     }
     points = {"receiver": compared.findings.array_m, f"transmitter {compared.tx}": compared.tx_m}
-    points |= {
-        f"virtual source {' '.join(map(str, each.planes))}": each.position_m for each in compared.sources
-    }
+    points |= {f"virtual source {' '.join(map(str, each.planes))}": each.position_m for each in compared.sources}
     write_glb(compared.meshes, rectangles, points, folder / MODEL)
     write_page(compared, folder)
     return paths
@@ -194,8 +188,7 @@ def _learned(compared: ComparedFindings, room: ScoredRoom | None) -> list[dict[s
     if room:
         meshes = by_material([surface.mesh for surface in room.surfaces])
         return [
-            one_surface(own, material_hex(material), layer="learned", opacity=0.45)
-            for material, own in meshes.items()
+            one_surface(own, material_hex(material), layer="learned", opacity=0.45) for material, own in meshes.items()
         ]
     findings = compared.findings
     planes = [plane.corners_m for plane in findings.planes if plane.corners_m]

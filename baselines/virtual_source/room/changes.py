@@ -58,28 +58,20 @@ def other_slabs(
         yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
 
 
-def with_wall_at(
-    plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room
-) -> Iterator[Room]:
+def with_wall_at(plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
     """The room with a wall moved along its normal, with its own slabs or another; surfaces that met it still do."""
     own = next(each for each in room if each.is_wall and each.plane == plane)
     for by_m in places_m:
         moved = [each if each.depth_m else _stretched(each, own, by_m) for each in room]
         for slab in slabs:
-            yield [
-                replace(each, slab=slab) if each.is_wall and each.plane == plane else each for each in moved
-            ]
+            yield [replace(each, slab=slab) if each.is_wall and each.plane == plane else each for each in moved]
         yield moved
 
 
 def _stretched(other: RoomSurface, wall: RoomSurface, by_m: float) -> RoomSurface:
     """A surface with its corners that lie on a wall moved along the wall's normal."""
     on_wall = np.abs((other.corners_m - wall.corners_m[0]) @ wall.normal) < _SAME_END_M
-    return (
-        replace(other, corners_m=other.corners_m + by_m * on_wall[:, None] * wall.normal)
-        if on_wall.any()
-        else other
-    )
+    return replace(other, corners_m=other.corners_m + by_m * on_wall[:, None] * wall.normal) if on_wall.any() else other
 
 
 def without(number: int, room: Room) -> Iterator[Room]:
@@ -115,9 +107,7 @@ def as_one(plane: int, room: Room) -> Iterator[Room]:
     own = replace(largest, corners_m=_rectangle_about(largest, parts))
     slabs = dict.fromkeys(each.slab for each in parts)
     others = [each for each in room if each not in parts]
-    ways_m = [
-        _way_to_wall(own.corners_m[[side, (side + 1) % 4]], own.outward[side], walls) for side in range(4)
-    ]
+    ways_m = [_way_to_wall(own.corners_m[[side, (side + 1) % 4]], own.outward[side], walls) for side in range(4)]
     for moves_m in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
         whole = own
         for side, by_m in enumerate(moves_m):
@@ -138,9 +128,7 @@ def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator
             sheets = [
                 replace(own, slab=slab.thinned(factor))
                 for slab in slabs
-                for factor in (
-                    _THINNER if slab.thickness_m < _THICK_M and slab.material != "metal" else (1.0,)
-                )
+                for factor in (_THINNER if slab.thickness_m < _THICK_M and slab.material != "metal" else (1.0,))
             ]
             over = {each: _behind_m(each, own) for each in room if each is not own and _is_over(each, own)}
             alone = [each for each in room if not 0 < over.get(each, 0.0) < _BACK_M]
@@ -156,9 +144,7 @@ def deeper(number: int, room: Room) -> Iterator[Room]:
     walls = [each for each in room if each.is_wall]
     for own in room:
         if own.number == number and own.depth_m:
-            changed = [
-                own.with_depth(own.depth_m + by_m, walls) for by_m in FINER_M if own.depth_m + by_m > 0
-            ]
+            changed = [own.with_depth(own.depth_m + by_m, walls) for by_m in FINER_M if own.depth_m + by_m > 0]
             changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
             for box in changed:
                 yield [box if each is own else each for each in room]
@@ -194,15 +180,12 @@ def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
     """Whether a face covers some of another one, as seen along the latter's normal."""
     axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
     (low, high), (own_low, own_high) = (
-        (place_m.min(axis=1), place_m.max(axis=1))
-        for place_m in (axes @ each.corners_m.T for each in (other, own))
+        (place_m.min(axis=1), place_m.max(axis=1)) for place_m in (axes @ each.corners_m.T for each in (other, own))
     )
     return bool((np.minimum(high, own_high) - np.maximum(low, own_low) > _SAME_END_M).all())
 
 
-def _moved_along(
-    other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Surfaces
-) -> RoomSurface:
+def _moved_along(other: RoomSurface, own: RoomSurface, edge: int, step_m: float, walls: Surfaces) -> RoomSurface:
     """A parallel face, its edge moved with one of `own` if both end, or meet in a plane, at one place."""
     outward, number = own.outward[edge], len(own.corners_m)
     if _way_to_wall(own.corners_m[[edge, (edge + 1) % number]], outward, walls) < _SAME_END_M:
@@ -303,15 +286,11 @@ class Trial(NamedTuple):
     repeats: int = _REPEATS
 
 
-def trials_of_face(
-    own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]
-) -> list[Trial]:
+def trials_of_face(own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]) -> list[Trial]:
     """Trials of a face, which is one of the slabs `known` or else `of_boxes`: edges, depth, edges again, no face."""
     others = [each for each in of_boxes if each.material not in {one.material for one in known}]
     slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
-    edges, finer, nearly = (
-        partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M)
-    )
+    edges, finer, nearly = (partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M))
     return [
         Trial(edges, at_lowest=True),
         Trial(partial(with_depths, own.number, slabs), at_lowest=True, besides=nearly, repeats=1),

@@ -28,9 +28,7 @@ _NONE_M = 1e-6
 def clipped(place_m: Float[FloatArray, "n 2"], inward: Float[FloatArray, "n"]) -> Float[FloatArray, "m 2"]:
     """The part of a convex polygon where a linear function, given at its corners, is not negative."""
     kept = []
-    corners = zip(
-        place_m, inward.tolist(), np.roll(place_m, -1, axis=0), np.roll(inward, -1).tolist(), strict=True
-    )
+    corners = zip(place_m, inward.tolist(), np.roll(place_m, -1, axis=0), np.roll(inward, -1).tolist(), strict=True)
     for start, height, end, next_height in corners:
         if height >= 0:
             kept.append(start)
@@ -47,18 +45,14 @@ def beyond(
     return along * offset_m[..., 1] - across * offset_m[..., 0]
 
 
-def convex_common(
-    place_m: Float[FloatArray, "n 2"], other_m: Float[FloatArray, "m 2"]
-) -> Float[FloatArray, "k 2"]:
+def convex_common(place_m: Float[FloatArray, "n 2"], other_m: Float[FloatArray, "m 2"]) -> Float[FloatArray, "k 2"]:
     """The common part of two convex polygons, whose corners turn left."""
     for start, end in zip(other_m, np.roll(other_m, -1, axis=0), strict=True):
         place_m = clipped(place_m, beyond(place_m, start, end))
     return place_m
 
 
-def cut_out(
-    place_m: Float[FloatArray, "n 2"], hole_m: Float[FloatArray, "4 2"]
-) -> Iterator[Float[FloatArray, "k 2"]]:
+def cut_out(place_m: Float[FloatArray, "n 2"], hole_m: Float[FloatArray, "4 2"]) -> Iterator[Float[FloatArray, "k 2"]]:
     """A convex polygon without a rectangle, as convex pieces."""
     for start, end in zip(hole_m, np.roll(hole_m, -1, axis=0), strict=True):
         inward = beyond(place_m, start, end)
@@ -208,9 +202,7 @@ def _face(index: int, slab: int, plane: Cells, place_m: Float[FloatArray, "n 2"]
     return Face(index, slab, plane.points_m(place_m), seen, is_wall)
 
 
-def best_rectangles(
-    signed: Float[FloatArray, "I J"],
-) -> Iterator[tuple[Int[IntArray, "2"], Int[IntArray, "2"]]]:
+def best_rectangles(signed: Float[FloatArray, "I J"]) -> Iterator[tuple[Int[IntArray, "2"], Int[IntArray, "2"]]]:
     """The rectangles of largest sum, as first and last cells (both inside), without overlap, down to `_MIN_CELLS`."""
     left = np.array(signed)
     while True:

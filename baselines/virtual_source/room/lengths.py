@@ -192,11 +192,7 @@ class ReflectedPaths:
 
     @classmethod
     def of(
-        cls,
-        room: Surfaces,
-        train: PasDataset,
-        lags: LagAverages,
-        carrier_hz: Float[FloatArray, "F"] | None = None,
+        cls, room: Surfaces, train: PasDataset, lags: LagAverages, carrier_hz: Float[FloatArray, "F"] | None = None
     ) -> ReflectedPaths:
         """The paths from evenly drawn transmitters of training rows, at all or some carriers of theirs."""
         hz = np.unique(train.carrier_hz) if carrier_hz is None else carrier_hz
@@ -227,10 +223,7 @@ class ReflectedPaths:
             np.concatenate(waves),
             np.concatenate(lengths_m),
             np.concatenate(owners),
-            {
-                part: (np.array([p for p, _ in of]), np.array([s for _, s in of]))
-                for part, of in lengthened.items()
-            },
+            {part: (np.array([p for p, _ in of]), np.array([s for _, s in of])) for part, of in lengthened.items()},
             of_tx,
             np.searchsorted(hz, train.carrier_hz[rows]),
             lags.measured(rows),
@@ -259,11 +252,7 @@ class ReflectedPaths:
         return sorted(self.reflected, key=lambda part: -power[self.reflected[part][0]].sum())
 
     def alone(
-        self,
-        by_m: Float[FloatArray, "n"],
-        carriers: Int[IntArray, "K"],
-        standing_m: Points,
-        is_over: IsOver = never,
+        self, by_m: Float[FloatArray, "n"], carriers: Int[IntArray, "K"], standing_m: Points, is_over: IsOver = never
     ) -> list[RoomSurface]:
         """The room with parts moved one after another, by the displacement (0 first) that rows agree with best."""
         paths = replace(self, wave=self.wave.copy())
@@ -342,11 +331,7 @@ class ReflectedPaths:
         """Displacements of a part with which training rows agree better than without, in metres, the best first."""
         likeness = self.likeness(part, _PLACES_M, carriers)
         here = likeness[np.abs(_PLACES_M) <= _HERE_M].max()
-        return [
-            by_m
-            for by_m, value in peaks(_PLACES_M, likeness)
-            if abs(by_m) > _HERE_M and value > here + LEAST_GAIN
-        ]
+        return [by_m for by_m, value in peaks(_PLACES_M, likeness) if abs(by_m) > _HERE_M and value > here + LEAST_GAIN]
 
     def _turn(
         self, part: RoomPart, by_m: float, carriers: Int[IntArray, "K"]

@@ -36,12 +36,7 @@ _NUM_GROWN = 8  # of the boxes that are begun, those that promise most
 _GROWTH_M = (0.4, 0.2, 0.1, 0.05, 0.025)
 _THINNEST_M = 0.03
 # One face, or two opposite ones together, by one step in either direction.
-_MOVES = [
-    by * np.outer(sides, axis)
-    for axis in np.eye(3)
-    for sides in ((1, 0), (0, 1), (1, 1))
-    for by in (-1.0, 1.0)
-]
+_MOVES = [by * np.outer(sides, axis) for axis in np.eye(3) for sides in ((1, 0), (0, 1), (1, 1)) for by in (-1.0, 1.0)]
 
 
 def obstacles(room: Surfaces, train: PasDataset, standing_m: Points, is_over: IsOver = never) -> list[Box]:
@@ -94,9 +89,7 @@ class DoubtfulPaths:
             doubt = _doubts(paths, lags, train, rows).clip(-_MOST_DOUBT, _MOST_DOUBT)
             chosen = np.flatnonzero(np.abs(doubt) > _LEAST_DOUBT)
             met = (line[~np.isnan(line[:, 0])] for line in paths.vertices_m[chosen])
-            lines += [
-                frame.along(np.stack([position_m, *line, train.header.receiver.position_m])) for line in met
-            ]
+            lines += [frame.along(np.stack([position_m, *line, train.header.receiver.position_m])) for line in met]
             doubts.append(doubt[chosen])
             num_maps += len(rows)
         first = np.cumsum([0, *(len(line) - 1 for line in lines)])
@@ -107,18 +100,14 @@ class DoubtfulPaths:
     def promise(self, boxes: Float[FloatArray, "B 2 3"]) -> Float[FloatArray, "B"]:
         """How many maps' worth nearer the training rows are with each box, by the paths that it hides."""
         hidden = hidden_by(np.ascontiguousarray(boxes), self.first, self.start_m, self.way_m)
-        return np.array(
-            [self.doubt[each].sum() - _A_PATH * np.count_nonzero(self.doubt[each]) for each in hidden]
-        )
+        return np.array([self.doubt[each].sum() - _A_PATH * np.count_nonzero(self.doubt[each]) for each in hidden])
 
     def explain(self, box: Box) -> None:
         """Set the doubt of the paths that a box hides to 0."""
         self.doubt[hidden_by(box[None], self.first, self.start_m, self.way_m)[0]] = 0.0
 
 
-def _doubts(
-    paths: Paths, lags: LagAverages, train: PasDataset, rows: Int[IntArray, "B"]
-) -> Float[FloatArray, "P"]:
+def _doubts(paths: Paths, lags: LagAverages, train: PasDataset, rows: Int[IntArray, "B"]) -> Float[FloatArray, "P"]:
     """How much nearer training rows of one transmitter are without each path, summed over them."""
     receiver, hz = train.header.receiver, train.carrier_hz[rows]
     of_carrier = np.searchsorted(paths.carrier_hz, hz)
@@ -134,9 +123,7 @@ def _doubts(
 def _begun(bounds: Box) -> list[Box]:
     """Small boxes at all places between bounds, of several heights."""
     (low_m, high_m), half_m = bounds, _APART_M / 2
-    places = [
-        np.arange(low + half_m, high, _APART_M) for low, high in zip(low_m[:2], high_m[:2], strict=True)
-    ]
+    places = [np.arange(low + half_m, high, _APART_M) for low, high in zip(low_m[:2], high_m[:2], strict=True)]
     tops = (*_LEVELS_M[1:], high_m[2] - low_m[2])
     boxes = [
         np.array([[x - half_m, y - half_m, low_m[2] + level], [x + half_m, y + half_m, low_m[2] + top]])
@@ -147,9 +134,7 @@ def _begun(bounds: Box) -> list[Box]:
     return [box.clip(low_m, high_m) for box in boxes]
 
 
-def _grown(
-    box: Box, bounds: Box, free_m: Points, promise: Callable[..., Float[FloatArray, "B"]]
-) -> tuple[float, Box]:
+def _grown(box: Box, bounds: Box, free_m: Points, promise: Callable[..., Float[FloatArray, "B"]]) -> tuple[float, Box]:
     """A box whose faces are moved, one or two opposite ones at a time, while it promises more; and its promise."""
     best = float(promise(box[None])[0])
     for step_m in _GROWTH_M:
@@ -157,9 +142,7 @@ def _grown(
             moved = [box + by * step_m for by in _MOVES]
             around = [each.clip(*bounds) for each in moved]
             possible = [
-                each
-                for each in around
-                if (each[1] - each[0]).min() >= _THINNEST_M and not holds_any(each, free_m)
+                each for each in around if (each[1] - each[0]).min() >= _THINNEST_M and not holds_any(each, free_m)
             ]
             if not possible:
                 break

@@ -422,9 +422,7 @@ class Refinement:
     def resumed(cls, stored: Mapping[str, Any], train: PasDataset) -> Refinement:
         """The refinement that `as_json` described, to go on with the same training rows."""
         found, room = ([surface_from_json(each) for each in stored[name]] for name in ("found", "room"))
-        known = {
-            (plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]
-        }
+        known = {(plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]}
         boxes = stored.get("boxes")
         places = None if boxes is None else [np.array(box, np.float64) for box in boxes]
         return cls(found, known, train, room, stored["done"], places)

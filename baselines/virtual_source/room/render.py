@@ -67,9 +67,7 @@ class LocalWeights:
         chosen = np.searchsorted(WEIGHTS, self.at(self.position_m, self.carrier_hz))
         return float(self.similar[chosen, np.arange(len(chosen))].mean())
 
-    def at(
-        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Float[FloatArray, "B"]:
+    def at(self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Float[FloatArray, "B"]:
         """The weight of the learned map for every query: the best at validation rows nearby, the largest of equals."""
         away_m = np.linalg.norm(tx_position_m[:, None] - self.position_m, axis=2)
         octaves = np.log2(carrier_hz[:, None] / self.carrier_hz)
@@ -100,9 +98,7 @@ class RoomRender:
     tracer: RoomTracer | None = None  # of the room as it is when it is weighed
     weights: LocalWeights | None = None
     has_begun: bool = False
-    count: MapCount = field(
-        default_factory=MapCount
-    )  # maps that the refinement compared, which a budget pays for
+    count: MapCount = field(default_factory=MapCount)  # maps that the refinement compared, which a budget pays for
     _stored: dict[str, Any] = field(default_factory=dict)  # of a refinement that goes on
 
     def advance(
@@ -177,9 +173,7 @@ class RoomRender:
         """The surfaces of the room that is traced, as JSON holds them; empty where none is."""
         return {"room": [surface_json(each) for each in self.tracer.room]} if self.tracer else {}
 
-    def maps(
-        self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Maps:
+    def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, mixed with traced ones; where no path arrives they stay as they are."""
         if self.tracer is None or not len(learned):
             return learned

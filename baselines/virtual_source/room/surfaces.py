@@ -50,10 +50,7 @@ class NamedSlab(NamedTuple):
 
 
 def slab_reflection(
-    permittivity: Sequence[complex],
-    thickness_m: float,
-    carrier_hz: Sequence[float],
-    cosine: Float[FloatArray, "C"],
+    permittivity: Sequence[complex], thickness_m: float, carrier_hz: Sequence[float], cosine: Float[FloatArray, "C"]
 ) -> Complex[NDArray[np.complex128], "F C 2"]:
     """Coefficients TE and TM of a slab for F carriers and C cosines of the incidence (P.2040, Eqs. 37, 43 and 44)."""
     phase = 2 * np.pi * np.asarray(carrier_hz) / SPEED_OF_LIGHT_M_S * thickness_m
@@ -94,9 +91,7 @@ class SlabNames:
 
 def likely_slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
     """Slabs that may be the learned one, of all the nearest first: those about as near as that one, and metal."""
-    return [
-        each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"
-    ]
+    return [each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +129,7 @@ class RoomSurface:
             sides = [(a, (a + 1) % number) for a in range(number) if a not in self.open_sides]
             quads = [[[a, b, number + b], [a, number + b, number + a]] for a, b in sides]
             triangles += [fan + number, np.array(quads, dtype=np.int64).reshape(-1, 3)]
-        return SurfaceMesh(
-            self.name, self.slab.material, self.slab.thickness_m, vertices_m, np.concatenate(triangles)
-        )
+        return SurfaceMesh(self.name, self.slab.material, self.slab.thickness_m, vertices_m, np.concatenate(triangles))
 
     @property
     def area_m2(self) -> float:
@@ -198,9 +191,7 @@ def surface_from_json(stored: Mapping[str, Any]) -> RoomSurface:
     )
 
 
-def learned_surfaces(
-    findings: StoredFindings, carrier_hz: Sequence[float], standing_m: Points
-) -> list[RoomSurface]:
+def learned_surfaces(findings: StoredFindings, carrier_hz: Sequence[float], standing_m: Points) -> list[RoomSurface]:
     """The faces of findings, each of the P.2040 material that is nearest over some carriers.
 
     Slivers are left out, and so are faces that are too near to one of the places `standing_m`. There are none where
@@ -218,9 +209,7 @@ def learned_surfaces(
         slab, normal = nearest[face.plane, face.slab], findings.planes[face.plane].unit_normal
         corners_m = np.array(face.corners_m)
         corners_m = corners_m[np.linalg.norm(corners_m - np.roll(corners_m, -1, axis=0), axis=1) > _SAME_M]
-        surfaces.append(
-            RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall)
-        )
+        surfaces.append(RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall))
     return [each for each in surfaces if each.area_m2 > LEAST_AREA_M2 and is_clear(each, standing_m)]
 
 

@@ -57,10 +57,7 @@ def tracer_in(
 
 
 def channels_in(
-    room: Surfaces,
-    samples: PasDataset,
-    settings: TraceSettings = COMPARING,
-    savings: ImageSavings = ImageSavings(),
+    room: Surfaces, samples: PasDataset, settings: TraceSettings = COMPARING, savings: ImageSavings = ImageSavings()
 ) -> Complex[NDArray[np.complex128], "n M"]:
     """Channels (n, M) of n samples, traced in a room."""
     carriers, of_carrier = np.unique(samples.carrier_hz, return_inverse=True)
@@ -105,9 +102,7 @@ class RoomTracer:
         header = train.header
         return [cls(header.receiver, room, train.beam, header.pas_kind, kind) for kind in kinds]
 
-    def maps(
-        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Float[Maps, "B E A"]:
+    def maps(self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Float[Maps, "B E A"]:
         """Maps of pairs of a transmitter and a carrier; zeros where no path arrives."""
         cfr = np.zeros((len(carrier_hz), self.receiver.num_elements), np.complex128)
         for carrier in np.unique(carrier_hz).tolist():

@@ -59,10 +59,7 @@ def coarse_maxima_m(reference: CrossTerms, generator: np.random.Generator) -> Fl
 
 
 def _peaks_m(
-    reference: CrossTerms,
-    order: Int[IntArray, "T"],
-    lattice_of: Callable[[CrossTerms, float], _Lattice],
-    num_axes: int,
+    reference: CrossTerms, order: Int[IntArray, "T"], lattice_of: Callable[[CrossTerms, float], _Lattice], num_axes: int
 ) -> Float[FloatArray, "C 3"]:
     """Local maxima on a lattice, found with as many transmitters as `_MAX_PAIRS` allows and ranked with all of them."""
     # cells are a third of the longest wavelength, or larger where there would be too many of them

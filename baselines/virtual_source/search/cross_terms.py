@@ -103,10 +103,7 @@ class CrossTerms:
             waves = spherical_waves(offset_m[tx[here]] @ receiver.rotation / wavelength_m, element)
             cell = tx[here], column
             referred[cell], amplitude[cell] = lags.referred(
-                rows[here],
-                waves,
-                explained,
-                phasor(np.linalg.norm(offset_m[tx[here]], axis=1) / wavelength_m),
+                rows[here], waves, explained, phasor(np.linalg.norm(offset_m[tx[here]], axis=1) / wavelength_m)
             )
         return cls(offset_m, carrier_hz, receiver.rotation, element, referred, amplitude, is_over)
 
@@ -183,11 +180,7 @@ class LagAverages:
     def measured(self, rows: Int[IntArray, "B"]) -> Lags:
         """Lag averages of rows, from their channels where the data set stores them, otherwise from their maps."""
         train = self._train
-        return (
-            self.of_channels(train.cfr[rows].astype(complex))
-            if train.header.channels
-            else self._of_maps(rows)
-        )
+        return self.of_channels(train.cfr[rows].astype(complex)) if train.header.channels else self._of_maps(rows)
 
     def of_channels(self, cfr: Complex[ComplexArray, "B M"]) -> Lags:
         """Lag averages of channels, as maps of the data set's kind determine them."""
@@ -317,9 +310,7 @@ def aligned(
     cycles = (length_m - reference.distance_m)[:, None] * reference.carrier_hz[carriers] / SPEED_OF_LIGHT_M_S
     is_in_front = 2 * reference.offset_m @ mirrored_receiver_m < mirrored_receiver_m @ mirrored_receiver_m
     counts = (cycles > min_excess_cycles) & is_in_front[:, None]
-    seen = steering(
-        reference, mirrored(reference.offset_m, mirrored_receiver_m) if source_m is None else source_m
-    )
+    seen = steering(reference, mirrored(reference.offset_m, mirrored_receiver_m) if source_m is None else source_m)
     term = np.matmul(reference.referred[:, carriers], seen.conj()[:, :, None])[..., 0] * counts
     if less_mean:
         term -= term.sum(axis=0) / counts.sum(axis=0).clip(1) * counts

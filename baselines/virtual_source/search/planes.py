@@ -50,6 +50,4 @@ def plane_of(mirrored_receiver_m: Vector, covariance_m2: Float[FloatArray, "3 3"
     across = np.eye(3) - np.outer(normal, normal)
     distance_variance = float(normal @ covariance_m2 @ normal) / 4
     tilt_variance = float(np.linalg.eigvalsh(across @ covariance_m2 @ across)[-1]) / twice_m**2
-    return Plane(
-        normal, twice_m / 2, max(distance_variance, 0.0) ** 0.5, max(tilt_variance, 0.0) ** 0.5, score
-    )
+    return Plane(normal, twice_m / 2, max(distance_variance, 0.0) ** 0.5, max(tilt_variance, 0.0) ** 0.5, score)

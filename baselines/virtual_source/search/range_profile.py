@@ -115,9 +115,7 @@ def _across_m(reference: CrossTerms, normal: Vector) -> Float[FloatArray, "T 2"]
     return reference.offset_m @ np.linalg.svd(normal[None])[2][1:].T
 
 
-def _neighbourhoods(
-    reference: CrossTerms, normal: Vector, side_m: float
-) -> Float[NDArray[np.float32], "N T"]:
+def _neighbourhoods(reference: CrossTerms, normal: Vector, side_m: float) -> Float[NDArray[np.float32], "N T"]:
     """Membership, 0 or 1, of T transmitters in N neighbourhoods: squares across the normal, of any depth along it."""
     place = np.floor(_across_m(reference, normal) / side_m).astype(np.int64)
     _, of_tx = np.unique(place, axis=0, return_inverse=True)
@@ -206,9 +204,7 @@ def random_planes(train: PasDataset, seed: int, number: int) -> list[Plane]:
     reach_m = np.linalg.norm(train.tx_position_m - train.header.receiver.position_m, axis=1).max()
     distance_m = generator.uniform(_NEAREST_M, reach_m, number).tolist()
     deviations = float(reach_m) / math.sqrt(12), math.pi / math.sqrt(12)
-    return [
-        Plane(each, far_m, *deviations, score=0.0) for each, far_m in zip(normal, distance_m, strict=True)
-    ]
+    return [Plane(each, far_m, *deviations, score=0.0) for each, far_m in zip(normal, distance_m, strict=True)]
 
 
 def profiled_planes(
@@ -220,16 +216,13 @@ def profiled_planes(
     planes are those found until then.
     """
     profiles = until_over(
-        [range_profile(reference, normal, side_m) for side_m in _sides_m(reference, normal)]
-        for normal in normals
+        [range_profile(reference, normal, side_m) for side_m in _sides_m(reference, normal)] for normal in normals
     )
     found = [plane for of_normal in profiles for plane in _along(reference, of_normal, known, demand)]
     return sorted(found, key=lambda plane: plane.score, reverse=True)
 
 
-def _along(
-    reference: CrossTerms, profiles: Sequence[Profile], known: Sequence[Plane], demand: _Demand
-) -> list[Plane]:
+def _along(reference: CrossTerms, profiles: Sequence[Profile], known: Sequence[Plane], demand: _Demand) -> list[Plane]:
     """The planes of the profiles of one normal, strongest first."""
     planes: list[Plane] = []
     for profile in profiles:

@@ -22,25 +22,10 @@ from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 from .coarse import MAX_TILT, bounds_m, coarse_maxima_m, is_within_reach
-from .cross_terms import (
-    MIN_EXCESS_CYCLES,
-    Aligned,
-    ComplexArray,
-    CrossTerms,
-    PhasorArray,
-    aligned,
-    phasor,
-    steering,
-)
+from .cross_terms import MIN_EXCESS_CYCLES, Aligned, ComplexArray, CrossTerms, PhasorArray, aligned, phasor, steering
 from .planes import Vector, mirrored
 
-_NUM_CANDIDATES = (
-    300,
-    200,
-    120,
-    60,
-    40,
-)  # kept after each carrier; the last number holds for all that follow
+_NUM_CANDIDATES = (300, 200, 120, 60, 40)  # kept after each carrier; the last number holds for all that follow
 _NUM_BRANCHES = 3  # maxima that are followed from one candidate, while carriers are few
 _STEP_RAD, _REACH_RAD = 1.0, 1.4  # of a local grid: step at the new carrier, reach at the one before
 _MAX_STEPS = 5  # of a local grid, in every direction
@@ -82,19 +67,14 @@ def _local_maxima(reference: CrossTerms, place_m: Vector, joining: int, branches
 
 
 def _grid_evidence(
-    there: Aligned,
-    wavenumber: Float[FloatArray, "K"],
-    step_m: Float[FloatArray, "3 3"],
-    num_steps: Int[IntArray, "3"],
+    there: Aligned, wavenumber: Float[FloatArray, "K"], step_m: Float[FloatArray, "3 3"], num_steps: Int[IntArray, "3"]
 ) -> Float[FloatArray, "I J L"]:
     """Evidence summed over carriers on a grid around a place; its steps are the columns of `step_m`."""
     longer_m = there.gradient @ step_m
     total = np.zeros(2 * num_steps + 1)
     for term, power, radians_per_m in zip(there.term.T, there.power, wavenumber, strict=True):
         turned = phasor(longer_m * (radians_per_m / (2 * np.pi)))
-        first, second, third = (
-            _powers(turn, count) for turn, count in zip(turned.T, num_steps.tolist(), strict=True)
-        )
+        first, second, third = (_powers(turn, count) for turn, count in zip(turned.T, num_steps.tolist(), strict=True))
         pairs = (first * term)[:, None] * second
         sums = pairs.reshape(-1, len(term)) @ third.T
         total += (abs(sums) ** 2).reshape(total.shape) / power
@@ -103,9 +83,7 @@ def _grid_evidence(
 
 def _powers(turn: Complex[PhasorArray, "T"], count: int) -> Complex[PhasorArray, "N T"]:
     """Powers with exponents from −count to +count of numbers of modulus 1."""
-    ascending = (
-        np.cumprod(np.tile(turn, (count, 1)), axis=0) if count else np.empty((0, len(turn)), turn.dtype)
-    )
+    ascending = np.cumprod(np.tile(turn, (count, 1)), axis=0) if count else np.empty((0, len(turn)), turn.dtype)
     return np.concatenate([ascending[::-1].conj(), np.ones((1, len(turn)), turn.dtype), ascending])
 
 
@@ -184,9 +162,7 @@ def _derivatives(reference: CrossTerms, there: Aligned) -> tuple[Vector, Float[F
     """First and second derivatives of Σ_f |Σ_t x|² / Σ_t |x|² by the mirrored receiver's position, powers fixed."""
     gradient = there.gradient
     slope, curvature = np.zeros(3), np.zeros((3, 3))
-    for term, power, radians_per_m in zip(
-        there.term.T.astype(complex), there.power, reference.wavenumber, strict=True
-    ):
+    for term, power, radians_per_m in zip(there.term.T.astype(complex), there.power, reference.wavenumber, strict=True):
         total, bent = term.sum(), term / there.length_m
         first = 1j * radians_per_m * (term @ gradient)
         outer = (gradient * (radians_per_m * term + 1j * bent)[:, None]).T @ gradient
@@ -219,9 +195,7 @@ def mirrored_receivers_m(
         found = accepted(reference, [*candidates, *more])
     chosen_m = [candidate.place_m for candidate in found]
     if guesses and not any(map(is_upright, chosen_m)):
-        likely = [
-            each for each in candidates if is_upright(each.place_m) and _is_wanted(reference, each.place_m)
-        ]
+        likely = [each for each in candidates if is_upright(each.place_m) and _is_wanted(reference, each.place_m)]
         likely.sort(key=lambda each: each.score)
         chosen_m += [each.place_m * (1, 1, 0) for each in likely[-1:]]
     return np.array(chosen_m).reshape(-1, 3)

@@ -91,9 +91,7 @@ def test_a_window_is_cut_out_of_its_wall() -> None:
 
 
 def test_a_partition_reaches_the_walls_that_are_near_and_ends_where_it_ends() -> None:
-    sheet = cells(
-        0, 3.4, NOWHERE, between((3.0, 1.9, 0.2), (4.0, 3.8, 2.4)), between((3.0, 0.4, 0.2), (4.0, 3.8, 2.4))
-    )
+    sheet = cells(0, 3.4, NOWHERE, between((3.0, 1.9, 0.2), (4.0, 3.8, 2.4)), between((3.0, 0.4, 0.2), (4.0, 3.8, 2.4)))
     (partition,) = [face for face in faces([*box(), sheet], TX_M) if face.plane == 6]
     assert partition.slab == 1
     assert not partition.is_wall

@@ -74,9 +74,7 @@ def lone_field(**options: Any) -> VirtualSourceField:
 
 
 def direct(field: VirtualSourceField, offset_m: torch.Tensor, carrier_hz: torch.Tensor) -> np.ndarray:
-    element = torch.as_tensor(
-        ReceiverArray((0.0, 0.0, 0.0)).element_position_wavelengths, dtype=torch.float32
-    )
+    element = torch.as_tensor(ReceiverArray((0.0, 0.0, 0.0)).element_position_wavelengths, dtype=torch.float32)
     with torch.no_grad():
         return field.channels(offset_m, field.room.traced(offset_m), carrier_hz, element).numpy()
 
@@ -161,9 +159,7 @@ def test_where_no_plane_is_found_xfreq_gs_learns_instead(dataset: PasDataset, tm
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_two_planes_are_enough_to_begin_with(
-    number: int, dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_planes_are_enough_to_begin_with(number: int, dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     planes = random_planes(dataset, 0, number)
     monkeypatch.setattr(field_module, "find_planes", lambda *_: planes)
     model, other = tiny(), XFreqGS()
@@ -206,10 +202,7 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     monkeypatch.setattr(
         field_module,
         "find_more_planes",
-        lambda train, known, explained, _: [
-            *search(train, known, explained),
-            *random_planes(train, len(known), 1),
-        ],
+        lambda train, known, explained, _: [*search(train, known, explained), *random_planes(train, len(known), 1)],
     )
     unbroken, broken = (tiny(**options) for _ in range(2))
     losses = trained(unbroken, dataset, 30)
@@ -286,9 +279,7 @@ def test_a_cell_of_metal_reflects_everything_and_lets_nothing_through() -> None:
     tx_m = torch.tensor([(1.0, 0.3, -0.7)], dtype=torch.float64)
     carrier_hz = torch.tensor([1e9, 77e9], dtype=torch.float64)
     room.enter(("iso", "V"), tx_m, carrier_hz)
-    room.take(
-        [], [plane((1, 0, 0), 3.0), plane((1, 0, 0), 0.5)]
-    )  # one behind the transmitter, one in its way
+    room.take([], [plane((1, 0, 0), 3.0), plane((1, 0, 0), 0.5)])  # one behind the transmitter, one in its way
     with torch.no_grad():
         room.presence.logits[0] = torch.tensor([0.0, 0.0, 0.0, 30.0])
         room.presence.logits[1] = torch.tensor([30.0, 0.0, 0.0, 0.0])
@@ -355,9 +346,7 @@ def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: P
     test, train = data.subset(np.flatnonzero(~is_heard)), data.subset(np.flatnonzero(is_heard)).isolated()
 
     def score(model: Any) -> float:
-        return float(
-            np.median(ssim(model.predict(test.tx_position_m, test.carrier_hz), test.pas(), data.grid))
-        )
+        return float(np.median(ssim(model.predict(test.tx_position_m, test.carrier_hz), test.pas(), data.grid)))
 
     others = [build_method(name) for name in ("line-of-sight", "mean-over-frequency")]
     for each in others:

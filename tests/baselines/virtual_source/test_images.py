@@ -253,9 +253,7 @@ def test_images_are_chosen_by_the_power_they_carry_however_many_are_weighed_at_o
     for chunk, bound in ((10_000, None), (7, None), (7, np.inf)):
         monkeypatch.setattr(room_module, "_CHUNK", chunk)
         if bound is not None:
-            monkeypatch.setattr(
-                LearnedRoom, "_most_power", lambda self, found: torch.full((len(found),), np.inf)
-            )
+            monkeypatch.setattr(LearnedRoom, "_most_power", lambda self, found: torch.full((len(found),), np.inf))
         room = known_box(("iso", "V"))
         room.config = replace(room.config, max_images=12)
         room._choose()
@@ -293,9 +291,7 @@ def test_a_walls_corners_are_those_of_the_room_for_paths_beyond_it_are_none() ->
     [((1, 0, 0), 0.0), ((1, 0, 0), 2.0), ((0, 0, 1), 1e-8), ((0.6, 0.8, 0), 1.0)],
     ids=["through the array", "through a transmitter", "in the array", "oblique"],
 )
-def test_gains_and_gradients_are_finite_wherever_a_plane_lies(
-    normal: tuple[float, ...], distance_m: float
-) -> None:
+def test_gains_and_gradients_are_finite_wherever_a_plane_lies(normal: tuple[float, ...], distance_m: float) -> None:
     tx_m = [(2.0, 0.3, -1.0), (2.0, 0.0, 0.0), (0.0, 0.0, -1.5), (1.0, 2.0, 0.7), (1.2, 1.6, 0.0)]
     room = room_of([plane(normal, distance_m), plane((0, 0, -1), 2.0)], tx_m, max_order=3)
     traces = trace(room.mirrors, sequences(2, 3), room.trained_m, room.antenna)

@@ -15,12 +15,7 @@ from xfreqbench.baselines.virtual_source.room.lengths import (
     settled,
     sharpened,
 )
-from xfreqbench.baselines.virtual_source.room.surfaces import (
-    NamedSlab,
-    RoomSurface,
-    learned_surfaces,
-    standing,
-)
+from xfreqbench.baselines.virtual_source.room.surfaces import NamedSlab, RoomSurface, learned_surfaces, standing
 from xfreqbench.baselines.virtual_source.room.traced import channels_in
 from xfreqbench.baselines.virtual_source.search.cross_terms import LagAverages, never
 from xfreqbench.baselines.virtual_source.stored import StoredFindings
@@ -105,9 +100,7 @@ def test_what_channels_leave_of_rows_has_the_power_that_they_do_not_explain(
     assert left.max() < 1e-6
 
 
-def test_nothing_moves_where_all_is_right_or_no_time_is_left(
-    dataset: PasDataset, room: list[RoomSurface]
-) -> None:
+def test_nothing_moves_where_all_is_right_or_no_time_is_left(dataset: PasDataset, room: list[RoomSurface]) -> None:
     lags = LagAverages(dataset, never)
     there = settled(room, dataset, lags, NOWHERE_M)
     for before, after in zip(room, there, strict=True):

@@ -217,9 +217,7 @@ def test_a_box_stands_along_the_walls() -> None:
     shape = trimesh.Trimesh(surface.mesh.vertices_m, surface.mesh.triangles)
     assert shape.is_watertight
     assert shape.area == pytest.approx(2 * (2 * 1 + 2 * 0.8 + 1 * 0.8))
-    np.testing.assert_allclose(
-        np.sort(np.abs(shape.face_normals @ wall.normal)), [0] * 8 + [1] * 4, atol=1e-9
-    )
+    np.testing.assert_allclose(np.sort(np.abs(shape.face_normals @ wall.normal)), [0] * 8 + [1] * 4, atol=1e-9)
 
 
 def test_the_faces_that_the_array_sees_are_moved_in_finer_steps() -> None:
@@ -306,13 +304,7 @@ def test_the_face_of_a_box_that_is_held_is_not_moved() -> None:
 
 @pytest.mark.parametrize(
     ("normal", "face"),
-    [
-        ((1, 0, 0), (0, 0)),
-        ((-1, 0, 0), (1, 0)),
-        ((0, -1, 0), (1, 1)),
-        ((0, 0, -1), None),
-        ((0.6, 0.8, 0), None),
-    ],
+    [((1, 0, 0), (0, 0)), ((-1, 0, 0), (1, 0)), ((0, -1, 0), (1, 1)), ((0, 0, -1), None), ((0.6, 0.8, 0), None)],
 )
 def test_an_upright_polygon_along_the_walls_is_a_face_of_the_box_behind_it(
     normal: tuple[float, ...], face: tuple[int, int] | None

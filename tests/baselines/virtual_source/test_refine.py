@@ -42,9 +42,7 @@ def refinement(dataset: PasDataset, findings: dict[str, object]) -> Refinement:
 
 def front(**changes: object) -> RoomSurface:
     """A square of a metre that the array sees from above, 1 m below it."""
-    corners_m = ARRAY_M + np.array(
-        [[-0.5, -0.5, -1.0], [0.5, -0.5, -1.0], [0.5, 0.5, -1.0], [-0.5, 0.5, -1.0]]
-    )
+    corners_m = ARRAY_M + np.array([[-0.5, -0.5, -1.0], [0.5, -0.5, -1.0], [0.5, 0.5, -1.0], [-0.5, 0.5, -1.0]])
     slab = NamedSlab("metal", 0.002, 0.0)
     surface = RoomSurface(0, 0, 0, np.array([0.0, 0.0, -1.0]), corners_m, slab, 1.0, is_wall=False)
     return replace(surface, **changes)  # type: ignore[arg-type]
@@ -55,9 +53,7 @@ def test_a_face_becomes_the_front_of_a_box() -> None:
     shape = trimesh.Trimesh(box.mesh.vertices_m, box.mesh.triangles)
     assert shape.is_watertight
     np.testing.assert_allclose(shape.extents, [1.0, 1.0, 0.4])
-    assert shape.bounds[1][2] == pytest.approx(
-        ARRAY_M[2] - 1.0
-    )  # it lies beyond the front, as the array sees it
+    assert shape.bounds[1][2] == pytest.approx(ARRAY_M[2] - 1.0)  # it lies beyond the front, as the array sees it
     assert box.name.startswith("box ")
     assert box.with_depth(0.0, []).name.startswith("face ")
 
@@ -82,9 +78,7 @@ def test_the_true_room_is_nearer_to_the_training_rows_than_one_without_a_floor(d
     assert told.score(told.room) > told.score(told.room[1:]) + 0.005
 
 
-def test_a_room_that_was_just_traced_is_not_traced_again(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_room_that_was_just_traced_is_not_traced_again(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     told, seen, channels_in = refinement(dataset, found_room()), [], traced.channels_in
 
     def counted(room: Sequence[RoomSurface], *rest: Any) -> np.ndarray:
@@ -142,9 +136,7 @@ def wrong_room() -> dict[str, object]:
     return {**findings, "faces": faces}
 
 
-def test_what_training_rows_contradict_is_changed(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_training_rows_contradict_is_changed(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(changes, "_DEPTHS_M", (0.3,))
     monkeypatch.setattr(changes, "_THINNER", (1.0,))
     told = refinement(dataset, wrong_room())
@@ -171,8 +163,7 @@ def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path
         faces.append({**faces[-1], "plane": at_plane, "corners_m": corners_m})
     del faces[6]
     told = refinement(
-        generated(tmp_path, scene, AS_DEEP, num_transmitters=40),
-        {**findings, "planes": planes, "faces": faces},
+        generated(tmp_path, scene, AS_DEEP, num_transmitters=40), {**findings, "planes": planes, "faces": faces}
     )
     assert len(told.found) == len(SCENE.surface) + 2
     for _ in range(12):  # up to the depths of the largest front
@@ -268,10 +259,7 @@ def test_faces_of_a_plane_may_be_one() -> None:
 
 def test_a_wall_some_waves_off_is_put_where_it_is(dataset: PasDataset) -> None:
     told = refinement(dataset, found_room())
-    right, east = (
-        told.room,
-        next(each for each in told.room if each.is_wall and each.corners_m[:, 0].min() > 4.9),
-    )
+    right, east = (told.room, next(each for each in told.room if each.is_wall and each.corners_m[:, 0].min() > 4.9))
     told.room = next(changes.with_wall_at(east.plane, [0.125], [NamedSlab("metal", 0.002, 0.0)], right))
     assert told.room[3].corners_m[:, 0] == pytest.approx(5.125)
     others = [each.corners_m[:, 0].max() for each in told.room if each.is_wall and each.number not in (2, 3)]
@@ -297,9 +285,7 @@ def test_faces_behind_each_other_may_end_at_another_place_together() -> None:
     assert len(rooms) == 2 * 4  # each edge alone, and with those that end there
     assert {tuple(each) for each in moved[::2]} == {(True, False, False)}
     for room in rooms[1::2]:
-        np.testing.assert_allclose(
-            (room[1].corners_m - room[0].corners_m), [[0.0, 0.0, -0.1]] * 4, atol=1e-12
-        )
+        np.testing.assert_allclose((room[1].corners_m - room[0].corners_m), [[0.0, 0.0, -0.1]] * 4, atol=1e-12)
 
 
 def test_faces_of_a_plane_still_meet_where_an_edge_between_them_moves() -> None:

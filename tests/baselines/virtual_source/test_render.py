@@ -72,11 +72,7 @@ def everywhere(tx_m: np.ndarray) -> np.ndarray:
 
 
 def rendered(
-    dataset: PasDataset,
-    learned: Any,
-    mode: Any = "blended",
-    findings: Any = found_room,
-    budget: Budget = STEPS,
+    dataset: PasDataset, learned: Any, mode: Any = "blended", findings: Any = found_room, budget: Budget = STEPS
 ) -> RoomRender:
     render = RoomRender(mode)
     render.advance(dataset, budget, 1.0, findings, learned)
@@ -212,14 +208,8 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     assert len(rooms[0]) == 3
 
 
-def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
-    budget, learned, shares = (
-        Budget(max_maps=12_000),
-        Known(dataset),
-        np.linspace(FROM, CHOOSE_AT, 100).tolist(),
-    )
+def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: PasDataset, tmp_path: Path) -> None:
+    budget, learned, shares = (Budget(max_maps=12_000), Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist())
 
     def go_on(render: RoomRender, up_to: float) -> None:
         for learning in shares:
@@ -261,10 +251,7 @@ def test_other_rounds_begin_while_the_budget_allows_and_something_changes(
     for share in np.linspace(FROM, SETTLE_AT - 0.01, 40).tolist():
         render.advance(dataset, budget, share, found_room, Known(dataset))
     found = len(rounds[0].found)
-    assert [len(each.found) for each in rounds[::2]] == [
-        *range(found, 3, -2),
-        3,
-    ]  # the last has nothing to change
+    assert [len(each.found) for each in rounds[::2]] == [*range(found, 3, -2), 3]  # the last has nothing to change
     assert len(rounds[-1].room) == 3
 
 
@@ -290,9 +277,7 @@ def test_a_map_stays_as_it_was_learned_where_no_path_is_traced(
 ) -> None:
     render = rendered(dataset, Known(dataset, everywhere))
     assert render.tracer is not None
-    monkeypatch.setattr(
-        render.tracer, "maps", lambda tx_m, hz: np.zeros((len(hz), *dataset.grid.shape), np.float32)
-    )
+    monkeypatch.setattr(render.tracer, "maps", lambda tx_m, hz: np.zeros((len(hz), *dataset.grid.shape), np.float32))
     learned = Known(dataset)(*asked(dataset))
     np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
 

@@ -78,9 +78,7 @@ def test_one_side_of_a_door_moves_and_the_wall_stays_whole() -> None:
         assert (holds.sum(axis=1) == 1).all()
         moved_m = door_of(there).corners_m - door_of(room).corners_m
         assert np.count_nonzero(np.abs(moved_m).max(axis=1) > 1e-9) == 2
-        assert [each for each in there if each.plane != NORTH] == [
-            each for each in room if each.plane != NORTH
-        ]
+        assert [each for each in there if each.plane != NORTH] == [each for each in room if each.plane != NORTH]
 
 
 def test_patches_that_would_overlap_are_not_tried() -> None:
@@ -118,9 +116,7 @@ def test_corners_that_are_hardly_there_are_left_out() -> None:
 
 
 def test_a_rectangle_that_is_not_there_becomes_the_wall_around_it() -> None:
-    room = room_with(
-        [*with_door(1.0, 2.0, 2.0)[:1], *with_door(3.0, 4.0, 2.0)[:1], *with_door(1.0, 2.0, 2.0)[1:]]
-    )
+    room = room_with([*with_door(1.0, 2.0, 2.0)[:1], *with_door(3.0, 4.0, 2.0)[:1], *with_door(1.0, 2.0, 2.0)[1:]])
     rooms = list(without_patches(NORTH, room))
     numbers = [[each.number for each in one if each.slab == METAL] for one in rooms]
     assert numbers == [[], [21], [20]]

@@ -10,14 +10,7 @@ import pytest
 from xfreqbench.bench.peers import run
 from xfreqbench.bench.peers.differt import DiffeRTSolver, require_differt
 from xfreqbench.bench.peers.run import CARRIERS_HZ, Measured, PeerTask, differences_db, measured, missed
-from xfreqbench.bench.peers.solvers import (
-    CONVERGED,
-    SPECULAR_ALONE,
-    OurSolver,
-    PathSolver,
-    panel_room,
-    transmitters,
-)
+from xfreqbench.bench.peers.solvers import CONVERGED, SPECULAR_ALONE, OurSolver, PathSolver, panel_room, transmitters
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.runs.records import read

@@ -64,8 +64,7 @@ def test_an_error_keeps_its_limit_or_fails(error: float, is_within: bool) -> Non
 
 
 @pytest.mark.parametrize(
-    ("run", "words"),
-    [(raising, "FAILED ValueError: no number"), (warning, "FAILED RuntimeWarning: overflow")],
+    ("run", "words"), [(raising, "FAILED ValueError: no number"), (warning, "FAILED RuntimeWarning: overflow")]
 )
 def test_what_is_raised_or_warned_of_fails_in_one_line(run: object, words: str) -> None:
     verdict = StressCase("made up", "tests", math.inf, "rad", run).judge()  # type: ignore[arg-type]
@@ -73,9 +72,7 @@ def test_what_is_raised_or_warned_of_fails_in_one_line(run: object, words: str) 
     assert verdict.cells[-1] == words
 
 
-def test_a_failed_case_stops_nothing_and_is_told_at_the_end(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_failed_case_stops_nothing_and_is_told_at_the_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     made_up = (case_of(1.0, "bad"), StressCase("broken", "tests", 1, "rad", raising), case_of(0.0, "good"))
     monkeypatch.setattr(stress, "cases", lambda: made_up)
     said: list[str] = []
@@ -88,9 +85,7 @@ def test_a_failed_case_stops_nothing_and_is_told_at_the_end(
     assert [row[-1] for row in record.rows] == ["FAILED", "FAILED ValueError: no number", "ok"]
 
 
-def test_a_skipped_case_neither_fails_nor_passes_and_says_why(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_skipped_case_neither_fails_nor_passes_and_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     made_up = (StressCase("two threads", "tests", 1, "rad", on_a_lesser_machine), case_of(0.0, "good"))
     monkeypatch.setattr(stress, "cases", lambda: made_up)
     said: list[str] = []

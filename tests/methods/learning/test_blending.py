@@ -55,9 +55,7 @@ def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
     return predict
 
 
-def test_one_carrier_inside_the_band_and_some_transmitters_are_held_out(
-    train: PasDataset, holdout: Holdout
-) -> None:
+def test_one_carrier_inside_the_band_and_some_transmitters_are_held_out(train: PasDataset, holdout: Holdout) -> None:
     carriers = {kind: set(train.carrier_hz[rows] / 1e9) for kind, rows in holdout.rows.items()}
     transmitters = {kind: set(train.tx_index[rows]) for kind, rows in holdout.rows.items()}
     (held_out,) = carriers[KINDS[0]]
@@ -101,9 +99,7 @@ def test_transmitters_of_a_region_are_far_from_those_that_are_left(many: PasData
         assert len(np.unique(many.tx_index[rows])) >= 8
     assert {KINDS[3], KINDS[4]} <= set(early.rows)
     assert set(early.left) < set(late.left)
-    assert (
-        len(np.unique(many.tx_index[late.left])) - len(left_m) > 20
-    )  # that many more for a quarter of the training
+    assert len(np.unique(many.tx_index[late.left])) - len(left_m) > 20  # that many more for a quarter of the training
 
 
 def test_a_budget_of_few_seconds_chooses_nothing_for_far_transmitters(many: PasDataset) -> None:
@@ -174,9 +170,7 @@ def test_of_few_transmitters_the_predictor_is_the_one_that_is_best_at_all_of_the
     assert [choices[kind].predictor for kind in KINDS[:3]] == ["Steady", "Steady", "Steady"]
 
 
-def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(
-    train: PasDataset, holdout: Holdout
-) -> None:
+def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(train: PasDataset, holdout: Holdout) -> None:
     rows = holdout.rows[KINDS[1]]
     one, some = set(train.tx_index[rows[:1]].tolist()), set(train.tx_index[rows].tolist())
     for transmitters, weight in ((one, 0.0), (some, 1.0)):

@@ -51,9 +51,7 @@ def asked(network: LowRankNetwork, tx_m: Tensor, carrier_hz: Tensor) -> Attribut
 
 
 def test_signals_have_at_most_the_rank_of_the_vector() -> None:
-    signal = asked(
-        network_of(SMALL), random(20, 3, seed=9), torch.full((20,), 10e9, dtype=torch.float64)
-    ).signal
+    signal = asked(network_of(SMALL), random(20, 3, seed=9), torch.full((20,), 10e9, dtype=torch.float64)).signal
     values = torch.linalg.svdvals(torch.view_as_real(signal[0]).permute(0, 2, 1).flatten(0, 1))
     assert values.shape == (2 * NUM_GAUSSIANS,)
     assert values[RANK - 1] > 1e-3 * values[0] > 1e3 * values[RANK]
@@ -108,9 +106,7 @@ def test_carriers_stand_evenly_on_the_axis_of_roots() -> None:
     roots = torch.tensor([1.0, 4.0, 9.0], dtype=torch.float64) * 1e9
     box = scaling()
     box.log_band.copy_(torch.tensor([1e9, 9e9], dtype=torch.float64).log())
-    torch.testing.assert_close(
-        box.root_carrier(roots)[:, 0], torch.tensor([-1.0, 0.0, 1.0]), rtol=0, atol=1e-6
-    )
+    torch.testing.assert_close(box.root_carrier(roots)[:, 0], torch.tensor([-1.0, 0.0, 1.0]), rtol=0, atol=1e-6)
     box.log_band.fill_(float(torch.tensor(9e9, dtype=torch.float64).log()))
     assert float(box.root_carrier(roots[2:]).abs()) < 1e-6  # a band of one carrier
 

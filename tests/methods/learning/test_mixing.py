@@ -29,9 +29,7 @@ def test_a_mix_has_peak_1_and_each_map_its_own_weight() -> None:
     np.testing.assert_allclose(mixed(0.5, learned, other)[2], result[2])
 
 
-def test_maps_are_compared_as_the_score_does_and_at_once_as_one_by_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_maps_are_compared_as_the_score_does_and_at_once_as_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     shown, truth = maps(2), maps(3)
     alike = similarities(shown, truth)
     scores = ssim(shown, truth, GRID)

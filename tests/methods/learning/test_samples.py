@@ -82,9 +82,7 @@ def test_maps_alone_have_an_empty_channel(tmp_path: Path) -> None:
     assert batch.map.shape == (3, 90, 360)
 
 
-def test_an_installation_without_the_entry_point_says_so(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installation_without_the_entry_point_says_so(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "entry_points", lambda **_: [])
     with pytest.raises(DataError, match="Install xfreqbench again"):
         dataset.torch()

@@ -37,9 +37,7 @@ def test_beams_give_the_bartlett_maps_in_view(size: int, plane: ArrayPlane, view
     expected = view.of_maps(torch.from_numpy(maps))
     power = Beams(beam, CPU).power(torch.as_tensor(cfr, dtype=torch.complex64), view)
     # of the peak: float32 adds up 49 waves
-    torch.testing.assert_close(
-        power / torch.as_tensor(peak_power)[:, None, None].float(), expected, rtol=0, atol=1e-5
-    )
+    torch.testing.assert_close(power / torch.as_tensor(peak_power)[:, None, None].float(), expected, rtol=0, atol=1e-5)
 
 
 def test_channels_that_do_not_interfere_add_up_in_power() -> None:
@@ -47,9 +45,7 @@ def test_channels_that_do_not_interfere_add_up_in_power() -> None:
     cfr = torch.as_tensor(random_channels(6, 4), dtype=torch.complex64).reshape(3, 2, 4)
     apart = torch.stack([beams.power(channel, GridView()) for channel in cfr])
     torch.testing.assert_close(beams.power(cfr, GridView()), apart.sum(0), rtol=1e-5, atol=1e-5)
-    assert (
-        float((beams.power(cfr.sum(0), GridView()) - apart.sum(0)).abs().max()) > 0.1
-    )  # they would interfere
+    assert float((beams.power(cfr.sum(0), GridView()) - apart.sum(0)).abs().max()) > 0.1  # they would interfere
 
 
 def test_the_peak_of_lags_is_that_of_the_maps_in_view_with_its_slope() -> None:

@@ -122,9 +122,7 @@ def test_a_fit_that_never_divides_its_gaussians_goes_on_too(
     assert np.array_equal(predicted(reloaded(model, tmp_path / "saved"), dataset), predicted(model, dataset))
 
 
-def test_without_a_budget_a_fit_goes_on_at_its_share_of_its_own_steps(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_without_a_budget_a_fit_goes_on_at_its_share_of_its_own_steps(dataset: PasDataset, tmp_path: Path) -> None:
     unbroken, broken = (tiny(ApertureGS, steps=12) for _ in range(2))
     losses = [point.loss for point in unbroken.fit(dataset, Budget(), 0)]
     fit = broken.fit(dataset, Budget(), 0)
@@ -211,9 +209,7 @@ def test_a_parameter_that_is_not_finite_ends_the_fit_before_it_spoils_the_others
 
 
 @every_method
-def test_a_missing_device_is_told_before_any_work(
-    method: type[LearnedMethod], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_device_is_told_before_any_work(method: type[LearnedMethod], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(MethodError, match=r"device=cuda is asked for, but torch .* sees no CUDA device"):
         tiny(method, device="cuda")
@@ -241,10 +237,7 @@ def test_without_a_row_that_has_a_path_there_is_nothing_to_learn(tmp_path: Path)
 
 
 def test_a_method_that_was_not_fitted_says_so(tmp_path: Path) -> None:
-    for use in (
-        lambda: tiny(XFreqGS).save(tmp_path),
-        lambda: tiny(XFreqGS).predict(np.zeros((1, 3)), np.ones(1)),
-    ):
+    for use in (lambda: tiny(XFreqGS).save(tmp_path), lambda: tiny(XFreqGS).predict(np.zeros((1, 3)), np.ones(1))):
         with pytest.raises(MethodError, match="XFreqGS knows nothing yet; fit or load it first"):
             use()
 
@@ -270,9 +263,7 @@ def test_carriers_of_a_narrow_band_are_told_apart() -> None:
     torch.testing.assert_close(told, torch.tensor([-1.0, 1.0]), rtol=0, atol=1e-6)
 
 
-def test_gaussians_out_of_view_never_reach_the_network(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gaussians_out_of_view_never_reach_the_network(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     pairwise = {"network": "pairwise", "band": False, "move_from": 0.0, "averaging": 0.0}
     model = tiny(XFreqGS, angular_size_deg=2.0, **pairwise)
     trained(model, dataset, 1)
@@ -294,8 +285,7 @@ def test_gaussians_out_of_view_never_reach_the_network(
         seen = project(field.gaussians.position_m, field.gaussians.covariance)
     centre = torch.stack([seen.azimuth_rad, seen.elevation_rad], dim=-1)
     direction = torch.stack(
-        torch.meshgrid(torch.as_tensor(grid.azimuth_rad), torch.as_tensor(grid.elevation_rad), indexing="ij"),
-        -1,
+        torch.meshgrid(torch.as_tensor(grid.azimuth_rad), torch.as_tensor(grid.elevation_rad), indexing="ij"), -1
     ).reshape(-1, 2)
     offset = direction[None].float() - centre[:, None]
     offset[..., 0] = torch.atan2(offset[..., 0].sin(), offset[..., 0].cos())
@@ -322,10 +312,9 @@ def fit_half(path: str, results: str) -> None:
     torch.set_num_threads(1)
     checkpoints.CHECKPOINT_SECONDS = 0.0
     compute, steps = learned.map_loss, count(1)
-    learned.map_loss = lambda *args: (
-        time.sleep(3600) if next(steps) > NUM_KILLED_STEPS / 2 else None,
-        compute(*args),
-    )[1]
+    learned.map_loss = lambda *args: (time.sleep(3600) if next(steps) > NUM_KILLED_STEPS / 2 else None, compute(*args))[
+        1
+    ]
     run_job(killed_job(Path(path)), Path(results))
 
 

@@ -211,9 +211,7 @@ def test_the_order_of_pixels_does_not_matter(backend: Backend) -> None:
     shuffled = PixelLists(start, lists.gaussian[torch.cat(pairs)], lists.num_gaussians)
     moved = inputs._replace(distance=inputs.distance[torch.cat(pairs)])
     field = composite(lists, *inputs, backend=backend)
-    torch.testing.assert_close(
-        composite(shuffled, *moved, backend=backend), field[:, order], rtol=0, atol=1e-6
-    )
+    torch.testing.assert_close(composite(shuffled, *moved, backend=backend), field[:, order], rtol=0, atol=1e-6)
 
 
 def test_both_backends_agree_on_2000_pixels() -> None:

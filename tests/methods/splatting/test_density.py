@@ -124,9 +124,7 @@ def test_the_number_of_gaussians_never_exceeds_its_limit_and_training_goes_on() 
         counts.append(len(training.gaussians))
     assert counts == [28, 37, 37, 37, 37, 37]
     parameters = list(training.gaussians.parameters())
-    assert [id(p) for group in training.optimizer.param_groups for p in group["params"]] == list(
-        map(id, parameters)
-    )
+    assert [id(p) for group in training.optimizer.param_groups for p in group["params"]] == list(map(id, parameters))
     assert set(training.optimizer.state) == set(parameters)
     for parameter in parameters:
         assert training.optimizer.state[parameter]["exp_avg"].shape == parameter.shape
@@ -156,8 +154,6 @@ def test_nothing_changes_where_control_is_off_or_over(options: dict[str, float],
 
 def test_what_is_seen_without_a_gradient_counts_for_nothing() -> None:
     training = Training(growth=0)
-    training.control.watch(
-        torch.ones(NUM_GAUSSIANS).bool(), torch.ones(1, NUM_GAUSSIANS, 1, dtype=torch.complex64)
-    )
+    training.control.watch(torch.ones(NUM_GAUSSIANS).bool(), torch.ones(1, NUM_GAUSSIANS, 1, dtype=torch.complex64))
     training.control.after_step(training.gaussians, training.optimizer, EVERY, 0.0)
     assert len(training.control.contribution) == 0

@@ -76,9 +76,7 @@ def test_the_lattice_covers_what_the_grid_covers(dataset: PasDataset) -> None:
 
 def test_the_direct_wave_is_the_beam_of_the_line_of_sight(dataset: PasDataset, beams: Beams) -> None:
     """With no other signal, the map is the Bartlett map of a plane wave from the transmitter, blurred by footprints."""
-    field = silent(
-        started(dataset, replace(STANDING, num_gaussians=400, max_gaussians=400, angular_size_deg=4.0))
-    )
+    field = silent(started(dataset, replace(STANDING, num_gaussians=400, max_gaussians=400, angular_size_deg=4.0)))
     with torch.no_grad():
         power = field.unit_power(TX_M, CARRIER_HZ, GridView(), beams)
     offset_m = field.scaling.in_frame(TX_M).double().numpy()
@@ -114,17 +112,13 @@ def test_a_large_array_is_looked_at_in_more_directions() -> None:
     assert rows * columns >= 4 * 2 * (23 * 23 // 2 + 1) > -(-90 // (stride + 1)) * -(-360 // (stride + 1))
 
 
-def test_splatting_within_the_band_projects_what_is_splatted_without_it(
-    dataset: PasDataset, beams: Beams
-) -> None:
+def test_splatting_within_the_band_projects_what_is_splatted_without_it(dataset: PasDataset, beams: Beams) -> None:
     field, view = started(dataset), GridView(6, 1, 2)
     with torch.no_grad():
         within = field.power(TX_M, CARRIER_HZ, view, beams)
         every = field.splatted(TX_M, CARRIER_HZ, GridView(2), beams)
         expected = beams.power_of_lags(beams.lags_of(every, GridView(2)), view)
-    assert (
-        float((within - expected).abs().max() / expected.max()) < 0.06
-    )  # footprints of 8 degrees on steps of 8
+    assert float((within - expected).abs().max() / expected.max()) < 0.06  # footprints of 8 degrees on steps of 8
 
 
 def test_footprints_are_binned_once_until_gaussians_move(
@@ -142,9 +136,7 @@ def test_footprints_are_binned_once_until_gaussians_move(
     assert len(binned) == 2
 
 
-def test_without_transmittance_the_order_of_gaussians_does_not_matter(
-    dataset: PasDataset, beams: Beams
-) -> None:
+def test_without_transmittance_the_order_of_gaussians_does_not_matter(dataset: PasDataset, beams: Beams) -> None:
     for transmittance in (True, False):
         near, far = (started(dataset, replace(STANDING, transmittance=transmittance)) for _ in range(2))
         with torch.no_grad():

@@ -72,9 +72,7 @@ def bearings_seen(projection: Projection, backend: Backend, grid: AngularGrid) -
 
 @either_backend
 @pytest.mark.parametrize("seed", range(5))
-def test_a_direction_sees_exactly_the_gaussians_that_lie_within_the_support(
-    seed: int, backend: Backend
-) -> None:
+def test_a_direction_sees_exactly_the_gaussians_that_lie_within_the_support(seed: int, backend: Backend) -> None:
     projection = random_projection(seed=seed)
     counts = times_seen(bin_footprints(projection, GRID, SUPPORT, backend), GRID)
     expected = distance_to_all(projection, GRID) <= SUPPORT
@@ -186,14 +184,9 @@ def test_turning_the_scene_about_the_pole_turns_the_lists(num_columns: int, back
     projection = random_projection()
     angle_rad = num_columns * 2 * math.pi / 72
     turned = Projection(
-        projection.azimuth_rad + angle_rad,
-        projection.elevation_rad,
-        projection.covariance,
-        projection.range_m,
+        projection.azimuth_rad + angle_rad, projection.elevation_rad, projection.covariance, projection.range_m
     )
-    before, after = (
-        times_seen(bin_footprints(each, GRID, SUPPORT, backend), GRID) for each in (projection, turned)
-    )
+    before, after = (times_seen(bin_footprints(each, GRID, SUPPORT, backend), GRID) for each in (projection, turned))
     assert torch.equal(after, before.roll(num_columns, dims=-1))
 
 
@@ -222,9 +215,7 @@ def random_scene(dtype: torch.dtype) -> Scene:
         quaternion=torch.randn(40, 4, generator=generator),
         spread=0.5 + 1.5 * torch.rand(40, 3, generator=generator),
         signal=torch.randn(40, 3, generator=generator, dtype=torch.complex64),
-        attenuation=torch.polar(
-            torch.rand(40, 3, generator=generator), 6 * torch.rand(40, 3, generator=generator)
-        ),
+        attenuation=torch.polar(torch.rand(40, 3, generator=generator), 6 * torch.rand(40, 3, generator=generator)),
     )
     return Scene(*(x.to(dtype.to_complex() if x.is_complex() else dtype).requires_grad_() for x in scene))
 

@@ -83,12 +83,8 @@ def test_centre_and_covariance_are_the_published_ones(dtype: torch.dtype) -> Non
 
 
 @either_precision
-@pytest.mark.parametrize(
-    ("part", "num_inputs"), [(slice(0, 2), 1), (slice(2, 6), 3)], ids=["centre", "covariance"]
-)
-def test_gradients_are_those_of_the_published_equations(
-    dtype: torch.dtype, part: slice, num_inputs: int
-) -> None:
+@pytest.mark.parametrize(("part", "num_inputs"), [(slice(0, 2), 1), (slice(2, 6), 3)], ids=["centre", "covariance"])
+def test_gradients_are_those_of_the_published_equations(dtype: torch.dtype, part: slice, num_inputs: int) -> None:
     inputs = [x.requires_grad_() for x in scene(dtype=dtype)]
     twins = [x.detach().double().requires_grad_() for x in inputs]
     weight = torch.randn(50, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)[:, part]
@@ -113,9 +109,7 @@ def test_inside_the_pole_cap_the_jacobian_of_elevation_stays_the_derivative() ->
 
 def derivative(position_m: Tensor) -> Tensor:
     """∂(azimuth, elevation)/∂(x, y, z) by autograd, (N, 2, 3)."""
-    sums = torch.autograd.functional.jacobian(
-        lambda x: torch.stack(angular_centre(x)[:2]).sum(dim=1), position_m
-    )
+    sums = torch.autograd.functional.jacobian(lambda x: torch.stack(angular_centre(x)[:2]).sum(dim=1), position_m)
     return sums.transpose(0, 1)
 
 
@@ -131,9 +125,7 @@ def test_an_axis_aligned_gaussian_is_as_wide_as_its_sides_over_its_range() -> No
 
 def test_a_longer_quaternion_is_the_same_rotation() -> None:
     position_m, quaternion, log_scale = scene()
-    torch.testing.assert_close(
-        flat(position_m, -7 * quaternion, log_scale), flat(position_m, quaternion, log_scale)
-    )
+    torch.testing.assert_close(flat(position_m, -7 * quaternion, log_scale), flat(position_m, quaternion, log_scale))
 
 
 def test_a_ball_looks_the_same_however_it_is_turned() -> None:
@@ -144,9 +136,7 @@ def test_a_ball_looks_the_same_however_it_is_turned() -> None:
 
 @pytest.mark.parametrize("axis_distance_m", [0.0, 1e-9, 1e-3, 0.02, 0.05, 0.2])
 def test_towards_the_pole_a_ball_grows_wider_in_azimuth_up_to_the_cap(axis_distance_m: float) -> None:
-    position_m = torch.tensor(
-        [[0.0, axis_distance_m, math.sqrt(4 - axis_distance_m**2)]], dtype=torch.float64
-    )
+    position_m = torch.tensor([[0.0, axis_distance_m, math.sqrt(4 - axis_distance_m**2)]], dtype=torch.float64)
     ball = torch.full((1, 3), math.log(0.1), dtype=torch.float64)
     seen = projected(position_m, torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64), ball)
     width_rad = 0.1 / max(axis_distance_m, 2 * POLE_DISTANCE)
@@ -188,10 +178,7 @@ def test_a_gaussian_below_the_horizon_has_a_negative_elevation() -> None:
 
 def test_a_needle_has_an_ellipse_for_a_footprint() -> None:
     generator = torch.Generator().manual_seed(0)
-    position_m, quaternion = (
-        torch.randn(500, 3, generator=generator),
-        torch.randn(500, 4, generator=generator),
-    )
+    position_m, quaternion = (torch.randn(500, 3, generator=generator), torch.randn(500, 4, generator=generator))
     for size_m in ((10.0, 1e-3, 1e-3), (1e4, 1e-8, 1e-8)):
         log_scale = torch.tensor(size_m).log().expand(500, 3)
         found = project(position_m, covariance(quaternion, log_scale)).covariance

@@ -9,18 +9,10 @@ from matplotlib.figure import Figure
 
 from xfreqbench.errors import OutputExistsError, XFreqBenchError
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import (
-    draw_disc,
-    is_own_drawing,
-    plot_pas_maps,
-    require_own_figure,
-    save_figure,
-)
+from xfreqbench.report.drawing.figures import draw_disc, is_own_drawing, plot_pas_maps, require_own_figure, save_figure
 
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
-WHOLE_TURN = AngularGrid(
-    np.radians(np.arange(91)), np.radians(np.arange(-180, 181))
-)  # both ends of either axis
+WHOLE_TURN = AngularGrid(np.radians(np.arange(91)), np.radians(np.arange(-180, 181)))  # both ends of either axis
 GRIDS = [AngularGrid.hemisphere(), AngularGrid.hemisphere(9, 12), WHOLE_TURN]
 
 
@@ -41,9 +33,7 @@ def test_cells_cover_the_hemisphere_up_to_the_pole(grid: AngularGrid) -> None:
 def test_every_value_is_drawn_in_the_cell_around_its_direction(grid: AngularGrid) -> None:
     power = np.random.default_rng(0).uniform(0.01, 1, grid.shape)
     _, mesh = disc(power, grid)
-    np.testing.assert_allclose(
-        np.reshape(mesh.get_array(), grid.shape), 10 * np.log10(power), atol=1e-4
-    )  # float32
+    np.testing.assert_allclose(np.reshape(mesh.get_array(), grid.shape), 10 * np.log10(power), atol=1e-4)  # float32
     corners = mesh.get_coordinates()
     for axis, centre in ((0, grid.azimuth_rad[None]), (1, (90 - np.degrees(grid.elevation_rad))[:, None])):
         ends = np.sort([corners[:-1, :-1, axis], corners[1:, 1:, axis]], axis=0)
@@ -102,9 +92,7 @@ def test_our_figures_are_replaced_and_those_of_others_are_not(tmp_path: Path, ki
 
 def test_a_figure_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
     maps = np.ones((1, 9, 12), np.float32)
-    with pytest.raises(
-        XFreqBenchError, match=r"maps\.jpg is asked for; end its name in \.png, \.svg or \.pdf"
-    ):
+    with pytest.raises(XFreqBenchError, match=r"maps\.jpg is asked for; end its name in \.png, \.svg or \.pdf"):
         plot_pas_maps(maps, AngularGrid.hemisphere(9, 12), ["1 GHz"], tmp_path / "maps.jpg")
     assert not list(tmp_path.iterdir())
     plot_pas_maps(maps, AngularGrid.hemisphere(9, 12), ["1 GHz"], tmp_path / "maps.PNG")

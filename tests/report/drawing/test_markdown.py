@@ -73,9 +73,7 @@ def test_a_heading_of_any_text_is_that_text(text: str) -> None:
 @example(cells=[(each, each, each) for each in HOSTILE])
 def test_a_table_has_the_rows_and_columns_that_it_was_given(cells: list[tuple[str, str, str]]) -> None:
     parts = shown(table(("one", "two", "three"), cells))
-    assert not [
-        kind for kind, _ in parts if kind.startswith(("html", "link", "image", "em", "strong", "code", "s_"))
-    ]
+    assert not [kind for kind, _ in parts if kind.startswith(("html", "link", "image", "em", "strong", "code", "s_"))]
     assert sum(kind == "tr_open" for kind, _ in parts) == 1 + len(cells)
     read = [content for kind, content in parts if kind == "inline"]
     assert len(read) == 3 * (1 + len(cells))

@@ -36,9 +36,7 @@ def test_the_spread_over_seeds_is_that_of_their_averages() -> None:
     of_first = {SPLITS[0]: 0.90, SPLITS[1]: 0.80}
     of_second = {SPLITS[0]: 0.94, SPLITS[1]: 0.76}  # better here, worse there: the same on average
     records = [
-        seeded(ssim, seed, split)
-        for seed, each in enumerate((of_first, of_second))
-        for split, ssim in each.items()
+        seeded(ssim, seed, split) for seed, each in enumerate((of_first, of_second)) for split, ssim in each.items()
     ]
     row = only_row(*records)
     assert row.seed_spread(SPLITS[:2], median_ssim) == pytest.approx(0)
@@ -143,8 +141,7 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
         external(method="elsewhere"),
     ]
     found = {
-        board.lane_title: [row.short_label for row in board.rows if not row.is_trivial]
-        for board in boards(records)
+        board.lane_title: [row.short_label for row in board.rows if not row.is_trivial] for board in boards(records)
     }
     assert found == {
         "quick (≤ 64,000 maps)": ["ours", "theirs"],

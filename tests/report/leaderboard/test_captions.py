@@ -22,9 +22,7 @@ def test_a_board_says_its_maps_its_rays_and_whose_times_these_are() -> None:
 
 
 def test_scores_of_transmitters_that_were_trained_on_are_said_to_tell_nothing_of_unseen_places() -> None:
-    leak = (
-        "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
-    )
+    leak = "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
     assert leak in leaderboard_markdown([make_record(nearest_trained_m=0.0)])
     assert leak not in leaderboard_markdown([make_record(shares_transmitters=False)])
 

@@ -11,14 +11,7 @@ from tests.support.leaderboard_records import leaderboard_markdown, make_records
 from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.columns import (
-    COSTS,
-    ONE_SPLIT,
-    PAGE,
-    RANKING,
-    leaderboard_columns,
-    metric_title,
-)
+from xfreqbench.report.leaderboard.columns import COSTS, ONE_SPLIT, PAGE, RANKING, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.runs.records import append

@@ -23,9 +23,7 @@ def samples(shift: float = 0.0, noise_seed: int = 0, num_tx: int = NUM_TX, split
 def scored(method: str, ssim_by_tx, seed: int = 0, split: str = SPLIT) -> RunRecord:
     median = float(np.median([value for each in ssim_by_tx for value in each]))
     job = Job("data.h5", method, "lofo", split, seed=seed)
-    return make_record(
-        method, median, split, job=job, ssim_by_tx=ssim_by_tx, scores={"ssim": make_summary(median)}
-    )
+    return make_record(method, median, split, job=job, ssim_by_tx=ssim_by_tx, scores={"ssim": make_summary(median)})
 
 
 def seeds_of(method: str, shift: float, first_noise: int, num_seeds: int = 3, **where) -> list[RunRecord]:
@@ -59,13 +57,8 @@ def test_two_draws_of_the_same_distribution_are_level() -> None:
 
 def test_a_difference_and_its_opposite_have_mirrored_intervals() -> None:
     comparison, row = compared(*seeds_of("one", 0.005, 10), *seeds_of("other", 0.0, 20))
-    there, back = (
-        comparison.difference(row["one"], row["other"]),
-        comparison.difference(row["other"], row["one"]),
-    )
-    assert there == pytest.approx(
-        (-back[1], -back[0]), abs=1e-3
-    )  # quantiles are values: one of 1,000 further
+    there, back = (comparison.difference(row["one"], row["other"]), comparison.difference(row["other"], row["one"]))
+    assert there == pytest.approx((-back[1], -back[0]), abs=1e-3)  # quantiles are values: one of 1,000 further
 
 
 def test_paired_differences_are_narrower_than_unpaired_ones() -> None:
@@ -124,9 +117,7 @@ def _literally(ssim_by_tx):
 @pytest.mark.parametrize("lengths", [[1] * 7, [3] * 6, [1, 4, 2, 10, 3, 1], [60] * 10])
 def test_resampled_medians_are_those_of_a_literal_loop(lengths: list[int]) -> None:
     generator = np.random.default_rng(0)
-    ssim_by_tx = [
-        tuple(map(float, generator.integers(0, 30, length) / 30)) for length in lengths
-    ]  # with ties
+    ssim_by_tx = [tuple(map(float, generator.integers(0, 30, length) / 30)) for length in lengths]  # with ties
     np.testing.assert_array_equal(resampled_medians(ssim_by_tx), _literally(ssim_by_tx))
 
 
@@ -148,9 +139,7 @@ def test_splits_of_different_length_are_averaged() -> None:
 
 
 def test_seeds_that_scatter_widen_the_interval() -> None:
-    scattered = [
-        scored("scattered", samples(shift, 10 + seed), seed) for seed, shift in enumerate((-0.03, 0, 0.03))
-    ]
+    scattered = [scored("scattered", samples(shift, 10 + seed), seed) for seed, shift in enumerate((-0.03, 0, 0.03))]
     comparison, row = compared(*scattered, *seeds_of("steady", 0.0, 10))
     widths = {name: np.ptp(comparison.interval(each)) for name, each in row.items()}
     assert widths["scattered"] > 1.3 * widths["steady"]  # seeds scatter by 0.03, the median of places by 0.01

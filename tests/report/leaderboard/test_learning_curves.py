@@ -25,9 +25,7 @@ def test_a_learning_curve_stands_by_share_of_the_budget() -> None:
     assert "on a fixed sample" not in leaderboard_markdown(make_records())
 
 
-@pytest.mark.parametrize(
-    ("trivial", "expected"), [(0.55, "0.90 s"), (0.6, "0.90 s"), (0.65, "6.4 s"), (0.75, "never")]
-)
+@pytest.mark.parametrize(("trivial", "expected"), [(0.55, "0.90 s"), (0.6, "0.90 s"), (0.65, "6.4 s"), (0.75, "never")])
 def test_a_fit_reaches_the_best_trivial_predictor_on_the_same_maps(trivial: float, expected: str) -> None:
     records = [make_record("nearest", trivial, SPLITS[0], ssim_by_tx=[(trivial,)] * 100)]
     records += [make_record("line-of-sight", 0.5, SPLITS[0], ssim_by_tx=[(0.5,)] * 100)]
@@ -41,11 +39,7 @@ def test_a_point_stands_at_the_share_that_was_spent_and_not_at_a_mean_over_steps
     points = [point.model_copy(update={"share": 2 * point.step / 64}) for point in followed.curve[:-1]]
     shares = followed.model_copy(update={"curve": (*points, followed.curve[-1])})
     before, after = (
-        list(
-            rows_of(leaderboard_markdown([each]).partition("Error against time")[2], "ours (≤ 64 steps)")[
-                0
-            ].values()
-        )
+        list(rows_of(leaderboard_markdown([each]).partition("Error against time")[2], "ours (≤ 64 steps)")[0].values())
         for each in (followed, shares)
     )
     assert before[2:5] == ["0.5000 (0.10 s)", "–", "–"]
@@ -76,9 +70,7 @@ def test_the_pareto_front_starts_with_the_best_trivial_predictor() -> None:
 
 def test_the_front_is_what_a_literal_search_finds() -> None:
     points = [tuple(pair) for pair in np.random.default_rng(0).integers(0, 30, size=(200, 2)).tolist()]
-    literal = {
-        (x, y) for x, y in points if not any((a <= x and b > y) or (a < x and b >= y) for a, b in points)
-    }
+    literal = {(x, y) for x, y in points if not any((a <= x and b > y) or (a < x and b >= y) for a, b in points)}
     front = pareto_front(points, cost=lambda each: each[0], score=lambda each: each[1])
     assert set(front) == literal
     assert len(front) == len(literal) > 1

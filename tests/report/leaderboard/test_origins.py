@@ -60,16 +60,10 @@ def test_the_same_method_on_two_machines_is_two_rows_and_a_trivial_predictor_one
     seeds = [with_job(ours(ssim=0.9), seed=seed) for seed in range(3)]
     again = [with_job(theirs(ssim=0.7, git_commit=None), seed=seed) for seed in range(3)]
     (board,) = boards([*seeds, *again, ours("nearest", 0.5), theirs("nearest", 0.6)])
-    values = {
-        row.label: row.average(SPLITS[:1], lambda record: record.scores["ssim"].median) for row in board.rows
-    }
-    assert values == pytest.approx(
-        {"ours @ ?, data aaaaaaa": 0.9, "ours @ ?, data ccccccc": 0.7, "nearest": 0.5}
-    )
+    values = {row.label: row.average(SPLITS[:1], lambda record: record.scores["ssim"].median) for row in board.rows}
+    assert values == pytest.approx({"ours @ ?, data aaaaaaa": 0.9, "ours @ ?, data ccccccc": 0.7, "nearest": 0.5})
     (board,) = boards([ours("nearest", 0.5), ours("nearest", 0.6, time_utc=OTHER["time_utc"])])
-    assert (
-        board.rows[0].records[0].scores["ssim"].median == 0.6
-    )  # on the same bytes, the later counts as ever
+    assert board.rows[0].records[0].scores["ssim"].median == 0.6  # on the same bytes, the later counts as ever
 
 
 def test_rows_of_two_machines_are_compared_pair_by_pair() -> None:
@@ -124,7 +118,5 @@ def test_the_reference_records_are_of_the_data_that_the_standard_benchmark_gener
     scenes = {board.scene for board in reference}
     assert scenes >= {"office", "two_rooms"}
     for scene, plan in plan_benchmark("standard", tmp_path / "data", tmp_path / "results").plans.items():
-        recipe = Recipe.of_scene(
-            plan.scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere()
-        )
+        recipe = Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
         assert {board.data for board in reference if board.scene == scene} <= {recipe.id}

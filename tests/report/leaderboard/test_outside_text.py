@@ -13,13 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from tests.support.leaderboard_records import (
-    leaderboard_markdown,
-    make_bench,
-    make_followed,
-    make_records,
-    with_job,
-)
+from tests.support.leaderboard_records import leaderboard_markdown, make_bench, make_followed, make_records, with_job
 from tests.support.stored_records import external, make_record
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
@@ -46,18 +40,7 @@ HOSTILE = (
     "- # 1. > ===",
 )
 TEXTS = st.sampled_from(HOSTILE) | st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
-FIELDS = (
-    "method",
-    "scene",
-    "split",
-    "pas_kind",
-    "hardware",
-    "url",
-    "findings",
-    "settings",
-    "option",
-    "label",
-)
+FIELDS = ("method", "scene", "split", "pas_kind", "hardware", "url", "findings", "settings", "option", "label")
 
 
 def records_of(texts: dict[str, str]) -> tuple[list[RunRecord], list[BenchRecord]]:
@@ -86,9 +69,7 @@ def records_of(texts: dict[str, str]) -> tuple[list[RunRecord], list[BenchRecord
     point = BenchPoint(series=label, label=label, x=1.0, y=2.0)
     figure = BenchFigure(x_label=label, y_label=label, log_x=True, points=(point,))
     cells = {"columns": (label, label), "rows": ((label, label),)}
-    bench = make_bench(
-        title=label, note=f"n{label}", command=f"c{label}", figure=figure, hardware=machine, **cells
-    )
+    bench = make_bench(title=label, note=f"n{label}", command=f"c{label}", figure=figure, hardware=machine, **cells)
     return runs, [bench]
 
 

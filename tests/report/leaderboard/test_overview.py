@@ -20,9 +20,7 @@ ABLATION = "ours (rank=2)"
 def records_of(scene: str) -> list[RunRecord]:
     """Records on a data set of its own."""
     found = [*make_records(), make_followed(), with_job(make_record("ours", 0.99), overrides=("rank=2",))]
-    return [
-        record.model_copy(update={"scene": scene, "dataset_sha256": f"{len(scene):064x}"}) for record in found
-    ]
+    return [record.model_copy(update={"scene": scene, "dataset_sha256": f"{len(scene):064x}"}) for record in found]
 
 
 @pytest.fixture(scope="module")

@@ -100,12 +100,8 @@ def test_the_table_without_a_script_holds_the_numbers_of_the_records(html: str, 
 
 def test_the_best_trivial_row_is_marked_and_no_other(html: str, results: Path) -> None:
     board = next(board for board in boards(stored(results)) if board.protocol == "lofo")
-    best = max(
-        (row for row in board.rows if row.is_trivial), key=lambda row: row.average(SPLITS, median_ssim)
-    )
-    marked = [
-        a["data-label"] for tag, a in Tables(html).tags if tag == "tr" and a.get("class") == "best-trivial"
-    ]
+    best = max((row for row in board.rows if row.is_trivial), key=lambda row: row.average(SPLITS, median_ssim))
+    marked = [a["data-label"] for tag, a in Tables(html).tags if tag == "tr" and a.get("class") == "best-trivial"]
     assert marked[0] == best.label
     assert len(marked) == 2  # one a table
 
@@ -159,10 +155,7 @@ def test_what_is_not_finite_is_null_and_sorts_as_infinity(tmp_path: Path) -> Non
     append(tmp_path / "records.jsonl", perfect.model_copy(update={"scores": scores}))
     html = write_page(tmp_path, tmp_path / "page.html").read_text()
     assert Tables(html).rows()["perfect"]["PSNR (dB)"] == ("∞", "inf")
-    assert (
-        content_of(html)["boards"][0]["rows"]["perfect"]["splits"]["lofo-24.25GHz"]["cdf"]["psnr"]
-        == [None] * 101
-    )
+    assert content_of(html)["boards"][0]["rows"]["perfect"]["splits"]["lofo-24.25GHz"]["cdf"]["psnr"] == [None] * 101
 
 
 def test_the_gallery_shows_the_samples_that_the_scores_choose(html: str, results: Path) -> None:
@@ -182,8 +175,7 @@ def test_pictures_show_the_maps_that_were_scored(html: str, results: Path) -> No
     dataset = open_dataset(results.parent / "data.h5")
     case = gallery["cases"]["nearest"][0]
     row = np.flatnonzero(
-        (np.abs(dataset.tx_position_m - case["tx_position_m"]).max(axis=1) < 0.01)
-        & (dataset.carrier_hz == 24.25e9)
+        (np.abs(dataset.tx_position_m - case["tx_position_m"]).max(axis=1) < 0.01) & (dataset.carrier_hz == 24.25e9)
     )
     level = 1 + np.log10(np.maximum(dataset.pas(row)[0], 1e-3)) / 3
     shown = level[::-1][::4, ::4]
@@ -217,9 +209,7 @@ def test_an_external_row_is_a_family_of_its_own_whose_unknown_costs_are_no_numbe
     for record in (make_record(), external("lofo-24.25GHz", **address)):
         append(tmp_path / "records.jsonl", record)
     html = write_page(tmp_path, tmp_path / "page.html").read_text()
-    families = {
-        a["data-label"]: a["data-family"] for tag, a in Tables(html).tags if tag == "tr" and "data-label" in a
-    }
+    families = {a["data-label"]: a["data-family"] for tag, a in Tables(html).tags if tag == "tr" and "data-label" in a}
     assert families == {"nearest": "trivial", "theirs (external)": "external"}
     assert Tables(html).rows()["theirs (external)"]["fit s"] == ("–", "")
     standing = content_of(html)["boards"][0]["sets"][0]["rows"]["theirs (external)"]

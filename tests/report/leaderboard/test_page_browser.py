@@ -63,9 +63,7 @@ def column(page, title: str) -> list[float]:
 
 
 def head(page, title: str):
-    return page.locator("table.leaderboard:visible thead th").filter(
-        has_text=re.compile(f"^{re.escape(title)}")
-    )
+    return page.locator("table.leaderboard:visible thead th").filter(has_text=re.compile(f"^{re.escape(title)}"))
 
 
 def test_a_click_sorts_by_the_numbers_and_a_second_one_turns_the_order(page) -> None:
@@ -196,9 +194,7 @@ def test_without_a_script_the_tables_stand(browser, file: Path) -> None:
     context.close()
 
 
-def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(
-    browser, tmp_path: Path
-) -> None:
+def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(browser, tmp_path: Path) -> None:
     for record in (make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0)):
         append(tmp_path / "records.jsonl", record)
     page, complaints = browser.new_page(), []

@@ -49,18 +49,14 @@ def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_abla
     claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
     assert rows_of(text, claim)[0]["here"] == "holds"
     (plain,) = [row for row in rows_of(text, "XFreq-GS") if row.get("on") == "24.25GHz"]
-    (ablation,) = [
-        row for row in rows_of(text, "without frequency modulation") if row["what"] == "SSIM median"
-    ]
+    (ablation,) = [row for row in rows_of(text, "without frequency modulation") if row["what"] == "SSIM median"]
     assert (plain["published"], ablation["published"]) == ("0.8977", "0.8977")
     assert ablation["on"] == "24.25GHz (not stated)"
     lane = "quick (≤ 64,000 maps)"
     assert float(plain[lane].split()[0]) > float(ablation[lane].split()[0])
 
 
-def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(
-    tmp_path: Path,
-) -> None:
+def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(tmp_path: Path) -> None:
     records = [*fitted("xfreq-gs", 0.0, config=TOLD), *make_records()]
     ranked = boards(records)
     (row,) = [each for each in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in each]

@@ -19,9 +19,7 @@ def test_a_method_has_what_was_published_of_it_beside_it_on_the_same_splits() ->
         "XFreq-GS 0.8977",
         "XFreq-GS 0.9232",
     ]
-    assert (
-        rows_of(leaderboard_markdown([*make_records(), *records]), "ours")[0]["published, other data"] == ""
-    )
+    assert rows_of(leaderboard_markdown([*make_records(), *records]), "ours")[0]["published, other data"] == ""
 
 
 @pytest.mark.parametrize(
@@ -39,9 +37,7 @@ def test_ablations_stand_beside_the_papers(config: dict[str, object], expected: 
 
 def test_sparse_splits_have_their_published_numbers_one_by_one() -> None:
     names = ("10-37GHz", "10-37-94GHz", "1-10-37-60-94GHz")
-    records = [
-        make_record("xfreq-gs", 0.9, f"sparse-24.25GHz-from-{name}", "sparse", config=XFREQ) for name in names
-    ]
+    records = [make_record("xfreq-gs", 0.9, f"sparse-24.25GHz-from-{name}", "sparse", config=XFREQ) for name in names]
     summary = rows_of(leaderboard_markdown(records), "xfreq-gs")[0]
     assert summary["published, other data"] == "XFreq-GS 0.7381 / 0.7642 / 0.8554"
 

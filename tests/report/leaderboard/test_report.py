@@ -11,12 +11,7 @@ from xfreqbench.runs.records import append
 
 
 def store_all(folder):
-    for record in (
-        *make_records(),
-        make_followed(),
-        make_bench(),
-        make_bench("render", "Splatting", figure=None),
-    ):
+    for record in (*make_records(), make_followed(), make_bench(), make_bench("render", "Splatting", figure=None)):
         append(folder / "records.jsonl", record)
 
 

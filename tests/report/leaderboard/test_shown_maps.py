@@ -68,9 +68,7 @@ def gallery_of(page: Path) -> dict:
 def test_the_page_shows_the_same_maps_without_predictions_and_data(
     results: Path, shipped: Path, tmp_path: Path
 ) -> None:
-    whole, apart = (
-        gallery_of(write_page(each, tmp_path / f"{each.stem}.html")) for each in (results, shipped)
-    )
+    whole, apart = (gallery_of(write_page(each, tmp_path / f"{each.stem}.html")) for each in (results, shipped))
     assert whole == apart
     assert {label.split()[0] for label in apart["cases"]} == {*METHODS, "xfreq-gs"} and not apart["missing"]
     for cases in apart["cases"].values():
@@ -125,9 +123,7 @@ def test_the_papers_maps_are_drawn_alike_from_predictions_and_from_the_file_besi
     assert drawn[0] == drawn[1]
 
 
-def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(
-    results: Path, tmp_path: Path
-) -> None:
+def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(results: Path, tmp_path: Path) -> None:
     for record in ResultsFolder(results).records:
         append(tmp_path / "records.jsonl", with_job(record, dataset="elsewhere.h5"))
     with pytest.raises(DataError, match="No predictions of a data set"):

@@ -100,9 +100,7 @@ def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: 
     tables = compare_results(folder / "nearest", folder / "ours")
     assert first_row(tables, "nearest and ours")["splits"].count("GHz") == 3
     methods = ", ".join(sorted({record.job.method for record in make_records()}))
-    with pytest.raises(
-        DataError, match=f"none of the methods of .*, which are {re.escape(methods)}, and begins"
-    ):
+    with pytest.raises(DataError, match=f"none of the methods of .*, which are {re.escape(methods)}, and begins"):
         records_at(folder / "neerest")
 
 
@@ -121,9 +119,7 @@ def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: P
 def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
     a = stored(tmp_path / "a", [make_record("ours")])
     b = stored(tmp_path / "b", [make_record("ours", dataset_sha256="c" * 64)])
-    with pytest.raises(
-        DataError, match=r"data office@1-a{8}, versions 1 and 1 .*\(ours\).* data office@1-c{8}"
-    ):
+    with pytest.raises(DataError, match=r"data office@1-a{8}, versions 1 and 1 .*\(ours\).* data office@1-c{8}"):
         compare_results(a, b)
     later = stored(tmp_path / "later", [make_record("ours", metrics_version="9")])
     with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):

@@ -42,9 +42,7 @@ def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
         "peak MiB": "200",
         "parameters": "1,234",
     }
-    order = [
-        markdown.index(f"| {name} ") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")
-    ]
+    order = [markdown.index(f"| {name} ") for name in ("ours", "mean-over-frequency", "nearest", "line-of-sight")]
     assert order == sorted(order)
 
 
@@ -136,9 +134,7 @@ def test_gaussians_are_counted_where_a_method_has_any() -> None:
     markdown = leaderboard_markdown([make_record("nearest", 0.9, SPLITS[0]), *counted])
     ours, nearest = (rows_of(markdown, name)[0] for name in ("ours", "nearest"))
     assert ours["Gaussians"] == "2,000"
-    assert (
-        rows_of(markdown.partition("### 2.4GHz")[2], "nearest")[0]["Gaussians"] == "–" == nearest["Gaussians"]
-    )
+    assert rows_of(markdown.partition("### 2.4GHz")[2], "nearest")[0]["Gaussians"] == "–" == nearest["Gaussians"]
     assert "Gaussians" not in leaderboard_markdown(make_records())
 
 
@@ -150,21 +146,12 @@ def test_runs_that_differ_in_their_seed_alone_are_one_row_of_means() -> None:
     ]
     records = [*seeded, make_record("nearest", 0.8, SPLITS[0]), make_record("nearest", 0.8, SPLITS[1])]
     row = rows_of(leaderboard_markdown(records), "ours")[0]
-    assert [row[name] for name in ("2.4GHz", "average", "± seeds", "seeds")] == [
-        "0.9200",
-        "0.9200",
-        "0.0200",
-        "3",
-    ]
+    assert [row[name] for name in ("2.4GHz", "average", "± seeds", "seeds")] == ["0.9200", "0.9200", "0.0200", "3"]
     assert "seeds 0, 1, 2." in leaderboard_markdown(records)
 
 
 def test_pairs_say_what_beats_what_and_what_is_level() -> None:
-    records = [
-        *of_three_seeds("best", 0.02, 10),
-        *of_three_seeds("second", 0.0, 20),
-        *of_three_seeds("third", 0.0, 30),
-    ]
+    records = [*of_three_seeds("best", 0.02, 10), *of_three_seeds("second", 0.0, 20), *of_three_seeds("third", 0.0, 30)]
     unranked = make_record("fast", 0.7, ssim_by_tx=[(0.7,)] * 50)
     markdown = leaderboard_markdown([*records, unranked])
     ranks = {name: rows_of(markdown, name)[0]["rank"] for name in ("best", "second", "third", "fast")}
@@ -191,10 +178,7 @@ def test_of_trivial_predictors_only_the_best_is_paired_with_methods() -> None:
 def test_samples_give_the_score_and_the_skill_an_interval() -> None:
     row = rows_of(
         leaderboard_markdown(
-            [
-                *of_three_seeds("ours", 0.02, 10),
-                *(of_three_seeds(name, 0.0, 20)[0] for name in NEEDED_TRIVIAL),
-            ]
+            [*of_three_seeds("ours", 0.02, 10), *(of_three_seeds(name, 0.0, 20)[0] for name in NEEDED_TRIVIAL)]
         ),
         "ours",
     )[0]
@@ -205,9 +189,7 @@ def test_samples_give_the_score_and_the_skill_an_interval() -> None:
 
 def test_a_split_of_several_carriers_has_a_table_by_carrier() -> None:
     by_carrier = {"24250000000": 0.9, "1000000000": 0.7}
-    scores = {
-        name: make_summary(0.9).model_copy(update={"median_by_carrier_hz": by_carrier}) for name in METRICS
-    }
+    scores = {name: make_summary(0.9).model_copy(update={"median_by_carrier_hz": by_carrier}) for name in METRICS}
     markdown = leaderboard_markdown([make_record("ours", 0.9, "held-out-tx", "held-out-tx", scores=scores)])
     assert rows_of(markdown.partition("by carrier")[2], "ours")[0] == {
         "method": "ours",
@@ -219,9 +201,7 @@ def test_a_split_of_several_carriers_has_a_table_by_carrier() -> None:
 
 def test_splits_on_which_fewer_methods_were_run_are_folded() -> None:
     lone = make_record("nearest", 0.8, "lofo-94GHz")
-    opened, _, folded = leaderboard_markdown([*make_records(), lone]).partition(
-        "<details><summary>94GHz</summary>"
-    )
+    opened, _, folded = leaderboard_markdown([*make_records(), lone]).partition("<details><summary>94GHz</summary>")
     assert "### 77GHz" in opened
     assert "### 94GHz" in folded.partition("</details>")[0]
     assert "<details>" not in leaderboard_markdown(make_records())

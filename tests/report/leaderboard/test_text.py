@@ -54,9 +54,7 @@ def test_a_data_frame_has_the_columns_of_the_reports_as_numbers() -> None:
     titles = {column.title for column in leaderboard_columns(comparison, TABLE)}
     where = {"scene", "protocol", "maps", "data", "splits"}
     assert titles <= set(frame.columns)
-    assert set(frame.columns) - titles - where <= {
-        f"{title} {end}" for title in titles for end in ("low", "high")
-    }
+    assert set(frame.columns) - titles - where <= {f"{title} {end}" for title in titles for end in ("low", "high")}
     ours = frame.set_index("method").loc["ours"]
     assert (ours["scene"], ours["splits"]) == ("office", SPLITS)
     assert ours["SSIM"] == pytest.approx(0.95)

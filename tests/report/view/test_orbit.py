@@ -27,9 +27,7 @@ def test_the_page_holds_the_room_that_is_drawn(folder: Path, view: ViewPlan) -> 
     html = (folder / "index.html").read_text("utf-8")
     found = re.search('<script type="application/gzip" id="orbit-scene">(.*?)</script>', html, re.DOTALL)
     assert found and json.loads(gzip.decompress(b64decode(found.group(1)))) == orbit_scene(view.room)
-    assert html.index("Permission is hereby granted") < html.index(
-        "THREE={}"
-    )  # the licence, above the library
+    assert html.index("Permission is hereby granted") < html.index("THREE={}")  # the licence, above the library
 
 
 def test_surfaces_of_a_material_are_one_mesh_and_fill_their_surfaces(view: ViewPlan) -> None:

@@ -113,9 +113,7 @@ def test_transmitters_above_each_other_share_a_square_with_their_mean(
     assert not len(of_kind(silent, PolyCollection).get_paths())
 
 
-def test_strong_rays_are_brighter_and_drawn_over_weak_ones(
-    view: ViewPlan, tmp_path: Path, drawn: list[Figure]
-) -> None:
+def test_strong_rays_are_brighter_and_drawn_over_weak_ones(view: ViewPlan, tmp_path: Path, drawn: list[Figure]) -> None:
     plot_room(view.room, tmp_path / "room.png")
     levels_db = [ray.level_db for ray in view.room.rays]
     assert len(levels_db) > 3
@@ -132,9 +130,7 @@ def test_strong_rays_are_brighter_and_drawn_over_weak_ones(
     assert shades == sorted(shades)
 
 
-def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_what_cannot_be_drawn_is_refused_before_anything_is_written(dataset: PasDataset, tmp_path: Path) -> None:
     output = tmp_path / "new.png"
     with pytest.raises(UnknownNameError, match=r"no carrier '5 GHz'.*2.4 GHz, 24.25 GHz, 77 GHz"):
         plot(dataset.path, output=output, carriers="2.4,5")

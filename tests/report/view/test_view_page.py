@@ -45,9 +45,7 @@ def test_all_files_are_written_and_show_something(folder: Path) -> None:
             assert min(picture.size) > 300
             assert len(np.unique(np.asarray(picture.convert("L")))) > 50
     drawn = (folder / "carriers.svg").read_text()
-    assert all(
-        title in drawn for title in ("median SSIM between carriers", "power: median", "without any path")
-    )
+    assert all(title in drawn for title in ("median SSIM between carriers", "power: median", "without any path"))
 
 
 def test_equal_data_give_equal_files(folder: Path, view: ViewPlan, tmp_path: Path) -> None:
@@ -108,13 +106,7 @@ def test_imported_maps_show_places_alone_and_say_why(imported: PasDataset, tmp_p
     assert shown.room.in_sight is None and not shown.room.rays and not shown.room.meshes
     write_view(shown, tmp_path / "out")
     nodes = set(trimesh.load_scene(tmp_path / "out" / "scene.glb").graph.nodes_geometry)
-    assert nodes == {
-        "transmitters",
-        f"transmitter {shown.room.tx}",
-        "receiver",
-        "array elements at 1 GHz",
-        "boresight",
-    }
+    assert nodes == {"transmitters", f"transmitter {shown.room.tx}", "receiver", "array elements at 1 GHz", "boresight"}
     text = page_text(tmp_path / "out")
     assert "sight of the receiver not published" in text
     assert re.search(r"convention: rows\s+polar angle", text)
@@ -128,9 +120,7 @@ def test_a_scene_without_data_has_no_maps(tmp_path: Path) -> None:
     assert "line of sight" in text and "Load it" not in text and "24.25 GHz" in text
 
 
-def test_names_from_the_data_are_shown_as_they_are(
-    dataset: PasDataset, view: ViewPlan, tmp_path: Path
-) -> None:
+def test_names_from_the_data_are_shown_as_they_are(dataset: PasDataset, view: ViewPlan, tmp_path: Path) -> None:
     hostile = "</title><script>alert(1)</script>"
     path = tmp_path / "<script>alert(1)<script>.h5"
     shutil.copy(dataset.path, path)

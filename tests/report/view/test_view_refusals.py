@@ -28,9 +28,7 @@ def test_a_carrier_that_is_not_there_is_refused_with_those_that_are(dataset: Pas
 
 @pytest.mark.parametrize("carrier_ghz", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_carrier_is_a_positive_frequency(carrier_ghz: float) -> None:
-    with pytest.raises(
-        XFreqBenchError, match=r"--carrier cannot use .* a carrier in GHz is a number above 0"
-    ):
+    with pytest.raises(XFreqBenchError, match=r"--carrier cannot use .* a carrier in GHz is a number above 0"):
         plan_view("empty", carrier_ghz=carrier_ghz)
 
 
@@ -44,9 +42,7 @@ def test_what_is_neither_data_nor_a_scene_is_refused(tmp_path: Path) -> None:
         plan_view("ofice")
 
 
-def test_files_of_others_stay_and_ours_are_replaced(
-    folder: Path, dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_files_of_others_stay_and_ours_are_replaced(folder: Path, dataset: PasDataset, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "again")
     (tmp_path / "again" / "notes.txt").write_text("mine")
     write_view(plan_view(str(dataset.path), 5), tmp_path / "again")

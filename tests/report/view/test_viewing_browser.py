@@ -89,9 +89,4 @@ def test_on_paper_no_figure_is_cut_and_no_table_wider_than_the_sheet(page) -> No
 def test_headings_say_what_the_page_holds(page) -> None:
     titles = page.locator("h2").all_inner_texts()
     assert titles[0] == "Scene" and titles[1].startswith("Maps of transmitter ")
-    assert titles[2:] == [
-        "From carrier to carrier",
-        "Protocols it can serve",
-        "Load it",
-        "Where it comes from",
-    ]
+    assert titles[2:] == ["From carrier to carrier", "Protocols it can serve", "Load it", "Where it comes from"]

@@ -17,13 +17,7 @@ RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
 WRITTEN: tuple[str, ...] = ()  # an output, of which is read only whether it is the command's own
 
-_SLOW = (
-    "view",
-    "plot",
-    "findings",
-    "residual",
-    "benchmark",
-)  # they draw, trace or run for a second
+_SLOW = ("view", "plot", "findings", "residual", "benchmark")  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
@@ -75,17 +69,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 READ_NOTHING = ("scenes", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
-    *(
-        (f"bench {name}", "records")
-        for name in (
-            "generate",
-            "render",
-            "savings",
-            "scale-out",
-            "peers",
-            "stress",
-        )
-    ),
+    *((f"bench {name}", "records") for name in ("generate", "render", "savings", "scale-out", "peers", "stress"))
 }
 
 _FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {each}' for each in FITTED)}"

@@ -26,9 +26,7 @@ from hypothesis import strategies as st
 from xfreqbench.cli.main import main
 from xfreqbench.errors import XFreqBenchError
 
-FACTOR = int(
-    os.environ.get("XFREQBENCH_FUZZ_FACTOR", "0")
-)  # 0: the same inputs at every run, else others, more
+FACTOR = int(os.environ.get("XFREQBENCH_FUZZ_FACTOR", "0"))  # 0: the same inputs at every run, else others, more
 SLEEPY_S = 20  # of processor time, far beyond what any of the inputs takes: whoever gets there hangs
 MEMORY_BYTES = 3 << 30  # above what is mapped before: no input here is worth a tenth of it
 NOISE = ("Traceback", "[Errno", "errors.pydantic.dev", "Unable to allocate", "MemoryError", "RecursionError")
@@ -81,9 +79,7 @@ def refusal(call: Callable[[], Any]) -> str | None:
 def _bounded() -> Iterator[None]:
     """Stop what hangs, and refuse memory that no input here is worth."""
     limits = resource.getrlimit(resource.RLIMIT_AS)
-    mapped_bytes = (
-        int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
-    )
+    mapped_bytes = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
     before = signal.signal(signal.SIGPROF, _hangs)
     signal.setitimer(signal.ITIMER_PROF, SLEEPY_S)
     resource.setrlimit(resource.RLIMIT_AS, (mapped_bytes + MEMORY_BYTES, limits[1]))
@@ -242,9 +238,7 @@ def fuzz(num_inputs: int, inputs: st.SearchStrategy[Any], check: Callable[[Any],
 # What stands in command lines: the system passes no NUL, and no lone surrogate of a text.
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=30)
 _LARGE = ["1e6", "1e9", "-1e9", "1e15", "1e19", "1e155", "1e200", "1e300", "1e308", "-1e308"]
-ODD_NUMBERS = st.sampled_from(
-    ["nan", "inf", "-inf", "0", "-0.0", "-1", "0.3", "3", "1e-300", "5e-324", *_LARGE]
-)
+ODD_NUMBERS = st.sampled_from(["nan", "inf", "-inf", "0", "-0.0", "-1", "0.3", "3", "1e-300", "5e-324", *_LARGE])
 ODD_WORDS = st.sampled_from(
     ["", " ", "\n", "é", "\u202e", "𝕏" * 80, "../..", "/", "-", "--", "null", "$x_{$", "|", "<b>", "x" * 5000]
 )
@@ -289,19 +283,13 @@ def spoilt_json(value: Any) -> st.SearchStrategy[Any]:
     options = [JSON_VALUES]
     if isinstance(value, dict) and value:
         keys = st.sampled_from(sorted(value))
-        options.append(
-            keys.flatmap(lambda key: spoilt_json(value[key]).map(lambda part: {**value, key: part}))
-        )
+        options.append(keys.flatmap(lambda key: spoilt_json(value[key]).map(lambda part: {**value, key: part})))
         options.append(keys.map(lambda key: {name: part for name, part in value.items() if name != key}))
-        options.append(
-            st.tuples(st.text(max_size=8), JSON_VALUES).map(lambda item: {**value, item[0]: item[1]})
-        )
+        options.append(st.tuples(st.text(max_size=8), JSON_VALUES).map(lambda item: {**value, item[0]: item[1]}))
     if isinstance(value, list) and value:
         places = st.integers(0, len(value) - 1)
         options.append(
-            places.flatmap(
-                lambda at: spoilt_json(value[at]).map(lambda part: [*value[:at], part, *value[at + 1 :]])
-            )
+            places.flatmap(lambda at: spoilt_json(value[at]).map(lambda part: [*value[:at], part, *value[at + 1 :]]))
         )
         options.append(places.map(lambda at: [*value[:at], *value[at + 1 :]]))
     return st.one_of(options[1:] * 3 + options[:1])

@@ -70,9 +70,7 @@ def _records() -> st.SearchStrategy[Damage]:
 
 def _maps() -> st.SearchStrategy[Damage]:
     content = sound_files()[MAPS]
-    spoilt = st.builds(
-        sealed_json, spoilt_json(json.loads(content)), st.sampled_from([True, True, True, False])
-    )
+    spoilt = st.builds(sealed_json, spoilt_json(json.loads(content)), st.sampled_from([True, True, True, False]))
     return in_place_of(MAPS, spoilt | cut_or_flipped(content) | st.binary(max_size=80))
 
 
@@ -125,9 +123,7 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
 def _positions() -> st.SearchStrategy[Damage]:
     numbers = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=4).map(",".join)
     texts = st.lists(numbers, max_size=4).map("\n".join).map(str.encode)
-    return in_place_of(
-        "tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n")
-    )
+    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n"))
 
 
 def _scenes() -> st.SearchStrategy[Damage]:

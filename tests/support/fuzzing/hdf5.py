@@ -174,9 +174,7 @@ def spoilt_predictions(content: bytes) -> st.SearchStrategy[bytes]:
     values = st.none() | st.sampled_from(
         ["", "x", -1, np.nan, np.inf, 10**12, b"\xff", np.zeros(3), h5py.Empty("f"), "|" * 200]
     )
-    keys = st.sampled_from(
-        [*names, "method", "seed", "fit_seconds", "parameters", "url", "hardware", "other"]
-    )
+    keys = st.sampled_from([*names, "method", "seed", "fit_seconds", "parameters", "url", "hardware", "other"])
 
     def changed(spoil: Spoil) -> bytes:
         buffer = io.BytesIO(content)

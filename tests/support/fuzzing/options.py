@@ -42,35 +42,12 @@ GENERATE_OPTIONS = {
 RUN_OPTIONS = {
     "--data": ["", ".", "x" * 400, "taken.h5", "/etc/passwd", "/root/../no/such", "notes.txt/x"],
     "--results": ["notes.txt", "x" * 400, "notes.txt/x", "/proc/no"],
-    "--method": [
-        "",
-        ",",
-        "nearest,",
-        "nerf",
-        "os:path",
-        "os:",
-        ":",
-        "a.b:c",
-        "..:x",
-        "x" * 400,
-        "json:dumps",
-    ],
+    "--method": ["", ",", "nearest,", "nerf", "os:path", "os:", ":", "a.b:c", "..:x", "x" * 400, "json:dumps"],
     "--protocol": ["", "Lofo", "sparse", "all"],
     "--on": ["", "tests", "Validation", "test,validation"],
     "--targets": ["", ",", "all,1", "1e300", "nan", "3", "1,1", "-1"],
     "--seed": ["", ",", "-1", "0,,1", "1.5", "9" * 5000, "9" * 40, "²", "٣", "1e3"],
-    "--budget": [
-        "",
-        "0s",
-        "5",
-        "-1s",
-        "1e3s",
-        "9" * 400 + "s",
-        "9" * 5000 + "steps",
-        "9" * 400 + "steps",
-        "٣s",
-        "5 m",
-    ],
+    "--budget": ["", "0s", "5", "-1s", "1e3s", "9" * 400 + "s", "9" * 5000 + "steps", "9" * 400 + "steps", "٣s", "5 m"],
     "--device": ["", "gpu", "tpu"],
     "--set": [
         "",
@@ -92,9 +69,7 @@ RUN_OPTIONS = {
 }
 
 
-def option_texts(
-    options: dict[str, list[str]], free: st.SearchStrategy[str]
-) -> st.SearchStrategy[dict[str, str]]:
+def option_texts(options: dict[str, list[str]], free: st.SearchStrategy[str]) -> st.SearchStrategy[dict[str, str]]:
     option = st.sampled_from(sorted(options)).flatmap(
         lambda name: st.tuples(st.just(name), st.sampled_from(options[name]) | free)
     )

@@ -16,9 +16,7 @@ from tests.support.fuzzing.scenes import edited
 @functools.cache
 def png() -> bytes:
     buffer = io.BytesIO()
-    Image.fromarray(np.arange(91 * 361, dtype=np.uint32).reshape(91, 361).astype(np.uint8)).save(
-        buffer, "png"
-    )
+    Image.fromarray(np.arange(91 * 361, dtype=np.uint32).reshape(91, 361).astype(np.uint8)).save(buffer, "png")
     return buffer.getvalue()
 
 

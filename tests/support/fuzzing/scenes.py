@@ -23,12 +23,7 @@ SMALL_SCENE: dict[str, Any] = {
         "pattern": "iso",
         "polarization": "V",
     },
-    "transmitters": {
-        "min_m": [0.5, 0.5, 0.5],
-        "max_m": [3.5, 3.5, 1.5],
-        "step_m": [1.0, 1.0, 0.5],
-        "clearance_m": 0.2,
-    },
+    "transmitters": {"min_m": [0.5, 0.5, 0.5], "max_m": [3.5, 3.5, 1.5], "step_m": [1.0, 1.0, 0.5], "clearance_m": 0.2},
     "surface": [
         {
             "name": "floor",
@@ -157,9 +152,7 @@ end_header
 
 
 def binary_ply() -> bytes:
-    content = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[0, 1, 2]], process=False).export(
-        file_type="ply"
-    )
+    content = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[0, 1, 2]], process=False).export(file_type="ply")
     assert isinstance(content, bytes)
     return content
 
@@ -179,9 +172,7 @@ def ply_files() -> st.SearchStrategy[bytes | None]:
         "double q",
         "vertex 1e9",
     ]
-    headers = st.tuples(texts, st.sampled_from(others)).map(
-        lambda change: ASCII_PLY.replace(*change).encode()
-    )
+    headers = st.tuples(texts, st.sampled_from(others)).map(lambda change: ASCII_PLY.replace(*change).encode())
     edits = edited(ASCII_PLY).map(lambda text: text.encode("utf-8", "surrogateescape"))
     torn = cut_or_flipped(binary_ply())
     return st.none() | headers | edits | edits | torn | st.binary(max_size=50)

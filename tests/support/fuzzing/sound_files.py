@@ -34,13 +34,7 @@ MAPS = "results/records_maps.jsonl"
 FITTED = ("num_gaussians=4", "width=4", "layers=2")
 METHODS = (Setting("nearest"), Setting("aperture-gs", FITTED))
 PRESET = Preset("a small one", (Block("room.toml", "lofo", METHODS, "3steps", (0,), (10.0,)),), "the rest")
-_SLAB = {
-    "share": 1.0,
-    "permittivity": 5.0,
-    "conductivity_s_m": 0.03,
-    "conductivity_power": 0.8,
-    "thickness_m": 0.2,
-}
+_SLAB = {"share": 1.0, "permittivity": 5.0, "conductivity_s_m": 0.03, "conductivity_power": 0.8, "thickness_m": 0.2}
 ROOM = {
     **SMALL_SCENE,
     "receiver": {**SMALL_SCENE["receiver"], "position_m": [2.1, 1.6, 2.3], "rows": 4, "cols": 4},
@@ -116,10 +110,7 @@ def _kill_a_fit() -> None:
 
     methods, budget = [("aperture-gs", FITTED)], parse_budget("3steps")
     tasks = protocol_tasks(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
-    with (
-        mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0),
-        contextlib.suppress(KeyboardInterrupt),
-    ):
+    with mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0), contextlib.suppress(KeyboardInterrupt):
         run_jobs(tasks, Path("results"), fitting=kill)
 
 

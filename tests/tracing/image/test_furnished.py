@@ -48,8 +48,7 @@ def test_what_elements_share_is_what_each_finds_alone(room: Scene) -> None:
 def check_that_pruning_loses_nothing(scene: Scene, tx: np.ndarray) -> None:
     settings = replace(SETTINGS, rays=20_000)
     pruned, every = (
-        ImageTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx)
-        for prune in (True, False)
+        ImageTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx) for prune in (True, False)
     )
     np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
     np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
@@ -79,9 +78,7 @@ def test_what_meets_a_facet_in_the_plane_that_it_shares_is_found_in_its_box() ->
         Surface("one", "metal", 0.002, (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),
         Surface("other", "metal", 0.002, (1.0, 0.0, 1.00009), (1.9, 1.0, 1.00009)),
     ]
-    beyond = replace(
-        ALONE, position_m=(5.0, 0.5, 0.96004)
-    )  # the second is met in the first one's plane alone
+    beyond = replace(ALONE, position_m=(5.0, 0.5, 0.96004))  # the second is met in the first one's plane alone
     assert not channel_among(np.array([[-4.0, 0.5, 1.05004]]), *sheets, receiver=beyond).any()
 
 
@@ -225,9 +222,7 @@ def test_ten_thousand_triangles_in_a_plane_mirror_and_diffract_as_one_rectangle(
     whole = replace(cut, scene=None, surface=(Surface("plate", "wood", 0.02, (0, 0, 0.5), (2, 2, 0.5)),))
     tx = np.array([[1.3, 0.8, 1.2], [1.1, 1.9, 0.2]])
     cfr, expected = (
-        ImageTracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=2000, interactions=interactions), EXACT)
-        .channel(tx)
-        .cfr
+        ImageTracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=2000, interactions=interactions), EXACT).channel(tx).cfr
         for scene in (cut, whole)
     )
     np.testing.assert_allclose(cfr, expected, rtol=0, atol=1e-6 * np.abs(expected).max())  # PLY: float32

@@ -55,9 +55,7 @@ def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: s
     receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)
     tx = np.array([[0.0, 0.0, 0.5], [1e-7, 0.0, 0.5], [0.0, -1e-7, 0.5]])
     along, *beside = (
-        ImageTracer(
-            scene_of(receiver=receiver), [10e9], TraceSettings(interactions=("specular", "refraction"))
-        )
+        ImageTracer(scene_of(receiver=receiver), [10e9], TraceSettings(interactions=("specular", "refraction")))
         .channel(tx)
         .cfr
     )
@@ -68,9 +66,7 @@ def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: s
 def test_the_carriers_may_come_in_any_order() -> None:
     tx = np.array([[1.0, 2.0, 0.7]])
     forward = (
-        ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction")))
-        .channel(tx)
-        .cfr
+        ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"))).channel(tx).cfr
     )
     backward = (
         ImageTracer(scene_of(), CARRIERS_HZ[::-1], TraceSettings(interactions=("specular", "refraction")))
@@ -80,9 +76,7 @@ def test_the_carriers_may_come_in_any_order() -> None:
     np.testing.assert_array_equal(forward, backward[:, ::-1])
 
 
-def slab_reflection(
-    material: str, thickness_m: float, carrier_hz: float, cosine: float
-) -> tuple[complex, complex]:
+def slab_reflection(material: str, thickness_m: float, carrier_hz: float, cosine: float) -> tuple[complex, complex]:
     """TE and TM reflection of a dielectric slab in air by summing its multiple reflections."""
     eta = complex_permittivity(material, carrier_hz)
     inner = np.sqrt(eta - (1 - cosine**2))
@@ -159,16 +153,12 @@ def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
     """Largest difference of channels decided by corners from those of every element, relative to each sample's norm."""
     settings = TraceSettings(interactions=("specular", "refraction"), max_depth=max_depth, rays=2000)
     by_corners, by_elements = (
-        ImageTracer(
-            scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
-        )
+        ImageTracer(scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4))
         .channel(tx)
         .cfr
         for share in (True, False)
     )
-    return float(
-        (np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max()
-    )
+    return float((np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max())
 
 
 def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
@@ -176,9 +166,7 @@ def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
     tx = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 20)])
     for edge_m in (1.38, 1.62):  # where some elements see the floor within 1 cm of the sheet's foot
         sheet = Surface("sheet", "glass", 0.005, (edge_m, -2.0, 0.0), (edge_m, 2.0, 1.0))
-        assert (
-            visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12
-        )  # roundings of a sum of paths
+        assert visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12  # roundings of a sum of paths
 
 
 def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone() -> None:
@@ -192,9 +180,7 @@ def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone
 def test_the_first_of_two_facets_that_overlap_in_a_plane_reflects_where_it_is() -> None:
     small = Surface("small", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6))
     large = Surface("large", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6))
-    tx = np.array(
-        [(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)]
-    )  # half of the elements' reflections lie on the small one
+    tx = np.array([(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)])  # half of the elements' reflections lie on the small one
     assert visibility_apart(scene_of(small, large), tx, max_depth=1) < 1e-12  # roundings of a sum of paths
 
 
@@ -205,19 +191,14 @@ def test_a_plane_crossed_twice_over_counts_once() -> None:
     )
     tx = np.array([[3.0, 0.3, 1.0]])
     settings = TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000)
-    for savings in (
-        ImageSavings(),
-        ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4),
-    ):
+    for savings in (ImageSavings(), ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4)):
         assert ImageTracer(scene_of(*sheets), [10e9], settings, savings).channel(tx).num_paths == 1
 
 
 def test_a_path_whose_field_vanishes_on_the_way_is_not_counted() -> None:
     slab = Surface("slab", "concrete", 0.4, (-9.0, -9.0, 1.5), (9.0, 9.0, 1.5))
     tracer = ImageTracer(
-        scene_of(slab),
-        [1e9, 94e9],
-        TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000),
+        scene_of(slab), [1e9, 94e9], TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000)
     )
     channel = tracer.channel(np.array([[1.0, 0.3, 1.0]]))
     assert channel.num_paths.tolist() == [[1, 0]]
@@ -239,9 +220,7 @@ def test_path_sums_equal_channels() -> None:
     receiver = replace(scene.receiver, rows=1, cols=1)
     scene = replace(scene, receiver=receiver)
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 5, seed=1)
-    tracer = ImageTracer(
-        scene, CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"), rays=50_000)
-    )
+    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"), rays=50_000))
     channel = tracer.channel(tx)
     for position_m, cfr in zip(tx, channel.cfr, strict=True):
         paths = tracer.paths(position_m)
@@ -254,9 +233,7 @@ def test_path_sums_equal_channels() -> None:
 
 def test_a_metal_box_around_the_receiver_leaves_a_channel_of_zeros() -> None:
     box = Surface("box", "metal", 0.01, (-0.5, -0.5, 1.5), (0.5, 0.5, 2.5))
-    tracer = ImageTracer(
-        scene_of(box), [94e9], TraceSettings(interactions=("specular", "refraction"), rays=1000)
-    )
+    tracer = ImageTracer(scene_of(box), [94e9], TraceSettings(interactions=("specular", "refraction"), rays=1000))
     channel = tracer.channel(np.array([[3.1, 0.23, 0.9]]))
     assert not channel.cfr.any()
     assert not channel.num_paths.any()
@@ -269,9 +246,7 @@ def test_depth_counts_reflections_and_transmissions_alike() -> None:
     counts = [
         int(
             ImageTracer(
-                scene_of(*sheets),
-                [5e9],
-                TraceSettings(interactions=("specular", "refraction"), max_depth=d, rays=2000),
+                scene_of(*sheets), [5e9], TraceSettings(interactions=("specular", "refraction"), max_depth=d, rays=2000)
             )
             .channel(tx)
             .num_paths[0, 0]

@@ -92,9 +92,7 @@ def reflects_on_its_triangles(
         matrix = np.stack([b - a, c - a, -towards], axis=-1)
         is_regular = is_mirror[:, depth] & (np.abs(np.linalg.det(matrix)) > 1e-12)
         solution = np.zeros((len(chain), 3))
-        solution[is_regular] = np.linalg.solve(matrix[is_regular], (point_m - a)[is_regular, :, None])[
-            :, :, 0
-        ]
+        solution[is_regular] = np.linalg.solve(matrix[is_regular], (point_m - a)[is_regular, :, None])[:, :, 0]
         u, v, t = solution.T
         inside = is_regular & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)
         reflects &= inside | ~is_mirror[:, depth]

@@ -53,12 +53,8 @@ def _run(methods: str, more: str = "") -> str:
 
 
 COMMANDS = (
-    Command(
-        "generate, image", _generate("image", "1,24.25", 80), ("out.h5",), _generate("image", "2.4,60", 80)
-    ),
-    Command(
-        "generate, sionna", _generate("sionna", "1,24.25", 40), ("out.h5",), _generate("sionna", "5,60", 40)
-    ),
+    Command("generate, image", _generate("image", "1,24.25", 80), ("out.h5",), _generate("image", "2.4,60", 80)),
+    Command("generate, sionna", _generate("sionna", "1,24.25", 40), ("out.h5",), _generate("sionna", "5,60", 40)),
     Command("run", _run("nearest,aperture-gs"), ("results",), _run("mean-over-frequency")),
     Command("run, two processes", _run("nearest,xfreq-gs", "--executor 2"), ("results",), _run("nearest")),
     Command(

@@ -105,9 +105,7 @@ def rivalled(round_: Round) -> None:
 def filled(round_: Round) -> None:
     """Let no file grow beyond a random size, as on a disk that is full."""
     sizes = [0, *(path.stat().st_size for path in round_.folder.rglob("inputs/*") if path.is_file())]
-    running = round_.start(
-        file_bytes=round_.chance.randint(_LEAST_FILE_BYTES, _LEAST_FILE_BYTES + max(sizes))
-    )
+    running = round_.start(file_bytes=round_.chance.randint(_LEAST_FILE_BYTES, _LEAST_FILE_BYTES + max(sizes)))
     round_.end(running)
 
 
@@ -130,9 +128,7 @@ def damaged(round_: Round) -> None:
 def linked(round_: Round) -> None:
     """Put a symbolic link to somebody else's file or folder where the command writes, before it or after a kill."""
     site = _cleared_site(round_)
-    if site is not None and not round_.is_output_folder(
-        site
-    ):  # whoever links that one wants its target filled
+    if site is not None and not round_.is_output_folder(site):  # whoever links that one wants its target filled
         site.symlink_to(round_.folder / "outside" / round_.chance.choice(("thesis.tex", "folder", "nothing")))
 
 

@@ -17,12 +17,7 @@ from tests.whole.chaos.commands import use_small_preset
 from xfreqbench.runs import checkpoints
 
 HANGS_S = 300.0  # far beyond what any of the commands takes on a busy machine
-_WARM = (
-    "xfreqbench.cli.main",
-    "xfreqbench.data.generate",
-    "xfreqbench.runs.run",
-    "xfreqbench.methods.registry",
-)
+_WARM = ("xfreqbench.cli.main", "xfreqbench.data.generate", "xfreqbench.runs.run", "xfreqbench.methods.registry")
 CommandLine = Callable[[], None]
 
 
@@ -81,9 +76,7 @@ class Running:
         return Ended(code, stderr)
 
 
-def _child(
-    command_line: CommandLine, words: list[str], folder: Path, logged: Path, file_bytes: int | None
-) -> None:
+def _child(command_line: CommandLine, words: list[str], folder: Path, logged: Path, file_bytes: int | None) -> None:
     os.chdir(folder)
     for stream, name in ((1, "stdout"), (2, "stderr")):
         os.dup2(os.open(logged / name, os.O_WRONLY | os.O_CREAT), stream)

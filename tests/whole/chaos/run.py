@@ -74,9 +74,7 @@ class Chaos:
         undisturbed = self._reference(command)
         folder = self._fresh(f"round-{seed}")
         chance = random.Random(f"{seed} {command.name} {disturbance}")
-        written = sorted(
-            {name.partition(_RECORD)[0] for name in undisturbed.names if not name.startswith("inputs")}
-        )
+        written = sorted({name.partition(_RECORD)[0] for name in undisturbed.names if not name.startswith("inputs")})
         at = Round(command, self._command_line, folder, chance, undisturbed.seconds, written)
         outside = _contents(folder / "outside")
         DISTURBANCES[disturbance](at)
@@ -86,18 +84,12 @@ class Chaos:
             *_faults_of_outcomes(at, last),
             *(["the folder outside was touched"] if _contents(folder / "outside") != outside else []),
             *(["the inputs were touched"] if _contents(at.work / "inputs") != inputs else []),
-            *(
-                f"{path.name} of somebody else is not as it was"
-                for path in at.planted
-                if not _is_intact(path)
-            ),
+            *(f"{path.name} of somebody else is not as it was" for path in at.planted if not _is_intact(path)),
             *(_differences(at, undisturbed) if last.code == 0 or not at.may_refuse else []),
         ]
         if not faults:
             shutil.rmtree(folder)
-        return ChaosVerdict(
-            command.name, disturbance, seed, "same" if last.code == 0 else "refusal", tuple(faults)
-        )
+        return ChaosVerdict(command.name, disturbance, seed, "same" if last.code == 0 else "refusal", tuple(faults))
 
     def _given(self, line: str) -> None:
         ended = Running(self._command_line, line.split(), self._folder / "prepared").wait()

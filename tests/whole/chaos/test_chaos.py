@@ -27,22 +27,14 @@ def test_the_next_generation_leaves_the_same_bytes_or_refuses(rounds: chaos.Chao
 
 
 @pytest.mark.parametrize("disturbance", ["killed", "doubled", "damaged", "foreign"])
-def test_the_next_run_leaves_the_same_predictions_and_records_or_refuses(
-    rounds: chaos.Chaos, disturbance: str
-) -> None:
+def test_the_next_run_leaves_the_same_predictions_and_records_or_refuses(rounds: chaos.Chaos, disturbance: str) -> None:
     verdict = rounds.round(BY_NAME["run"], disturbance, seed=1)
     assert not verdict.faults, str(verdict)
 
 
 @pytest.mark.parametrize(
     ("name", "disturbance"),
-    [
-        ("report", "killed"),
-        ("export", "killed"),
-        ("score", "killed"),
-        ("view", "linked"),
-        ("findings", "foreign"),
-    ],
+    [("report", "killed"), ("export", "killed"), ("score", "killed"), ("view", "linked"), ("findings", "foreign")],
 )
 def test_the_other_commands_are_disturbed_too(rounds: chaos.Chaos, name: str, disturbance: str) -> None:
     verdict = rounds.round(BY_NAME[name], disturbance, seed=2)

@@ -39,9 +39,7 @@ def require_differt() -> None:
 class DiffeRTSolver:
     """Paths of every number of reflections up to `order` at one carrier, to each element as a receiver of its own."""
 
-    def __init__(
-        self, scene: Scene, carriers_hz: Sequence[float], order: int, candidates: Candidates
-    ) -> None:
+    def __init__(self, scene: Scene, carriers_hz: Sequence[float], order: int, candidates: Candidates) -> None:
         (carrier_hz,) = carriers_hz
         self._materials, self._mesh = _mesh(Geometry(surface_meshes(scene)), carrier_hz)
         self._carrier_hz, self._order, self._candidates = carrier_hz, order, candidates
@@ -56,9 +54,7 @@ class DiffeRTSolver:
         channels = np.zeros((len(tx_position_m), len(self._element_m)), np.complex128)
         for row, tx in zip(channels, tx_position_m, strict=True):
             for paths in self._paths(tx):
-                fields = TracedFields.from_paths(
-                    paths, self._mesh, self._carrier_hz, radio_materials=self._materials
-                )
+                fields = TracedFields.from_paths(paths, self._mesh, self._carrier_hz, radio_materials=self._materials)
                 row += np.where(fields.mask, fields.fields, 0).sum(axis=-1)
         return channels
 

@@ -12,15 +12,7 @@ from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
 from xfreqbench.bench.peers.differt import has_differt, require_differt
-from xfreqbench.bench.peers.solvers import (
-    BATCH,
-    CONVERGED,
-    CONVERGED_RAYS,
-    RAYS,
-    SOLVERS,
-    panel_room,
-    transmitters,
-)
+from xfreqbench.bench.peers.solvers import BATCH, CONVERGED, CONVERGED_RAYS, RAYS, SOLVERS, panel_room, transmitters
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import ClusterError, UnknownNameError, XFreqBenchError
 from xfreqbench.runs.records import BenchFigure, BenchPoint
@@ -157,9 +149,7 @@ def installed_peers() -> list[str]:
     return [name for name in OTHERS if has_differt() or not name.startswith("DiffeRT")]
 
 
-def bench_peers(
-    bench: Bench, solvers: Sequence[str], orders: Sequence[int], seconds: float, limit_s: float
-) -> None:
+def bench_peers(bench: Bench, solvers: Sequence[str], orders: Sequence[int], seconds: float, limit_s: float) -> None:
     """Print how `solvers` compare with `image` for each number of reflections, and how the time of `image` grows.
 
     Each may run for `seconds` after its set-up and is stopped after `limit_s` in all; it is not asked for more
@@ -172,9 +162,7 @@ def bench_peers(
     if any(name.startswith("DiffeRT") for name in solvers):
         require_differt()
     if not (seconds > 0 and limit_s > 0):
-        raise XFreqBenchError(
-            f"--seconds and --limit are seconds above 0, but {seconds:g} and {limit_s:g} are given."
-        )
+        raise XFreqBenchError(f"--seconds and --limit are seconds above 0, but {seconds:g} and {limit_s:g} are given.")
     bench.introduce()
     results: dict[tuple[int, str], Measured] = {}
     stopped: dict[str, int] = {}
@@ -229,9 +217,7 @@ def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
                 costs = f"{paths_s:,.3g}", f"{error_db:.0f}", f"{result.peak_mib:.0f}"
                 table.add(str(order), solver, *times, *costs)
                 points.append(BenchPoint(series=solver, label=str(order), x=1e3 * result.tx_s, y=order))
-        table.figure = BenchFigure(
-            x_label="ms a transmitter", y_label="reflections", log_x=True, points=tuple(points)
-        )
+        table.figure = BenchFigure(x_label="ms a transmitter", y_label="reflections", log_x=True, points=tuple(points))
 
 
 def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
@@ -259,12 +245,8 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
                 tx_ms = 1e3 * result.tx_s
                 times = f"{result.setup_s:.2f}", f"{tx_ms:.3g}", f"{tx_ms / len(task.carriers_hz):.3g}"
                 table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")
-                points.append(
-                    BenchPoint(series=f"{varied}, {solver}", label=f"{number:,}", x=number, y=tx_ms)
-                )
-        table.figure = BenchFigure(
-            x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points)
-        )
+                points.append(BenchPoint(series=f"{varied}, {solver}", label=f"{number:,}", x=number, y=tx_ms))
+        table.figure = BenchFigure(x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points))
 
 
 def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float) -> PeerTask:

@@ -49,12 +49,7 @@ class OurSolver:
     """One of this package."""
 
     def __init__(
-        self,
-        scene: Scene,
-        carriers_hz: Sequence[float],
-        order: int,
-        solver: SolverName = "image",
-        rays: int = RAYS,
+        self, scene: Scene, carriers_hz: Sequence[float], order: int, solver: SolverName = "image", rays: int = RAYS
     ) -> None:
         settings = TraceSettings(solver=solver, interactions=SPECULAR_ALONE, max_depth=order, rays=rays)
         self._tracer = tracer_of(PreparedScene.of(scene), carriers_hz, settings)
@@ -114,9 +109,7 @@ def panel_room(num_triangles: int, num_elements_a_side: int = 4, seed: int = 0) 
     Walls and panels are rectangles along the axes; panels may cross each other. Raises `XFreqBenchError`.
     """
     if num_triangles < SHELL_TRIANGLES or num_triangles % 2:
-        raise XFreqBenchError(
-            f"A room of rectangles has 12, 14, 16, … triangles, but {num_triangles} are asked for."
-        )
+        raise XFreqBenchError(f"A room of rectangles has 12, 14, 16, … triangles, but {num_triangles} are asked for.")
     surfaces = list[Surface]()
     for axis in range(3):
         for side in (0.0, ROOM_M[axis]):

@@ -74,9 +74,7 @@ class Area:
     name: str
     cases: list[StressCase] = field(default_factory=list)
 
-    def case(
-        self, name: str, *arguments: Any, limit: float, unit: str
-    ) -> Callable[[ErrorFunction], ErrorFunction]:
+    def case(self, name: str, *arguments: Any, limit: float, unit: str) -> Callable[[ErrorFunction], ErrorFunction]:
         """Decorator: the decorated function, called with `arguments`, returns the error of a case."""
         return self.each({name: arguments}, limit=limit, unit=unit)
 

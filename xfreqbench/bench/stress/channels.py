@@ -55,19 +55,14 @@ def friis(length_m: NDArray[np.longdouble], carrier_hz: float) -> NDArray[np.lon
 
 
 @PHASE.each(
-    {f"plane waves, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ},
-    limit=_PHASE_LIMIT,
-    unit="rad",
+    {f"plane waves, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ}, limit=_PHASE_LIMIT, unit="rad"
 )
 def _plane_wave_phase(carrier_ghz: float) -> float:
     carrier_hz = ghz_to_hz(carrier_ghz)
     delay_s = _LENGTHS_M / SPEED_OF_LIGHT_M_S
     expected = wave(delay_s.astype(np.longdouble) * LIGHT_M_S, carrier_hz)
     gain, arrival = np.ones(1, complex), np.array([[0.6, 0.0, 0.8]])
-    found = [
-        cfr_of_plane_waves(gain, delay, arrival, np.zeros((1, 3)), carrier_hz)[0]
-        for delay in delay_s[:, None]
-    ]
+    found = [cfr_of_plane_waves(gain, delay, arrival, np.zeros((1, 3)), carrier_hz)[0] for delay in delay_s[:, None]]
     return float(np.abs(np.array(found) / expected - 1).max())
 
 
@@ -119,9 +114,7 @@ def _stored(carrier_ghz: float) -> float:
     return float(np.abs(stored / (friis(distance_m, carrier_hz) * wave(distance_m, carrier_hz)) - 1).max())
 
 
-def data_of(
-    path: Path, tx_m: NDArray[np.float64], carrier_hz: list[float], cfr: NDArray[np.complex128]
-) -> PasDataset:
+def data_of(path: Path, tx_m: NDArray[np.float64], carrier_hz: list[float], cfr: NDArray[np.complex128]) -> PasDataset:
     """A stored data set of channels (T, F, M) at `RECEIVER`, whose maps are derived when they are read."""
     return stored_channels(path, RECEIVER, np.array(carrier_hz), tx_m, cfr, maps=False)
 

@@ -66,9 +66,7 @@ def _end_on() -> float:
 @DIFFRACTION.case("edges of two boxes that touch", limit=2e-9, unit="relative")
 def _touching() -> float:
     """Channels around two metal boxes that touch, against one box of their size."""
-    halves = tuple(
-        Surface(f"half {y}", "metal", 0.01, (1.0, y, 0.0), (2.0, y + 1.0, 1.0)) for y in (-1.0, 0.0)
-    )
+    halves = tuple(Surface(f"half {y}", "metal", 0.01, (1.0, y, 0.0), (2.0, y + 1.0, 1.0)) for y in (-1.0, 0.0))
     whole = (Surface("whole", "metal", 0.01, (1.0, -1.0, 0.0), (2.0, 1.0, 1.0)),)
     tx_m = [(2.6, 0.3, 0.7), (2.6, -0.4, 0.2), (1.4, 1.7, 0.6)]
     found, expected = (_channels(surfaces, tx_m) for surfaces in (halves, whole))

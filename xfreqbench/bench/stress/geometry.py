@@ -49,10 +49,7 @@ Cut = tuple[Float[FloatArray, "V 2"], Int[IntArray, "K 3"]]
 
 
 def _channel(
-    surfaces: tuple[Surface, ...],
-    receiver: ReceiverArray,
-    tx_m: tuple[float, float, float],
-    max_depth: int = 1,
+    surfaces: tuple[Surface, ...], receiver: ReceiverArray, tx_m: tuple[float, float, float], max_depth: int = 1
 ) -> NDArray[np.complex128]:
     """Channel of one transmitter at three carriers, (F, M)."""
     scene = replace(free_space(receiver), surface=surfaces)
@@ -101,8 +98,7 @@ def _grazing() -> float:
     bounce_m = np.hypot(np.longdouble(100), np.longdouble(0.1))
     cosine = float(0.1 / bounce_m)
     expected = [
-        -ray(100.0, f)
-        - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f)  # φ̂ turns with the ray
+        -ray(100.0, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f)  # φ̂ turns with the ray
         for f in _CARRIERS_HZ
     ]
     return largest_error(found, expected, 100.0)
@@ -151,9 +147,7 @@ def _edge(material: str) -> float:
     screen = Surface("screen", material, 0.02, (2.0, 0.0, -9.0), (2.0, 9.0, 9.0))
     found = _channel((screen,), _ONE, (4.0, 0.0, _HEIGHT_M))
     free = [ray(4.0, f) for f in _CARRIERS_HZ]
-    behind = [
-        fresnel_slab(material, 0.02, f, 1.0)[2] * alone for f, alone in zip(_CARRIERS_HZ, free, strict=True)
-    ]
+    behind = [fresnel_slab(material, 0.02, f, 1.0)[2] * alone for f, alone in zip(_CARRIERS_HZ, free, strict=True)]
     opaque = [0j] * len(free)
     return min(largest_error(found, expected, 4.0) for expected in (free, behind, opaque))
 
@@ -166,9 +160,7 @@ def _border() -> float:
     found = _channel((floor,), receiver, (3.0, 0.0, _HEIGHT_M))
     lone = [-ray(3.0, f) for f in _CARRIERS_HZ]
     bounce_m = np.hypot(np.longdouble(3), np.longdouble(4))
-    bounce = [
-        -fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in _CARRIERS_HZ
-    ]
+    bounce = [-fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in _CARRIERS_HZ]
     both = [direct + reflected for direct, reflected in zip(lone, bounce, strict=True)]
     return min(largest_error(found, expected, 3.0) for expected in (lone, both))
 
@@ -178,21 +170,16 @@ def _border() -> float:
 def _unfolded() -> float:
     """Largest difference between the lengths of paths between two plates and those of the unfolded lines, in metres."""
     plates = tuple(
-        Surface(name, "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z))
-        for name, z in (("low", 0.0), ("high", 4.0))
+        Surface(name, "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z)) for name, z in (("low", 0.0), ("high", 4.0))
     )
     scene = replace(free_space(_ONE), surface=plates)
     tracer = ImageTracer(scene, [94e9], replace(_SETTINGS, max_depth=5, rays=200_000))
     paths = tracer.paths(np.array([100.0, 0.0, 1.0]))
     images_m = [8.0 * turn + side * 1.0 for turn in range(-3, 4) for side in (1, -1)]
     lengths_m = {float(np.hypot(np.longdouble(100), np.longdouble(z - _HEIGHT_M))) for z in images_m}
-    nearest = [
-        min(abs(delay * SPEED_OF_LIGHT_M_S - length) for length in lengths_m) for delay in paths.delay_s
-    ]
+    nearest = [min(abs(delay * SPEED_OF_LIGHT_M_S - length) for length in lengths_m) for delay in paths.delay_s]
     reflections = (paths.interactions == SPECULAR).sum(axis=1)
-    assert sorted(reflections) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5], (
-        f"reflections a path: {sorted(reflections)}"
-    )
+    assert sorted(reflections) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5], f"reflections a path: {sorted(reflections)}"
     return float(max(nearest))
 
 
@@ -240,10 +227,7 @@ def _energy() -> float:
 
 
 @GEOMETRY.each(
-    {
-        f"visibility by corners against every element, {name}": (surfaces,)
-        for name, surfaces in _NEAR_THE_FLOOR.items()
-    },
+    {f"visibility by corners against every element, {name}": (surfaces,) for name, surfaces in _NEAR_THE_FLOOR.items()},
     limit=1e-12,  # roundings of double precision in sums of four paths
     unit="relative",
 )
@@ -258,9 +242,7 @@ def _by_corners(surfaces: tuple[Surface, ...]) -> float:
     settings = replace(_SETTINGS, max_depth=4)
     tx_m = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 40)])
     shared, single = (
-        ImageTracer(
-            scene, _CARRIERS_HZ, settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
-        )
+        ImageTracer(scene, _CARRIERS_HZ, settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4))
         .channel(tx_m)
         .cfr
         for share in (True, False)
@@ -313,10 +295,7 @@ def _channels(
 
 
 @FACETS.each(
-    {
-        "a floor of 2,000 needles, 0.5 mm by 1 m": (_needles, 2000),
-        "a floor of 10,082 triangles": (_checks, 10_082),
-    },
+    {"a floor of 2,000 needles, 0.5 mm by 1 m": (_needles, 2000), "a floor of 10,082 triangles": (_checks, 10_082)},
     limit=_LIMIT,
     unit="relative",
 )
@@ -332,8 +311,7 @@ def _cut_floor(cut: Callable[[int], Cut], num_triangles: int) -> float:
     length_m, direct_m = float(np.linalg.norm(tx_m - image_m)), float(np.linalg.norm(tx_m - here))
     cosine = abs((tx_m - image_m) @ normal) / length_m
     expected = [
-        -ray(direct_m, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(length_m, f)
-        for f in _CARRIERS_HZ
+        -ray(direct_m, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(length_m, f) for f in _CARRIERS_HZ
     ]
     return largest_error(_channels([floor], _RECEIVER, tuple(tx_m)), expected, direct_m)
 
@@ -362,7 +340,5 @@ def _large_and_small(is_beside: bool) -> float:
     expected = []
     for f in _CARRIERS_HZ:
         through = 1.0 if is_beside else fresnel_slab("glass", 0.005, f, 1.0)[2]
-        expected.append(
-            -through * ray(3.0, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f)
-        )
+        expected.append(-through * ray(3.0, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f))
     return largest_error(_channels(meshes, _RECEIVER, (3.0, 0.0, height_m)), expected, 3.0)

@@ -256,9 +256,7 @@ def _wrapped() -> float:
     """Largest change of the wrapped SSIM when both maps are turned about the pole, also by one column."""
     one, other = _random()[:4], _random()[4:]
     still = ssim_wrapped(one, other, _GRID)
-    turned = [
-        ssim_wrapped(np.roll(one, turn, 2), np.roll(other, turn, 2), _GRID) for turn in (1, 3, 90, 179, 359)
-    ]
+    turned = [ssim_wrapped(np.roll(one, turn, 2), np.roll(other, turn, 2), _GRID) for turn in (1, 3, 90, 179, 359)]
     return float(np.abs(np.array(turned) - still).max())
 
 

@@ -33,9 +33,7 @@ def selected(only: str | None) -> tuple[StressCase, ...]:
 
     Raises `UnknownNameError`, which lists the areas, where there is none.
     """
-    chosen = tuple(
-        case for case in cases() if only is None or only.lower() in f"{case.area} {case.name}".lower()
-    )
+    chosen = tuple(case for case in cases() if only is None or only.lower() in f"{case.area} {case.name}".lower())
     if not chosen:
         raise UnknownNameError("case or area", str(only), {case.area for case in cases()})
     return chosen

@@ -53,10 +53,7 @@ _PLACES_AND_SIZES_DEG = {  # centres (azimuth, elevation) and deviations along t
     "at the zenith": ([(10.0, 90.0), (200.0, 89.5), (0.0, 88.0)], [(30.0, 1.0), (5.0, 5.0), (100.0, 0.5)]),
     "at the azimuth's seam": (_SEAM_DEG, [(3.0, 2.0), (0.5, 0.5)]),
     "a turn wide, a little less and more": (_SEAM_DEG, [(59.9, 3.0), (60.1, 3.0)]),
-    "smaller than the grid": (
-        [(0.0, 10.0), (17.2, 33.3), (17.5, 33.5)],
-        [(0.1, 0.1), (1e-3, 1e-3), (0.1, 2.0)],
-    ),
+    "smaller than the grid": ([(0.0, 10.0), (17.2, 33.3), (17.5, 33.5)], [(0.1, 0.1), (1e-3, 1e-3), (0.1, 2.0)]),
     "behind the horizon": (
         [(0.0, -90.0), (40.0, -3.0), (80.0, -3.1), (300.0, -30.0)],
         [(1.0, 1.0), (9.0, 1.0), (1.0, 9.99)],
@@ -177,9 +174,7 @@ def _underflow(backend: Backend) -> float:
         float((field - 2).abs().max()),
         float((slope / expected - 1)[near].abs().max()),
         float((slope - expected * seen_behind).abs().max()),
-        float(
-            sum((~torch.isfinite(torch.view_as_real(g) if g.is_complex() else g)).sum() for g in gradients)
-        ),
+        float(sum((~torch.isfinite(torch.view_as_real(g) if g.is_complex() else g)).sum() for g in gradients)),
     )
 
 
@@ -230,17 +225,13 @@ def _composited_on(threads: int, lists: PixelLists, leaves: Leaves) -> Tensor:
 
 
 @FOOTPRINTS.each(_PLACES_AND_SIZES_DEG, limit=0, unit="pairs")
-def _misplaced_pairs(
-    centre_deg: list[tuple[float, float]], deviation_deg: list[tuple[float, float]]
-) -> float:
+def _misplaced_pairs(centre_deg: list[tuple[float, float]], deviation_deg: list[tuple[float, float]]) -> float:
     """Number of pairs of a direction and a Gaussian that are missing, wrong or double, in both backends.
 
     All combinations of a centre, a deviation and a turn of the axes are tried.
     """
     chosen = list(product(centre_deg, deviation_deg, _TURNS_DEG))
-    angles, size, turn = (
-        torch.tensor(values, dtype=torch.float64).deg2rad() for values in zip(*chosen, strict=True)
-    )
+    angles, size, turn = (torch.tensor(values, dtype=torch.float64).deg2rad() for values in zip(*chosen, strict=True))
     axes = torch.stack([turn.cos(), -turn.sin(), turn.sin(), turn.cos()], -1).reshape(-1, 2, 2)
     projection = _projection(angles, axes @ torch.diag_embed(size**2) @ axes.mT)
     return float(sum(_misplaced(projection, backend) for backend in _BACKENDS))
@@ -305,52 +296,28 @@ def _faults_of_strange_gaussians() -> float:
     """Number of results and gradients that are not finite, and of footprints that are no ellipse."""
     leaves = [leaf.requires_grad_() for leaf in _strange_gaussians(torch.float32)]
     projection = project(leaves[0], covariance(leaves[2], leaves[1]))
-    lists = PixelLists(
-        torch.tensor([0, *[len(leaves[0])] * 32400]), torch.arange(len(leaves[0])), len(leaves[0])
-    )
+    lists = PixelLists(torch.tensor([0, *[len(leaves[0])] * 32400]), torch.arange(len(leaves[0])), len(leaves[0]))
     distance = squared_distance(projection, lists, _GRID)
     torch.exp(-distance / 2).sum().backward()
     gradients = [leaf.grad for leaf in leaves if leaf.grad is not None]
     values = [projection.azimuth_rad, projection.elevation_rad, projection.covariance, distance, *gradients]
     faults = sum((~torch.isfinite(value)).sum() for value in values)
-    return float(
-        faults + (distance < 0).sum() + (torch.linalg.eigvalsh(projection.covariance.double()) <= 0).sum()
-    )
+    return float(faults + (distance < 0).sum() + (torch.linalg.eigvalsh(projection.covariance.double()) <= 0).sum())
 
 
 def _strange_gaussians(kind: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
     """Positions, log-scales and quaternions: at the receiver, on the pole's axis and beside it, from 1e-8 to 1e4 m."""
-    places = [
-        (0, 0, 0),
-        (0, 0, 3),
-        (0, 0, -3),
-        (1e-7, 0, 3),
-        (1e-3, 1e-3, 1),
-        (0, -2, 0),
-        (-2, 0, 1e-20),
-        (-3, 2, 1),
-    ]
-    scales = [
-        (1e-8, 1e-8, 1e-8),
-        (1e4, 1e-8, 1e-8),
-        (1e4, 1e4, 1e-8),
-        (1e4, 1e4, 1e4),
-        (10, 1e-3, 1e-3),
-        (1, 1, 1),
-    ]
+    places = [(0, 0, 0), (0, 0, 3), (0, 0, -3), (1e-7, 0, 3), (1e-3, 1e-3, 1), (0, -2, 0), (-2, 0, 1e-20), (-3, 2, 1)]
+    scales = [(1e-8, 1e-8, 1e-8), (1e4, 1e-8, 1e-8), (1e4, 1e4, 1e-8), (1e4, 1e4, 1e4), (10, 1e-3, 1e-3), (1, 1, 1)]
     turns = torch.randn(20, 4, generator=torch.Generator().manual_seed(0)).tolist()
     pairs = [(place, scale, turn) for place in places for scale in scales for turn in [(0, 0, 0, 0), *turns]]
-    position_m, scale_m, quaternion = (
-        torch.tensor(column, dtype=kind) for column in zip(*pairs, strict=True)
-    )
+    position_m, scale_m, quaternion = (torch.tensor(column, dtype=kind) for column in zip(*pairs, strict=True))
     return position_m, scale_m.log(), quaternion
 
 
 # it is moved by 2 µm to have an azimuth, and seen from 3 m
 @PROJECTION.each(
-    {"Gaussian exactly at the zenith": (3.0,), "Gaussian exactly at the nadir": (-3.0,)},
-    limit=1e-6,
-    unit="rad",
+    {"Gaussian exactly at the zenith": (3.0,), "Gaussian exactly at the nadir": (-3.0,)}, limit=1e-6, unit="rad"
 )
 def _pole(height_m: float) -> float:
     """Angle in radians between the pole and a Gaussian exactly above or below the receiver."""
@@ -365,9 +332,7 @@ def _jacobian() -> float:
     elevation = torch.tensor([0.0, 30.0, -45.0, 80.0, 88.0, 88.9]).double().deg2rad()
     azimuth = torch.tensor([0.0, 1.0, 2.0, 3.0, -1.0, -3.1]).double()
     horizontal = 5 * elevation.cos()
-    position_m = torch.stack(
-        [horizontal * azimuth.cos(), horizontal * azimuth.sin(), 5 * elevation.sin()], -1
-    )
+    position_m = torch.stack([horizontal * azimuth.cos(), horizontal * azimuth.sin(), 5 * elevation.sin()], -1)
 
     def angles(at: Tensor) -> Tensor:
         return torch.stack([torch.atan2(at[:, 1], at[:, 0]), torch.asin(at[:, 2] / at.norm(dim=-1))], -1)
@@ -403,25 +368,17 @@ def _extreme_scales() -> float:
     exact = covariance(torch.full((3, 4), 0.5), scale.log()).double()
     entries = scale.double()[:, [2, 0, 1]] ** 2
     beside = (exact - torch.diag_embed(exact.diagonal(dim1=1, dim2=2))).abs()
-    return max(
-        float(off.max()),
-        float((exact.diagonal(dim1=1, dim2=2) / entries - 1).abs().max()),
-        float(beside.max()),
-    )
+    return max(float(off.max()), float((exact.diagonal(dim1=1, dim2=2) / entries - 1).abs().max()), float(beside.max()))
 
 
 @PROJECTION.case("quaternions of length 0, 1e-6, 1e6", limit=_SINGLE, unit="absolute")
 def _quaternions() -> float:
     """Quaternions of length 1e-6, 1 and 1e6 give the same rotation; one of length 0 gives the identity."""
-    unit = torch.nn.functional.normalize(
-        torch.randn(10, 4, generator=torch.Generator().manual_seed(0)), dim=-1
-    )
+    unit = torch.nn.functional.normalize(torch.randn(10, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
     still = rotation_matrix(torch.zeros(1, 4)) - torch.eye(3)
     others = [rotation_matrix(length * unit) - rotation_matrix(unit) for length in (1e-6, 1e6)]
     product = rotation_matrix(unit).double()
-    return max(
-        float(off.abs().max()) for off in (still, *others, product @ product.mT - torch.eye(3).double())
-    )
+    return max(float(off.abs().max()) for off in (still, *others, product @ product.mT - torch.eye(3).double()))
 
 
 @PROJECTION.case("Gaussian without extent", limit=_SINGLE, unit="relative")

@@ -43,9 +43,7 @@ Arguments = ParamSpec("Arguments")
 TRAINING = Area("training")
 TINY_FIT = ("width=8", "layers=2", "batch_size=4", "num_gaussians=20", "precision=float32")
 _TINY = LowRankConfig(width=8, layers=2, precision="float32")
-_PAIRWISE = SplatConfig(
-    network="pairwise", start="random", direct_wave=False, band=False, angular_size_deg=6.0
-)
+_PAIRWISE = SplatConfig(network="pairwise", start="random", direct_wave=False, band=False, angular_size_deg=6.0)
 _LOSS_KINDS: tuple[PasKind, ...] = ("power", "amplitude")
 _SINGLE = 5e-6  # as of maps: sums of 136 pairs of elements in float32, of a peak of 1
 _CPU = torch.device("cpu")
@@ -127,11 +125,7 @@ def _views() -> float:
 
 
 @TRAINING.each(
-    {
-        f"loss of a zero {kind} map, SSIM {weight:.0%}": (kind, weight)
-        for kind in _LOSS_KINDS
-        for weight in (0.0, 0.8)
-    },
+    {f"loss of a zero {kind} map, SSIM {weight:.0%}": (kind, weight) for kind in _LOSS_KINDS for weight in (0.0, 0.8)},
     limit=0,
     unit="values",
 )
@@ -146,9 +140,7 @@ def _zero_map(kind: PasKind, ssim_weight: float) -> float:
 
 # the gradient of SSIM adds 49 windows, each some roundings of 6e-8 off
 @TRAINING.each(
-    {f"loss of {kind} maps of 1e-25, gradient rescaled": (kind,) for kind in _LOSS_KINDS},
-    limit=1e-4,
-    unit="relative",
+    {f"loss of {kind} maps of 1e-25, gradient rescaled": (kind,) for kind in _LOSS_KINDS}, limit=1e-4, unit="relative"
 )
 def _faint_map(kind: PasKind) -> float:
     """Difference between the gradients at a power of 1e-25 and at the same power scaled to 1, rescaled alike."""
@@ -301,10 +293,7 @@ def _unseen_carriers(train: PasDataset) -> float:
 
 def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, float] = (1e9, 94e9)) -> Tensor:
     """Power of a field for two transmitters, each at one of the carriers, on every fifth row and column."""
-    tx_m, carrier = (
-        torch.tensor([[1.0, 2.0, 1.5], [6.0, 4.0, 1.0]]),
-        torch.tensor(carrier_hz, dtype=torch.float64),
-    )
+    tx_m, carrier = (torch.tensor([[1.0, 2.0, 1.5], [6.0, 4.0, 1.0]]), torch.tensor(carrier_hz, dtype=torch.float64))
     return field.power(tx_m, carrier, GridView(5), Beams(BartlettBeam(_ELEMENTS, _GRID), _CPU))
 
 

@@ -47,11 +47,7 @@ class ApertureField(ChannelField):
         return [*self.network.parameter_groups(learning_rate), gaussians]
 
     def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Bartlett maps of the accumulated channels, in view."""
         tx_m = self.scaling.in_frame(tx_position_m)

@@ -34,10 +34,7 @@ _LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take o
 _REGION_SHARE = 0.15  # of the transmitters
 _PLACES = ("transmitter", "far transmitter", "very far transmitter")
 BoolArray = NDArray[np.bool_]
-KINDS = (
-    "unseen carrier",
-    *(kind for place in _PLACES for kind in (f"unseen {place}", f"unseen carrier and {place}")),
-)
+KINDS = ("unseen carrier", *(kind for place in _PLACES for kind in (f"unseen {place}", f"unseen carrier and {place}")))
 
 
 class Choice(BaseModel):
@@ -92,9 +89,7 @@ class Holdout:
             if len(np.unique(train.tx_index[reach == nth])) < _LEAST_TX:  # a few transmitters say little
                 reach[reach == nth] -= 1
             else:
-                far |= dict(
-                    zip(kinds, ((reach == nth) & ~is_carrier, (reach == nth) & is_carrier), strict=True)
-                )
+                far |= dict(zip(kinds, ((reach == nth) & ~is_carrier, (reach == nth) & is_carrier), strict=True))
         return [drawn(CHOOSE_FAR_AT, left, far), last] if far else [last]
 
 
@@ -124,9 +119,7 @@ class Blend:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {choice.predictor for choice in choices.values() if choice.weight < 1}
         self._predictors = {
-            predictor.__name__: _knowing(predictor, train)
-            for predictor in predictors
-            if predictor.__name__ in needed
+            predictor.__name__: _knowing(predictor, train) for predictor in predictors if predictor.__name__ in needed
         }
 
     @classmethod
@@ -162,9 +155,7 @@ class Blend:
             choices[kind] = _best(rows, predict, known, is_cautious=are_few)
         return cls(predictors, train, choices)
 
-    def maps(
-        self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Maps:
+    def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, blended by the choice for the kind of each."""
         blended = learned.copy()
         for nth, chosen in enumerate(self._of_kinds(tx_position_m, carrier_hz)):
@@ -232,9 +223,7 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
     similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth), strict=True))
     best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
-        best = next(
-            weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index)
-        )
+        best = next(weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index))
     return Choice(predictor=name, weight=best)
 
 

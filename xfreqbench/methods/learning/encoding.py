@@ -114,15 +114,12 @@ class FeatureGrid(nn.Module):
         points = unit_position[None, None, None]
         features = [unit_position[:, :0]]
         features += [
-            grid_sample(level, points, padding_mode="border", align_corners=True)[0, :, 0, 0].T
-            for level in self.levels
+            grid_sample(level, points, padding_mode="border", align_corners=True)[0, :, 0, 0].T for level in self.levels
         ]
         return torch.cat(features, dim=-1)
 
 
-def rated_with_grid(
-    network: nn.Module, grid: FeatureGrid | None, learning_rate: float
-) -> list[dict[str, Any]]:
+def rated_with_grid(network: nn.Module, grid: FeatureGrid | None, learning_rate: float) -> list[dict[str, Any]]:
     """A network's parameters with their rates; features of places learn faster, because few transmitters use each."""
     grids = list(grid.parameters()) if grid is not None else []
     known = {id(parameter) for parameter in grids}

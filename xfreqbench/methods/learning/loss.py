@@ -16,11 +16,7 @@ SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for a data range of 1
 
 
 def map_loss(
-    predicted: Float[Tensor, "B E A"],
-    truth: Float[Tensor, "B E A"],
-    ssim_weight: float,
-    window: int,
-    stride: int = 1,
+    predicted: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], ssim_weight: float, window: int, stride: int = 1
 ) -> Float[Tensor, ""]:
     """(1 − w) · L1 + w · (1 − SSIM) (Eq. 12), averaged over maps and directions; w is `ssim_weight`.
 
@@ -33,20 +29,14 @@ def map_loss(
 
 
 def mean_ssim(
-    predicted: Float[Tensor, "B E A"],
-    truth: Float[Tensor, "B E A"],
-    window: int = SSIM_WINDOW,
-    stride: int = 1,
+    predicted: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], window: int = SSIM_WINDOW, stride: int = 1
 ) -> Float[Tensor, ""]:
     """Mean over maps of `ssim_of_each`."""
     return ssim_of_each(predicted, truth, window, stride).mean()
 
 
 def ssim_of_each(
-    predicted: Float[Tensor, "B E A"],
-    truth: Float[Tensor, "B E A"],
-    window: int = SSIM_WINDOW,
-    stride: int = 1,
+    predicted: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], window: int = SSIM_WINDOW, stride: int = 1
 ) -> Float[Tensor, "B"]:
     """SSIM of B maps as `metrics.ssim` scores it, but differentiable: uniform window, range 1, sample covariances.
 
@@ -74,9 +64,7 @@ class _MapLoss(torch.autograd.Function):
     """`map_loss` on a processor: the loss and its slope by `predicted` in one pass, by a compiled kernel."""
 
     @staticmethod
-    def forward(
-        ctx: Any, predicted: Tensor, truth: Tensor, ssim_weight: float, window: int, stride: int
-    ) -> Tensor:
+    def forward(ctx: Any, predicted: Tensor, truth: Tensor, ssim_weight: float, window: int, stride: int) -> Tensor:
         maps = predicted.detach().contiguous()
         slope = torch.empty_like(maps)
         arrays = maps.numpy(), truth.detach().contiguous().numpy()

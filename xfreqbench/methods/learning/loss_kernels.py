@@ -20,14 +20,8 @@ def ssim_and_l1(
     num_maps, rows, columns = predicted.shape
     across = columns - window + 1
     num_windows = num_maps * (rows - window + 1) * across
-    of_columns, means = (
-        np.empty((_NUM_MEANS, columns), np.float32),
-        np.empty((_NUM_MEANS, across), np.float32),
-    )
-    of_windows, summed = (
-        np.empty((_NUM_SLOPES, across), np.float32),
-        np.empty((_NUM_SLOPES, columns), np.float32),
-    )
+    of_columns, means = (np.empty((_NUM_MEANS, columns), np.float32), np.empty((_NUM_MEANS, across), np.float32))
+    of_windows, summed = (np.empty((_NUM_SLOPES, across), np.float32), np.empty((_NUM_SLOPES, columns), np.float32))
     of_ssim, of_l1 = np.float32(-ssim_weight / num_windows), np.float32((1 - ssim_weight) / predicted.size)
     ssim, l1 = 0.0, 0.0
     for nth in range(num_maps):

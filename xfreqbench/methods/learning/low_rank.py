@@ -118,16 +118,13 @@ class LowRankNetwork(nn.Module):
         vector = self.head(features)
         added = codes.shape_start[..., None]
         if self.trend is not None:
-            of_carrier = (
-                self.scaling.root_carrier if self.config.trend == "root" else self.scaling.unit_carrier
-            )
+            of_carrier = self.scaling.root_carrier if self.config.trend == "root" else self.scaling.unit_carrier
             axis = of_carrier(carrier_hz)
             vector = vector + axis * self.trend(features)
             added = added + codes.shape_trend[..., None] * axis.T
         of_gaussians, direct = vector.split([self.config.rank, 1], dim=-1)
         signal, shape = (
-            (code.flatten(0, 1) @ of_gaussians.T).unflatten(0, code.shape[:2])
-            for code in (codes.signal, codes.shape)
+            (code.flatten(0, 1) @ of_gaussians.T).unflatten(0, code.shape[:2]) for code in (codes.signal, codes.shape)
         )
         opaque, turn, spread = (shape + added).unbind(1)
         return Attributes(

@@ -21,9 +21,7 @@ Predict = Callable[[Float[FloatArray, "B 3"], Float[FloatArray, "B"]], Maps]
 
 
 def mixed(
-    weight: float | Float[NDArray[np.float32], "B"],
-    learned: Float[Maps, "B E A"],
-    other: Float[Maps, "B E A"],
+    weight: float | Float[NDArray[np.float32], "B"], learned: Float[Maps, "B E A"], other: Float[Maps, "B E A"]
 ) -> Float[Maps, "B E A"]:
     """Weighted means of learned and other maps, scaled to peak 1; the weight is one for all maps or one for each."""
     weights = np.asarray(weight, np.float32).reshape(-1, 1, 1)

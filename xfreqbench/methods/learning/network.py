@@ -114,9 +114,7 @@ class NetworkConfig:
     position_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of a Gaussian's place")] = 4
     carrier_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the carrier")] = 0
     sees_carrier: Annotated[bool, Doc("whether the carrier is an input")] = True
-    bearing: Annotated[
-        bool, Doc("of all pairs: whether the angle between transmitter and Gaussian is an input")
-    ] = True
+    bearing: Annotated[bool, Doc("of all pairs: whether the angle between transmitter and Gaussian is an input")] = True
     latent: Annotated[int, Limits(ge=0), Doc("numbers of a Gaussian's latent; 0: none")] = 4
     max_spread: Annotated[float, Limits(ge=1), Doc("largest spread of footprints by the carrier")] = 2.0
     precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"

@@ -33,9 +33,7 @@ ADAM = ("step", "exp_avg", "exp_avg_sq")
 
 def named(tensors: Mapping[str, Tensor], beginning: str) -> dict[str, Tensor]:
     """The tensors whose names begin so, by the rest of their names."""
-    return {
-        name.removeprefix(beginning): value for name, value in tensors.items() if name.startswith(beginning)
-    }
+    return {name.removeprefix(beginning): value for name, value in tensors.items() if name.startswith(beginning)}
 
 
 def stored_state(path: Path) -> SavedState:
@@ -55,9 +53,7 @@ def require_moments(name: str, parameter: nn.Parameter, stored: Mapping[str, Ten
     step = stored.get("step")
     counts = step is not None and step.shape == () and step.dtype == torch.float32  # as Adam makes it
     if stored.keys() != set(ADAM) or not all(fit) or not counts:
-        raise MethodError(
-            f"The moments of {name} are not those of a parameter of shape {tuple(parameter.shape)}."
-        )
+        raise MethodError(f"The moments of {name} are not those of a parameter of shape {tuple(parameter.shape)}.")
 
 
 def moments_of(field: nn.Module, optimizer: torch.optim.Adam) -> dict[str, Tensor]:

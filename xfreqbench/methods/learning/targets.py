@@ -122,9 +122,7 @@ class Beams:
         """Every `stride`-th row and column, or more of them, so that directions are four times as many as lags."""
         rows, columns = self.grid.shape
         enough = _DIRECTIONS_PER_LAG * len(self._waves)
-        return GridView(
-            next((n for n in range(stride, 1, -1) if -(-rows // n) * -(-columns // n) >= enough), 1)
-        )
+        return GridView(next((n for n in range(stride, 1, -1) if -(-rows // n) * -(-columns // n) >= enough), 1))
 
     def _waves_in(self, view: GridView) -> Float[Tensor, "L E A"]:
         """The real functions of the lags in view."""

@@ -27,14 +27,7 @@ from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.blending import Blend, Holdout
 from xfreqbench.methods.learning.loss import map_loss
-from xfreqbench.methods.learning.stored import (
-    ADAM,
-    SavedState,
-    moments_of,
-    named,
-    require_moments,
-    stored_state,
-)
+from xfreqbench.methods.learning.stored import ADAM, SavedState, moments_of, named, require_moments, stored_state
 from xfreqbench.methods.learning.targets import Beams, GridView, Targets, in_kind, of_peak
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray
@@ -84,11 +77,7 @@ class ChannelField(nn.Module):
         raise NotImplementedError
 
     def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² from the directions in view, in any scale.
 
@@ -97,11 +86,7 @@ class ChannelField(nn.Module):
         raise NotImplementedError
 
     def unit_power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power from the directions in view, divided by its peak there, or by a better estimate of the map's peak."""
         return of_peak(self.power(tx_position_m, carrier_hz, view, beams))
@@ -185,9 +170,7 @@ class LearnedMethod:
             raise MethodError("No training row has a path; there is nothing to learn from.")
         own_share = training.step / self.config.steps
         maps = self.maps_a_step(train)
-        training.share = max(
-            training.share, own_share, budget.share(training.step, 0.0, maps * training.step)
-        )
+        training.share = max(training.share, own_share, budget.share(training.step, 0.0, maps * training.step))
         while training.step < self.config.steps:
             while holdouts and training.share >= holdouts[0].until:
                 before = self._blend.choices if self._blend else {}
@@ -268,9 +251,7 @@ class LearnedMethod:
         faults = [name for name, tensor in tensors.items() if not bool(torch.isfinite(tensor).all())]
         if faults:
             raise MethodError(f"{directory / TENSORS_FILE} holds numbers in {faults[0]} that are not finite.")
-        grid = AngularGrid(
-            tensors["beam.elevation_rad"].cpu().numpy(), tensors["beam.azimuth_rad"].cpu().numpy()
-        )
+        grid = AngularGrid(tensors["beam.elevation_rad"].cpu().numpy(), tensors["beam.azimuth_rad"].cpu().numpy())
         beam = BartlettBeam(tensors["beam.element_position_wavelengths"].cpu().numpy(), grid)
         training = method._new_training(beam, state.kind, tensors)
         training.step, training.share = state.step, state.share
@@ -341,9 +322,7 @@ class LearnedMethod:
         power = training.field.unit_power(position_m, carrier_hz, view, training.beams)
         return self.loss_of(power, targets.maps(nth, view), training)
 
-    def loss_of(
-        self, unit_power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training
-    ) -> Tensor:
+    def loss_of(self, unit_power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training) -> Tensor:
         """Eq. 12 for predicted power of peak 1; the weight of SSIM follows from the share of the budget spent."""
         config, share = self.config, training.share
         weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
@@ -366,9 +345,7 @@ class LearnedMethod:
         if self.config.averaging:
             now = list(training.field.parameters())
             is_same = len(before) == len(now) and all(map(operator.is_, before, now))
-            training.mean = averaged(
-                training.mean if is_same else None, training.field, self.config.averaging
-            )
+            training.mean = averaged(training.mean if is_same else None, training.field, self.config.averaging)
         return float(loss.detach())
 
 

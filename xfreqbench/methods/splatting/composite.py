@@ -117,12 +117,7 @@ class _Peel(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        layers: _Layers,
-        distance: Tensor,
-        inverse_spread: Tensor,
-        signal: Tensor,
-        absorption: Tensor,
+        ctx: Any, layers: _Layers, distance: Tensor, inverse_spread: Tensor, signal: Tensor, absorption: Tensor
     ) -> Tensor:
         ctx.layers = layers
         ctx.save_for_backward(distance, inverse_spread, signal, absorption)
@@ -152,9 +147,7 @@ class _Peel(torch.autograd.Function):
         return None, *grads
 
 
-def _rows(
-    inverse_spread: Tensor, signal: Tensor, absorption: Tensor
-) -> Float[Tensor, "blocks N fields lanes"]:
+def _rows(inverse_spread: Tensor, signal: Tensor, absorption: Tensor) -> Float[Tensor, "blocks N fields lanes"]:
     """What the kernels read for each Gaussian; lanes without a sample hold zeros, which change nothing."""
     num_gaussians, batch = inverse_spread.shape
     num_blocks = -(-batch // LANES)
@@ -167,9 +160,7 @@ class _Kernels(torch.autograd.Function):
     """Field (B, K) from rows (blocks, N, FIELDS, LANES)."""
 
     @staticmethod
-    def forward(
-        ctx: Any, start: Tensor, gaussian: Tensor, distance: Tensor, rows: Tensor, batch: int
-    ) -> Tensor:
+    def forward(ctx: Any, start: Tensor, gaussian: Tensor, distance: Tensor, rows: Tensor, batch: int) -> Tensor:
         ctx.save_for_backward(start, gaussian, distance, rows)
         field = torch.empty(batch, len(start) - 1, dtype=torch.complex64)
         tensors = start, gaussian, distance, rows.flatten(2), view_as_real(field)
@@ -185,15 +176,7 @@ class _Kernels(torch.autograd.Function):
         incoming = view_as_real(grad_field.resolve_conj().contiguous())
         with _numba_on_torch_threads() as num_threads:
             grad_rows = rows.new_zeros(num_threads, *rows.shape)  # each thread's own
-            tensors = (
-                start,
-                gaussian,
-                distance,
-                rows.flatten(2),
-                incoming,
-                grad_distance,
-                grad_rows.flatten(3),
-            )
+            tensors = (start, gaussian, distance, rows.flatten(2), incoming, grad_distance, grad_rows.flatten(3))
             composite_kernels.backward(int(start.diff().max()), *_arrays(*tensors))
         return None, None, grad_distance, grad_rows.sum(0), None
 

@@ -123,12 +123,8 @@ def _advance(row: F32, minus_half: np.float32, here: F32, after: F32, lanes: int
         after[T_IM + lane] = t_im - (w_re * e_im + w_im * e_re)
 
 
-@njit(
-    cache=True, fastmath=FAST
-)  # not inline: LLVM would not vectorise it, and backward would take twice as long
-def _retreat(
-    row: F32, minus_half: np.float32, here: F32, state: F32, grad: F32, lanes: int
-) -> np.floating[Any]:
+@njit(cache=True, fastmath=FAST)  # not inline: LLVM would not vectorise it, and backward would take twice as long
+def _retreat(row: F32, minus_half: np.float32, here: F32, state: F32, grad: F32, lanes: int) -> np.floating[Any]:
     """Add one pair's gradients to its row and move V in front of this Gaussian; return d loss / d distance."""
     total = np.float32(0)
     for lane in range(lanes):
@@ -209,6 +205,4 @@ def backward(
                 for depth in range(length - 1, -1, -1):
                     index, minus_half = gaussian[nearest + depth], -HALF * distance[nearest + depth]
                     row, grad = block_rows[index], block_grads[index]
-                    grad_distance[nearest + depth] += _retreat(
-                        row, minus_half, stash[depth], state, grad, lanes
-                    )
+                    grad_distance[nearest + depth] += _retreat(row, minus_half, stash[depth], state, grad, lanes)

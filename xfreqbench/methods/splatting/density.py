@@ -52,9 +52,7 @@ class DensityControl(nn.Module):
             self._watched = (seen, signal)
 
     @torch.no_grad()
-    def after_step(
-        self, gaussians: RFGaussians, optimizer: torch.optim.Adam, step: int, share: float
-    ) -> None:
+    def after_step(self, gaussians: RFGaussians, optimizer: torch.optim.Adam, step: int, share: float) -> None:
         """Add to the sums; every `densify_every` steps, divide and drop Gaussians by them."""
         if not self.config.densify_every or self._watched is None or share >= self.config.densify_until:
             self._watched = None

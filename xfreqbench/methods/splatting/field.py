@@ -73,11 +73,7 @@ class BandField(ChannelField):
     config: BandConfig
 
     def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² from each direction in view, within the array's band where the options say so."""
         if not self.config.band:
@@ -85,11 +81,7 @@ class BandField(ChannelField):
         return beams.power_of_lags(self._lags(tx_position_m, carrier_hz, beams), view)
 
     def unit_power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """The power divided by its peak, which is looked for in more directions where that costs little."""
         if not self.config.band:
@@ -105,11 +97,7 @@ class BandField(ChannelField):
         return beams.lags_of(self.splatted(tx_position_m, carrier_hz, coarse, beams), coarse)
 
     def splatted(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power of what is accumulated from each direction in view."""
         raise NotImplementedError
@@ -124,9 +112,7 @@ class GaussianField(BandField):
     config: GaussianConfig
     moves: Tensor
 
-    def __init__(
-        self, config: GaussianConfig, scaling: Scaling, network: nn.Module, max_spread: float = 1.0
-    ) -> None:
+    def __init__(self, config: GaussianConfig, scaling: Scaling, network: nn.Module, max_spread: float = 1.0) -> None:
         super().__init__()
         if config.num_gaussians > config.max_gaussians:
             raise MethodError(
@@ -140,9 +126,7 @@ class GaussianField(BandField):
         self.density = DensityControl(config)
         self.register_buffer("moves", torch.tensor(config.move_from == 0))
         self._support = SUPPORT * max_spread
-        self._standing: dict[
-            GridView, tuple[PixelLists, Tensor]
-        ] = {}  # footprints of Gaussians that do not move
+        self._standing: dict[GridView, tuple[PixelLists, Tensor]] = {}  # footprints of Gaussians that do not move
 
     def attributes(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
@@ -169,11 +153,7 @@ class GaussianField(BandField):
         return [network, {"params": list(self.gaussians.parameters()), "lr": rate}]
 
     def splatted(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² of what is accumulated from each direction in view (Eq. 11)."""
         lists, distance = self._footprints(view, beams)
@@ -186,11 +166,7 @@ class GaussianField(BandField):
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *view.of_grid(beams.grid).shape)
 
     def signal_of(
-        self,
-        attributes: Attributes,
-        tx_position_m: Float[Tensor, "B 3"],
-        beams: Beams,
-        seen: Bool[Tensor, "N"],
+        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
     ) -> Complex[Tensor, "V B"]:
         """The signals that are accumulated."""
         return attributes.signal[0]
@@ -296,11 +272,7 @@ class SplatField(GaussianField):
         return replace(attributes, attenuation=torch.ones_like(attributes.attenuation))
 
     def signal_of(
-        self,
-        attributes: Attributes,
-        tx_position_m: Float[Tensor, "B 3"],
-        beams: Beams,
-        seen: Bool[Tensor, "N"],
+        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
     ) -> Complex[Tensor, "V B"]:
         """The signals, with the direct wave where the options say so."""
         signal = attributes.signal[0]
@@ -309,14 +281,11 @@ class SplatField(GaussianField):
         heard = self._direct_wave(self.scaling.in_frame(tx_position_m), beams, seen)
         return signal + (heard if attributes.direct is None else attributes.direct * heard)
 
-    def _direct_wave(
-        self, tx_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
-    ) -> Complex[Tensor, "V B"]:
+    def _direct_wave(self, tx_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]) -> Complex[Tensor, "V B"]:
         """What the array, steered at each Gaussian, hears of a plane wave from the transmitter: aᴴ(d_i) a(d_tx) / M."""
         element = 2 * math.pi * torch.as_tensor(beams.element_position_wavelengths).to(tx_m)
         wave, beam = (
-            normalize(point_m, dim=-1) @ element.T
-            for point_m in (tx_m, self.gaussians.position_m.detach()[seen])
+            normalize(point_m, dim=-1) @ element.T for point_m in (tx_m, self.gaussians.position_m.detach()[seen])
         )
         steered, arriving = (torch.polar(torch.ones_like(phase), phase) for phase in (-beam, wave))
         return steered @ arriving.T / len(element)

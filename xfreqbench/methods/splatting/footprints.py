@@ -15,19 +15,12 @@ from torch import Tensor
 
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.splatting.composite import Backend, PixelLists
-from xfreqbench.methods.splatting.footprint_kernels import (
-    HIGHEST_RAD,
-    LOWEST_RAD,
-    fill_lists,
-    footprint_spans,
-)
+from xfreqbench.methods.splatting.footprint_kernels import HIGHEST_RAD, LOWEST_RAD, fill_lists, footprint_spans
 from xfreqbench.methods.splatting.projection import Projection
 
 
 @torch.no_grad()
-def bin_footprints(
-    projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto"
-) -> PixelLists:
+def bin_footprints(projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto") -> PixelLists:
     """The Gaussians that each direction sees, nearest first; directions are numbered row by row.
 
     The azimuths of the grid have to be evenly spaced over one turn at most; the first may be repeated at the end.

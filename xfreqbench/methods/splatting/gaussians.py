@@ -72,9 +72,7 @@ class RFGaussians(nn.Module):
         So no direction is left without a Gaussian. Their ranges remain as they were drawn.
         """
         self.scatter(scaling, angular_size_rad, generator)
-        lowest, highest = (
-            math.sin(float(end)) for end in (grid.elevation_rad.min(), grid.elevation_rad.max())
-        )
+        lowest, highest = (math.sin(float(end)) for end in (grid.elevation_rad.min(), grid.elevation_rad.max()))
         nth = torch.arange(len(self)) + 0.5
         z = highest - (highest - lowest) * nth / len(self)
         azimuth_rad, across = nth * _GOLDEN_ANGLE_RAD, (1 - z * z).clamp_min(0).sqrt()

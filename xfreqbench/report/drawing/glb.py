@@ -24,9 +24,7 @@ _SURFACE, _PLANE, _POINT = (150, 160, 175, 60), (213, 94, 0, 150), (0, 114, 178,
 _RADIUS_M = 0.06
 _TUBE_SIDES = 6
 _OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
-_OCTAHEDRON_FACES = np.array(
-    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-)
+_OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 _Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
 
 
@@ -53,9 +51,7 @@ class GlbModel:
         ball = trimesh.creation.icosphere(subdivisions=1, radius=radius_m)
         self._add(name, ball.apply_translation(centre_m), colour)
 
-    def add_markers(
-        self, name: str, position_m: Float[FloatArray, "N 3"], radius_m: float, colour: Colour
-    ) -> None:
+    def add_markers(self, name: str, position_m: Float[FloatArray, "N 3"], radius_m: float, colour: Colour) -> None:
         """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
         if not len(position_m):
             return
@@ -64,9 +60,7 @@ class GlbModel:
         vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
         self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
 
-    def add_tube(
-        self, name: str, points_m: Float[FloatArray, "n 3"], radius_m: float, colour: Colour
-    ) -> None:
+    def add_tube(self, name: str, points_m: Float[FloatArray, "n 3"], radius_m: float, colour: Colour) -> None:
         """Add a line through points as a tube, which all viewers draw alike. Neighbouring points must differ."""
         parts = [
             trimesh.creation.cylinder(radius=radius_m, segment=segment, sections=_TUBE_SIDES)

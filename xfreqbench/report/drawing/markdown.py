@@ -65,10 +65,7 @@ def table(header: Cells, rows: Iterable[Cells], inline: Callable[[str], str] = l
     columns = list(zip(*lines, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
     right = [index > 0 and all(map(_NUMBER_LIKE.match, column[1:])) for index, column in enumerate(columns)]
-    rule = [
-        "-" * (width - 1) + ":" if is_right else "-" * width
-        for width, is_right in zip(widths, right, strict=True)
-    ]
+    rule = ["-" * (width - 1) + ":" if is_right else "-" * width for width, is_right in zip(widths, right, strict=True)]
     text = []
     for row in (lines[0], rule, *lines[1:]):
         cells = [

@@ -206,10 +206,7 @@ def _by_lane(records: Sequence[RunRecord], by_budget: bool) -> dict[str, list[Ru
     if not by_budget:
         return {NO_LANE: list(records)}
     lanes = dict.fromkeys(lane_of(record) for record in records if not is_trivial(record)) or {NO_LANE: None}
-    return {
-        lane: [record for record in records if is_trivial(record) or lane_of(record) == lane]
-        for lane in lanes
-    }
+    return {lane: [record for record in records if is_trivial(record) or lane_of(record) == lane] for lane in lanes}
 
 
 def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapping[RecordKey, str]) -> Board:

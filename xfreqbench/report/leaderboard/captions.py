@@ -129,9 +129,7 @@ def _external_note(rows: Sequence[BoardRow]) -> str:
         return ""
     declared = []
     for row in external:
-        sources = [
-            (record.external.hardware, record.external.url) for record in row.records if record.external
-        ]
+        sources = [(record.external.hardware, record.external.url) for record in row.records if record.external]
         texts = dict.fromkeys(text for source in sources for text in source if text)
         declared.append(f"{row.label}: {', '.join(texts) or 'hardware not declared'}")
     return (
@@ -158,9 +156,7 @@ def _busy_note(rows: Sequence[BoardRow]) -> str:
 def legend() -> str:
     """The section that explains every column of a report."""
     metrics = {metric_title(name): metric.description for name, metric in METRICS.items()}
-    means = {
-        "mean**, **10th pct.": "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
-    }
+    means = {"mean**, **10th pct.": "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"}
     return _section(metrics | means | LEADERBOARD_TERMS | _OTHER_TERMS)
 
 

@@ -53,22 +53,15 @@ _METRIC_TITLES = {  # with the number of decimals
     "beam_loss": ("beam loss", 3),
 }
 COSTS = {
-    "steps": Cost(
-        "steps", "steps of fitting", lambda record: record.step if record.step > 1 else nan, ",.0f"
-    ),
+    "steps": Cost("steps", "steps of fitting", lambda record: record.step if record.step > 1 else nan, ",.0f"),
     "maps": Cost(
-        "maps seen",
-        "training maps that all steps have shown",
-        lambda record: record.counts.get("maps", nan),
-        ",.0f",
+        "maps seen", "training maps that all steps have shown", lambda record: record.counts.get("maps", nan), ",.0f"
     ),
     "seconds": Cost("fit s", "seconds of fitting", lambda record: or_nan(record.fit_seconds), ".2f"),
     "milliseconds": Cost(
         "ms/map", "milliseconds per predicted map", lambda record: or_nan(record.predict_ms_per_map), ".2f"
     ),
-    "memory": Cost(
-        "peak MiB", "largest memory of the process", lambda record: or_nan(record.peak_memory_mib), ".0f"
-    ),
+    "memory": Cost("peak MiB", "largest memory of the process", lambda record: or_nan(record.peak_memory_mib), ".0f"),
     "parameters": Cost("parameters", "trained parameters", lambda record: or_nan(record.parameters), ",.0f"),
     "gaussians": Cost(
         "Gaussians", "Gaussians after fitting", lambda record: record.counts.get("gaussians", nan), ",.0f"
@@ -136,9 +129,7 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         lambda row: float(row.num_seeds(splits)[0]),
         is_largest_first=True,
     )
-    published = LeaderboardColumn(
-        PUBLISHED_TITLE, "median SSIM in the paper", lambda row: published_cell(row, splits)
-    )
+    published = LeaderboardColumn(PUBLISHED_TITLE, "median SSIM in the paper", lambda row: published_cell(row, splits))
     known = [published] if any(map(published.text, comparison.rows)) else []
     origins = comparison.board.origins
 

@@ -107,9 +107,7 @@ class Comparison:
             return UNKNOWN
         skills = []
         for split in self.splits:
-            best = np.max(
-                [self.resampling.medians(trivial, split) for trivial in self._trivial(split)], axis=0
-            )
+            best = np.max([self.resampling.medians(trivial, split) for trivial in self._trivial(split)], axis=0)
             left_open = np.where(best < 1, 1 - best, nan)
             skills.append(1 - (1 - self.resampling.medians(row, split)) / left_open)
         return _interval(np.mean(skills, axis=0))
@@ -132,9 +130,7 @@ class Comparison:
     @cached_property
     def _differences(self) -> dict[tuple[str, str], Interval]:
         averages = {row.label: self._average(row) for row in self.ranked_rows}
-        return {
-            (one, other): _interval(averages[one] - averages[other]) for one in averages for other in averages
-        }
+        return {(one, other): _interval(averages[one] - averages[other]) for one in averages for other in averages}
 
 
 def comparisons_of(board: Board) -> list[Comparison]:

@@ -64,9 +64,7 @@ class Gallery:
         return asdict(self) | {"split": short_name(self.split)}
 
 
-def gallery(
-    board: Board, folders: Sequence[ResultsFolder], shipped: Mapping[str, ShownMaps] | None = None
-) -> Gallery:
+def gallery(board: Board, folders: Sequence[ResultsFolder], shipped: Mapping[str, ShownMaps] | None = None) -> Gallery:
     """Pictures of all rows but ablations, for the first seed of each, from the predictions in one of `folders`.
 
     Where these are not found, they are drawn from `shipped`, maps by the ids of records.
@@ -155,9 +153,7 @@ def open_data(board: Board) -> PasDataset | None:
     return None
 
 
-def _predictions(
-    folders: Sequence[ResultsFolder], record: RunRecord, dataset: PasDataset
-) -> Predictions | None:
+def _predictions(folders: Sequence[ResultsFolder], record: RunRecord, dataset: PasDataset) -> Predictions | None:
     """The predictions of a record; None where they are absent, damaged or of another split in every folder."""
     for folder in folders:
         try:
@@ -191,9 +187,7 @@ def _cases(shown: ShownMaps, record_id: str, pictures: dict[str, str]) -> Iterab
 
 
 def _draw(
-    truth: Float[NDArray[np.float32], "E A"],
-    predicted: Float[NDArray[np.float32], "E A"],
-    pictures: dict[str, str],
+    truth: Float[NDArray[np.float32], "E A"], predicted: Float[NDArray[np.float32], "E A"], pictures: dict[str, str]
 ) -> list[str]:
     """Draw levels of truth and prediction, and their error, into `pictures`; returns the names, which are hashes."""
     from xfreqbench.report.drawing.figures import map_png
@@ -214,9 +208,7 @@ def _draw(
 
 def _missing_data(board: Board) -> str:
     path = board.records[0].job.dataset
-    made = (
-        f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
-    )
+    made = f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
     return f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it."
 
 
@@ -225,7 +217,5 @@ def _missing_predictions(board: Board, absent: Mapping[str, RunRecord]) -> str:
     methods = shlex.quote(",".join(dict.fromkeys(record.job.method for record in absent.values())))
     on = " --on validation" if job.protocol in VALIDATIONS else ""
     protocol = VALIDATIONS.get(job.protocol, job.protocol)
-    command = (
-        f"xfreqbench run --data {job.dataset} --method {methods} --protocol {protocol}{on} --results FOLDER"
-    )
+    command = f"xfreqbench run --data {job.dataset} --method {methods} --protocol {protocol}{on} --results FOLDER"
     return f"Without stored predictions: {', '.join(absent)}. `{command}` stores them."

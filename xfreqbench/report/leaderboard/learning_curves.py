@@ -64,9 +64,7 @@ def best_trivial(board: Board, split: str) -> Reached | None:
         for row in board.rows
         if row.is_trivial and split in row.by_split and row.by_split[split][0].ssim_by_tx
     ]
-    reached = [
-        Reached(record.job.method, or_nan(record.fit_seconds), _sampled_median(record)) for record in records
-    ]
+    reached = [Reached(record.job.method, or_nan(record.fit_seconds), _sampled_median(record)) for record in records]
     return max(reached, key=lambda point: point.ssim, default=None)
 
 
@@ -112,9 +110,7 @@ def _learning_curve(row: BoardRow, split: str, trivial: Reached | None) -> Learn
 
 def _by_share(record: RunRecord) -> list[CurvePoint | None]:
     *points, end = record.curve
-    reached = {
-        max(filter(point.share.__ge__, CURVE_SHARES), default=CURVE_SHARES[0]): point for point in points
-    }
+    reached = {max(filter(point.share.__ge__, CURVE_SHARES), default=CURVE_SHARES[0]): point for point in points}
     return [*map(reached.get, CURVE_SHARES), end]
 
 

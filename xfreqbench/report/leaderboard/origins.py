@@ -55,17 +55,11 @@ def record_key(record: RunRecord) -> RecordKey:
     return record.id, record.job, record.time_utc
 
 
-def origin_labels(
-    records: Iterable[RunRecord], origin: Callable[[RunRecord], Origin]
-) -> Mapping[Origin, str]:
+def origin_labels(records: Iterable[RunRecord], origin: Callable[[RunRecord], Origin]) -> Mapping[Origin, str]:
     """A label for each origin, m1, m2, …, that of the oldest record first.
 
     There are none where one machine made all, from one file of data.
     """
     ordered = [origin(record) for record in sorted(records, key=lambda record: (record.time_utc, record.id))]
     places = {(place.machine, place.dataset_sha256) for place in ordered if place.machine is not None}
-    return (
-        {place: f"m{number}" for number, place in enumerate(dict.fromkeys(ordered), 1)}
-        if len(places) > 1
-        else {}
-    )
+    return {place: f"m{number}" for number, place in enumerate(dict.fromkeys(ordered), 1)} if len(places) > 1 else {}

@@ -96,9 +96,7 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
     fitted = [  # trivial predictors have one value in all columns, and a row in the table above
         (lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"
     ]
-    splits = [
-        split for split in _first_comparison(main).splits if all(split in row.by_split for _, row in fitted)
-    ]
+    splits = [split for split in _first_comparison(main).splits if all(split in row.by_split for _, row in fitted)]
     every = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
     num_lanes = Counter(label for label, _ in every)
     rows = {place: value for place, value in every.items() if num_lanes[place[0]] > 1}
@@ -115,9 +113,7 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
             few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
             gain = many - few  # each of the two fits let its learning rate fall to its own end
             line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < _FLAT else ""))
-        caption += (
-            f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
-        )
+        caption += f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
     return [f"{caption}:\n\n{table(header, body)}"] if body else []
 
 
@@ -179,6 +175,4 @@ def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]
     area, verdict = 0, len(record.columns) - 1
     cases = Counter(row[area] for row in record.rows)
     failed = Counter(row[area] for row in record.rows if row[verdict].startswith("FAILED"))
-    return ("area", "cases", "failed"), [
-        (name, str(number), str(failed[name])) for name, number in cases.most_common()
-    ]
+    return ("area", "cases", "failed"), [(name, str(number), str(failed[name])) for name, number in cases.most_common()]

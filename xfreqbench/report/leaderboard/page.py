@@ -15,13 +15,7 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import render
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
-from xfreqbench.report.leaderboard.columns import (
-    COSTS,
-    PAGE,
-    LeaderboardColumn,
-    leaderboard_columns,
-    metric_title,
-)
+from xfreqbench.report.leaderboard.columns import COSTS, PAGE, LeaderboardColumn, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
@@ -198,8 +192,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
         "slug": board.slug,
         "title": board.title,
         "splits": {
-            split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)}
-            for split in board.splits
+            split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)} for split in board.splits
         },
         "rows": {
             row.label: {

@@ -106,9 +106,7 @@ def _random_samples(ranked: Sequence[Board], resampling: Mapping[str, Resampling
     boards = [board for board in ranked if board.protocol == _RANDOM]
     if not boards:
         return []
-    why = (
-        "The released code of XFreq-GS splits samples at random by default. The paper has no numbers of that."
-    )
+    why = "The released code of XFreq-GS splits samples at random by default. The paper has no numbers of that."
     parts = ["## Random samples", f"{why} **{leak_statement(boards[0])}**"]
     for board in boards:
         comparison = Comparison(board, board.split_sets()[0], resampling[board.slug])
@@ -175,9 +173,7 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
     difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
     low, high = comparison.difference(better, worse)
     bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-    verdict = (
-        "too few seeds" if isnan(low) else _HOLDS if low > 0 else "does not hold" if high < 0 else "open"
-    )
+    verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else "does not hold" if high < 0 else "open"
     return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
@@ -197,9 +193,7 @@ def _numbers_table(
             where = ", ".join(map(short_name, splits)) + (" (not stated)" if place == "any" else "")
             for statistic in _STATISTICS if column in _STATISTICS else (_MEDIAN_SSIM,):
                 published = published_value((name, row, statistic if column in _STATISTICS else column))
-                ours = [
-                    _ours(*named[lane], statistic, resampling) if lane in named else ABSENT for lane in titles
-                ]
+                ours = [_ours(*named[lane], statistic, resampling) if lane in named else ABSENT for lane in titles]
                 rows.append([heading(counterpart["name"]), where, statistic, published, *ours])
     return table(("theirs", "on", "what", "published", *titles.values()), rows, prose)
 
@@ -265,8 +259,7 @@ def _draw_cdf(board: Board, path: Path) -> None:
 
     rows, splits = _rows(board).values(), _splits(board)
     panels = {
-        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows}
-        for metric in _METRICS
+        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows} for metric in _METRICS
     }
     plot_score_cdf(panels, "", path, _LEVEL / 100)
 
@@ -382,9 +375,7 @@ def _grid(board: Board, found: RankedResults) -> MapGrid | None:
     return MapGrid(row.short_label, board.lane_title or "no budget", shown, columns) if shown else None
 
 
-def _column(
-    maps: ShownMaps, record_id: str, shown: Sequence[Position]
-) -> tuple[Levels, Levels, Sequence[float]]:
+def _column(maps: ShownMaps, record_id: str, shown: Sequence[Position]) -> tuple[Levels, Levels, Sequence[float]]:
     """The levels of true and of predicted maps at some transmitters, and the SSIM of the latter."""
     places = [maps.tx_position_m.index(position) for position in shown]
     ssim = [maps.predicted[record_id].ssim[place] for place in places]

@@ -39,9 +39,7 @@ class TimePanel:
     trivial: float | None
 
 
-def plot_score_cdf(
-    panels: Mapping[str, Curves], score_name: str, path: Path, level: float | None = None
-) -> None:
+def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path, level: float | None = None) -> None:
     """Draw empirical CDFs as SVG: a panel for each split or score, in it a curve for each method.
 
     `level` is a share of maps at which a dashed line is drawn. A curve is given by equally spaced quantiles from 0
@@ -51,12 +49,7 @@ def plot_score_cdf(
     figure, axes = _panel_figure(len(panels), labels)
     for axis, (title, curves) in zip(axes, panels.items(), strict=True):
         for label, quantiles in curves.items():
-            axis.plot(
-                quantiles,
-                np.linspace(0, 1, len(quantiles)),
-                label=shown(label),
-                **_style(labels.index(label)),
-            )
+            axis.plot(quantiles, np.linspace(0, 1, len(quantiles)), label=shown(label), **_style(labels.index(label)))
         if level is not None:
             axis.axhline(level, color="0.4", linestyle="--", linewidth=1)
         axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
@@ -79,9 +72,7 @@ def plot_map_grid(
         axes[0, column].set_title(shown(title), fontsize="medium")
         for row, name in enumerate(rows):
             for axis, levels in zip(axes[2 * row : 2 * row + 2, column], (truth, predicted), strict=True):
-                axis.imshow(
-                    levels[row], cmap="magma", vmin=0, vmax=255, aspect="auto", interpolation="nearest"
-                )
+                axis.imshow(levels[row], cmap="magma", vmin=0, vmax=255, aspect="auto", interpolation="nearest")
                 axis.set(xticks=[], yticks=[])
             axes[2 * row + 1, column].set_xlabel(f"SSIM {ssim[row]:.3f}", fontsize=6, labelpad=1)
             if column == 0:
@@ -127,9 +118,7 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     for index, (series, points) in enumerate(by_series.items()):
         _draw_series(axis, index, series, points)
     _draw_front(axis, drawn)
-    axis.set(
-        xlabel=shown(figure.x_label), ylabel=shown(figure.y_label), xscale="log" if figure.log_x else "linear"
-    )
+    axis.set(xlabel=shown(figure.x_label), ylabel=shown(figure.y_label), xscale="log" if figure.log_x else "linear")
     if figure.log_x:
         label_decades(axis)
     axis.margins(0.1)
@@ -245,11 +234,7 @@ def _share_legend(figure: Figure, axes: Sequence[Any]) -> None:
     labels = sorted(handles, key=(_TRIVIAL_LABEL, _FRONT_LABEL).__contains__)  # methods first
     columns = _legend_columns(labels, figure.get_figwidth())
     figure.legend(
-        [handles[label] for label in labels],
-        labels,
-        loc="outside lower center",
-        ncols=columns,
-        fontsize="small",
+        [handles[label] for label in labels], labels, loc="outside lower center", ncols=columns, fontsize="small"
     )
 
 

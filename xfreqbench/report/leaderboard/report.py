@@ -24,13 +24,7 @@ from xfreqbench.report.leaderboard.figures import (
 )
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
-from xfreqbench.report.leaderboard.paper import (
-    MapGrid,
-    has_counterparts,
-    paper_figures,
-    paper_maps,
-    paper_markdown,
-)
+from xfreqbench.report.leaderboard.paper import MapGrid, has_counterparts, paper_figures, paper_maps, paper_markdown
 from xfreqbench.report.leaderboard.published import published_section
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
@@ -90,9 +84,7 @@ class _Page:
     drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
 
 
-def write_report(
-    results: Path | Sequence[Path], output_md: Path, details: Path | None = None
-) -> WrittenReport:
+def write_report(results: Path | Sequence[Path], output_md: Path, details: Path | None = None) -> WrittenReport:
     """Write a Markdown report and its figures from `results`: results folders or files of records, one or several.
 
     With a folder `details` the report is a short one, and a page for each scene and one of the measurements are
@@ -171,9 +163,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
 def _draw_maps(grid: MapGrid, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_map_grid
 
-    names = [
-        f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in grid.tx_position_m
-    ]
+    names = [f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in grid.tx_position_m]
     plot_map_grid(grid.columns, names, path)
 
 
@@ -206,9 +196,7 @@ def _board_section(board: Board) -> str:
 
 
 def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
-    by_title: dict[str, list[BenchRecord]] = {
-        title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)
-    }
+    by_title: dict[str, list[BenchRecord]] = {title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)}
     for record in benches:
         if record.bench != _WHAT_WAS_RUN:
             by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
@@ -220,9 +208,7 @@ def _bench_section(title: str, benches: Sequence[BenchRecord]) -> list[str]:
 
 
 def _bench(record: BenchRecord) -> str:
-    taken = (
-        f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
-    )
+    taken = f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
     parts = [
         f"### {heading(record.title)}" if record.title != _WHAT_WAS_RUN_TITLE else "",
         "\n".join(f"    {line}" for line in record.command.splitlines()),

@@ -45,9 +45,7 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
     folders = tuple(map(ResultsFolder.holding, paths))
     for folder in folders:
         if not (folder.records or folder.stored.benches):
-            raise DataError(
-                f"{folder.records_path} holds no records. Run `xfreqbench run` first, or mend the path."
-            )
+            raise DataError(f"{folder.records_path} holds no records. Run `xfreqbench run` first, or mend the path.")
         _require_scores(folder.records_path, folder.records)
     names = _names(folders)
     records: dict[RecordKey, RunRecord] = {}
@@ -65,9 +63,7 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
 
 def _names(folders: Sequence[ResultsFolder]) -> list[str]:
     """Names of results: their folders or files, or the whole paths if two names would be equal."""
-    paths = [
-        folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders
-    ]
+    paths = [folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders]
     short = [path.absolute().stem for path in paths]
     return short if len({*short}) == len({*paths}) else [path.as_posix() for path in paths]
 

@@ -179,9 +179,7 @@ def budget_text(budget: Budget) -> str:
     """The limits of a budget: `≤ 64,000 maps`."""
     limits = {"steps": budget.max_steps, "s": budget.max_seconds, "maps": budget.max_maps}
     return ", ".join(
-        f"≤ {limit:{',' if unit == 'maps' else 'g'}} {unit}"
-        for unit, limit in limits.items()
-        if limit is not None
+        f"≤ {limit:{',' if unit == 'maps' else 'g'}} {unit}" for unit, limit in limits.items() if limit is not None
     )
 
 

@@ -62,10 +62,7 @@ class ShownMaps(SealedModel):
 
     @model_validator(mode="after")
     def _require_equal_lengths(self) -> ShownMaps:
-        counted = [
-            self.carrier_hz,
-            *(scores for run in self.predicted.values() for scores in (run.ssim, run.psnr)),
-        ]
+        counted = [self.carrier_hz, *(scores for run in self.predicted.values() for scores in (run.ssim, run.psnr))]
         if any(len(values) != len(self.tx_position_m) for values in counted):
             raise ValueError(f"not all of its lists have {len(self.tx_position_m)} samples")
         return self
@@ -136,9 +133,7 @@ def _levels_of(png: str, number: int) -> Levels:
         levels = grey_levels(b64decode(png, validate=True))
         return levels.reshape(number, -1, levels.shape[1])
     except ValueError as error:
-        raise DataError(
-            f"Maps to be shown are no picture of {number} maps: {error}. Write them again."
-        ) from error
+        raise DataError(f"Maps to be shown are no picture of {number} maps: {error}. Write them again.") from error
 
 
 def write_maps(path: Path, shown: Sequence[ShownMaps]) -> None:

@@ -58,14 +58,11 @@ def compare_results(a: Path, b: Path) -> str:
     unpaired row of each set. Raises `DataError` where there are no records, or none that may be compared.
     """
     of_a, of_b = (
-        {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)}
-        for path in (a, b)
+        {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)} for path in (a, b)
     )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
-        raise DataError(
-            f"Nothing in {a} and {b} can be compared: {_content_of(of_a)}; and {_content_of(of_b)}."
-        )
+        raise DataError(f"Nothing in {a} and {b} can be compared: {_content_of(of_a)}; and {_content_of(of_b)}.")
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
 
 
@@ -116,11 +113,7 @@ def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
 
     Rows that are already paired do not count.
     """
-    names: list[Callable[[BoardRow], str]] = [
-        lambda row: row.label,
-        lambda row: row.job.method,
-        lambda row: "",
-    ]
+    names: list[Callable[[BoardRow], str]] = [lambda row: row.label, lambda row: row.job.method, lambda row: ""]
     left_a, left_b = list(a.rows), list(b.rows)
     for name in names:
         for row in tuple(left_a):
@@ -169,10 +162,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
         f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "
         "interval says."
     )
-    return [
-        *([seeds] if few else []),
-        *(f"Only in {side}: {', '.join(left)}." for side, left in alone.items() if left),
-    ]
+    return [*([seeds] if few else []), *(f"Only in {side}: {', '.join(left)}." for side, left in alone.items() if left)]
 
 
 def _content_of(found: _Boards) -> str:

@@ -7,16 +7,7 @@ from html import escape
 from itertools import groupby
 from math import inf, isnan, nan
 
-from xfreqbench.report.drawing.markdown import (
-    ABSENT,
-    heading,
-    literal,
-    number,
-    paragraph,
-    plain,
-    seconds,
-    table,
-)
+from xfreqbench.report.drawing.markdown import ABSENT, heading, literal, number, paragraph, plain, seconds, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
 from xfreqbench.report.leaderboard.columns import ONE_SPLIT, RANKING, leaderboard_columns
@@ -37,9 +28,7 @@ from xfreqbench.units import format_ghz
 def ranking_tables(board: Board, resampling: Resampling) -> list[str]:
     """For every set of splits that rows share: the ranking, and a table of which row beats which."""
     comparisons = [Comparison(board, splits, resampling) for splits in board.split_sets()]
-    return [
-        part for comparison in comparisons for part in (ranking_table(comparison), *_pair_table(comparison))
-    ]
+    return [part for comparison in comparisons for part in (ranking_table(comparison), *_pair_table(comparison))]
 
 
 def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> str:
@@ -90,10 +79,7 @@ def curve_tables(board: Board) -> list[str]:
 def _leaderboard(comparison: Comparison, names: Sequence[str]) -> str:
     """A table of the named columns; an interval stands in the cell of its number."""
     columns = leaderboard_columns(comparison, names)
-    rows = [
-        [f"{column.text(row)} {column.interval(row)}".strip() for column in columns]
-        for row in comparison.rows
-    ]
+    rows = [[f"{column.text(row)} {column.interval(row)}".strip() for column in columns] for row in comparison.rows]
     return table([column.title for column in columns], rows)
 
 
@@ -141,11 +127,7 @@ def _pair_table(comparison: Comparison) -> list[str]:
         return []
     header = ["row beats column", *(f"{place}" for place in range(2, len(rows) + 1))]
     body = [
-        [
-            f"{place} {row.label}",
-            *[""] * (place - 1),
-            *(_pair_cell(comparison, row, other) for other in rows[place:]),
-        ]
+        [f"{place} {row.label}", *[""] * (place - 1), *(_pair_cell(comparison, row, other) for other in rows[place:])]
         for place, row in enumerate(rows, start=1)
     ]
     caption = "Difference of average median SSIM × 1000 with its interval; “=” where that spans zero:"

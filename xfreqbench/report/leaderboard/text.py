@@ -60,9 +60,7 @@ class Leaderboard:
 
 
 @checked
-def leaderboard(
-    results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results",
-) -> Leaderboard:
+def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results") -> Leaderboard:
     """The leaderboard of results folders, of files of records, or of records that `run` returned, to be shown.
 
     The records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be

@@ -51,9 +51,7 @@ def _paths_line(dataset: PasDataset) -> list[str]:
     if not dataset.header.paths:
         return []
     of_each = np.diff(dataset.tables[OFFSET])
-    return [
-        f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"
-    ]
+    return [f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"]
 
 
 def _carrier_lines(dataset: PasDataset) -> list[str]:

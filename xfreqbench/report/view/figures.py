@@ -73,11 +73,7 @@ def plot_room(room: ShownRoom, path: Path) -> None:
 
 
 def plot_overview(
-    room: ShownRoom,
-    maps: Float[NDArray[np.float32], "F E A"],
-    grid: AngularGrid,
-    titles: Sequence[str],
-    path: Path,
+    room: ShownRoom, maps: Float[NDArray[np.float32], "F E A"], grid: AngularGrid, titles: Sequence[str], path: Path
 ) -> None:
     """The plan of a room with the rays of one transmitter, beside its maps at up to six carriers: a PNG.
 
@@ -204,9 +200,7 @@ def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     for (row, column), value in np.ndenumerate(found.median_ssim):
         if not np.isnan(value):
             place = {"x": column + 0.5, "y": row + 0.5, "ha": "center", "va": "center"}
-            axis.text(
-                **place, s=f"{value:.2f}", fontsize=7, color="white" if float(value) < middle else "black"
-            )
+            axis.text(**place, s=f"{value:.2f}", fontsize=7, color="white" if float(value) < middle else "black")
     axis.set(xlabel="carrier (GHz)", ylabel="carrier (GHz)", aspect="equal")
     axis.set_title(f"median SSIM between carriers, {found.num_tx} transmitters", fontsize="medium")
     axis.figure.colorbar(image, ax=axis, shrink=0.8)

@@ -23,19 +23,10 @@ from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, m
 from xfreqbench.scene.meshes import slabs_of
 from xfreqbench.units import format_ghz, format_ghz_list
 
-_SPLIT_COLUMNS = (
-    "split",
-    "trained on",
-    "tested on",
-    "left out, no path",
-    "same transmitters",
-    "nearest trained (m)",
-)
+_SPLIT_COLUMNS = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
 
 
-def view_page(
-    view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[str, Picture], model: str
-) -> str:
+def view_page(view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[str, Picture], model: str) -> str:
     """HTML of a view whose rays are traced; equal views give equal text.
 
     `summary` is that of the view's data set, None without one. `pictures` go by their file names, `scene.png`,
@@ -44,9 +35,7 @@ def view_page(
     splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
     return render(
         "view/page.html",
-        title=f"{view.dataset.path.name}: {view.header.scene_name}"
-        if view.dataset
-        else view.header.scene_name,
+        title=f"{view.dataset.path.name}: {view.header.scene_name}" if view.dataset else view.header.scene_name,
         lead=_lead(view),
         owner=owner_mark(view.subject),
         facts=_facts(view),
@@ -80,15 +69,10 @@ def orbit_scene(room: ShownRoom) -> dict[str, Any]:
     rays = sorted(room.rays, key=lambda ray: ray.level_db)
     return {
         "surfaces": [
-            one_surface(meshes, material_hex(material))
-            for material, meshes in by_material(room.meshes).items()
+            one_surface(meshes, material_hex(material)) for material, meshes in by_material(room.meshes).items()
         ],
-        "groups": [
-            {"colour": _hex(group_colour(name)), "points": millimetres(points)} for name, points in groups
-        ],
-        "rays": [
-            {"colour": _hex(ray_colour(ray.level_db)), "points": millimetres(ray.points_m)} for ray in rays
-        ],
+        "groups": [{"colour": _hex(group_colour(name)), "points": millimetres(points)} for name, points in groups],
+        "rays": [{"colour": _hex(ray_colour(ray.level_db)), "points": millimetres(ray.points_m)} for ray in rays],
         "transmitter": millimetres(room.tx_m),
         "receiver": millimetres(room.receiver_m),
         "boresight": millimetres(np.stack([room.receiver_m, ahead_m])),

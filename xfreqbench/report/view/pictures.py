@@ -30,9 +30,7 @@ _MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the 
 _SAME_PLACE_M = 1e-3  # in the plan
 
 
-def draw_maps(
-    file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db: float, output: Path
-) -> None:
+def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
     """Draw the maps of one transmitter at some carriers, at all if None, with a title that says which one it is.
 
     Raises `DataError`, `XFreqBenchError` for a transmitter that is not there, `UnknownNameError` for such a carrier,
@@ -40,9 +38,7 @@ def draw_maps(
     """
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
-        raise XFreqBenchError(
-            f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for."
-        )
+        raise XFreqBenchError(f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for.")
     chosen_hz = _chosen_hz(dataset, carriers_hz)
     known_hz = dataset.header.carrier_hz.tolist()
     samples = dataset.subset([tx * len(known_hz) + known_hz.index(carrier) for carrier in chosen_hz])

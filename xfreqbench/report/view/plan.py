@@ -126,9 +126,7 @@ def _chosen_tx(tx: int | None, position_m: Float[FloatArray, "T 3"], where: str)
     if tx is None:
         return median_transmitter(position_m)
     if not 0 <= tx < len(position_m):
-        raise XFreqBenchError(
-            f"{where} has transmitters 0 to {len(position_m) - 1}, but --tx {tx} is asked for."
-        )
+        raise XFreqBenchError(f"{where} has transmitters 0 to {len(position_m) - 1}, but --tx {tx} is asked for.")
     return tx
 
 

@@ -17,12 +17,7 @@ from xfreqbench.types import FloatArray
 RAY_RANGE_DB = 30.0  # below the strongest ray; the range that pictures of maps have too
 MAX_RAYS = 40
 LINE_OF_SIGHT = "line of sight"
-_VERBS = {
-    SPECULAR: "reflected by",
-    REFRACTION: "through",
-    DIFFUSE: "scattered by",
-    DIFFRACTION: "diffracted by",
-}
+_VERBS = {SPECULAR: "reflected by", REFRACTION: "through", DIFFUSE: "scattered by", DIFFRACTION: "diffracted by"}
 
 
 @dataclass(frozen=True, eq=False)

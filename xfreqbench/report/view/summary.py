@@ -79,9 +79,7 @@ def similarity(dataset: PasDataset) -> Similarity:
     """Compare the maps of evenly spread transmitters at evenly spread carriers, all where there are few."""
     carriers = _spread(dataset.num_carriers, MAX_COMPARED_CARRIERS)
     pairs = list(combinations(range(len(carriers)), 2))
-    transmitters = _spread(
-        dataset.header.num_tx, min(MAX_COMPARED_TX, _MAX_COMPARISONS // max(1, len(pairs)))
-    )
+    transmitters = _spread(dataset.header.num_tx, min(MAX_COMPARED_TX, _MAX_COMPARISONS // max(1, len(pairs))))
     scores = np.array([_scores(dataset, tx, carriers, pairs) for tx in transmitters.tolist()])
     matrix = np.eye(len(carriers))
     for (first, second), values in zip(pairs, scores.T, strict=False):

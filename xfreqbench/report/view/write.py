@@ -19,14 +19,7 @@ from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, summarize
-from xfreqbench.system.files import (
-    atomic_path,
-    read_text,
-    require_own,
-    require_space,
-    storage_errors,
-    write_text,
-)
+from xfreqbench.system.files import atomic_path, read_text, require_own, require_space, storage_errors, write_text
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 PAGE, MODEL, ROOM = "index.html", "scene.glb", "scene.png"
@@ -50,8 +43,7 @@ def claim(view: ViewPlan, folder: Path) -> None:
     is_same, fault = _is_ours(folder / PAGE, view.subject), "was not written for this data set or scene"
     for name in FILES:
         require_own(
-            folder / name,
-            lambda path: None if is_same and (path.name == PAGE or is_own_drawing(path)) else fault,
+            folder / name, lambda path: None if is_same and (path.name == PAGE or is_own_drawing(path)) else fault
         )
     require_space(folder / PAGE, 1)
 

@@ -87,9 +87,7 @@ class Diffraction:
         self._limits = Limits(settings.max_depth, max_planes, share, floor)
         self._sides = find_sides(facets, self.room.mirrors, wedges, points_m, max_planes)
 
-    def add_channel(
-        self, tx_position_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]
-    ) -> None:
+    def add_channel(self, tx_position_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]) -> None:
         """Add the channel (F, M) over edges to that of all other paths of a transmitter, carriers ascending."""
         tx = tx_position_m[None]
         edge_channels.add_over_edges(self.room, self._sides, self._limits, tx, sums, num_paths)
@@ -123,9 +121,7 @@ def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArr
     )
 
 
-def _reflectors(
-    num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media
-) -> Reflectors:
+def _reflectors(num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media) -> Reflectors:
     """The facets of each plane that mirrors, and bounds of what the planes reflect at each carrier."""
     facet = np.argsort(facets.plane, kind="stable")
     first = np.searchsorted(facets.plane[facet], np.arange(num_planes + 1))

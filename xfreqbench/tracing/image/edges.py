@@ -87,9 +87,7 @@ def _goes_on(before: Edge, after: Edge) -> bool:
 def _flat(
     mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: Int[IntArray, "K"]
 ) -> _Flat:
-    corners_m = np.concatenate(
-        [[facet.corners_m[[0, 1, 2, -1]] for facet in mirrors], triangles_m[:, [0, 1, 2, 2]]]
-    )
+    corners_m = np.concatenate([[facet.corners_m[[0, 1, 2, -1]] for facet in mirrors], triangles_m[:, [0, 1, 2, 2]]])
     sides_m = corners_m[:, [1, 3]] - corners_m[:, :1]
     normal = np.cross(sides_m[:, 0], sides_m[:, 1])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -129,9 +127,7 @@ def _distance_m(
     return np.asarray(np.linalg.norm(np.cross(points_m - origin_m, along), axis=1))
 
 
-def _wedge(
-    flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float
-) -> Edge | None:
+def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float) -> Edge | None:
     """The wedge around a piece of a line, or None where its facets leave no more than half of the space free."""
     middle_m = start_m + length_m / 2 * along
     facets = np.flatnonzero(((flat.low_m < middle_m) & (middle_m < flat.high_m)).all(axis=1))
@@ -157,10 +153,7 @@ def _wedge(
 
 
 def _faces(
-    flat: _Flat,
-    facets: Int[IntArray, "n"],
-    towards: Float[FloatArray, "n 3"],
-    middle_m: Float[FloatArray, "3"],
+    flat: _Flat, facets: Int[IntArray, "n"], towards: Float[FloatArray, "n 3"], middle_m: Float[FloatArray, "3"]
 ) -> tuple[Int[IntArray, "k"], Float[FloatArray, "k 3"]]:
     """Of pairs of a facet and a direction from an edge, those where the facet lies in that direction."""
     towards = towards / np.linalg.norm(towards, axis=1)[:, None]

@@ -146,9 +146,7 @@ def _shone_on(
         point_m = apex_m[:, None] + stretch[:, :, None] * (corner_m - apex_m[:, None])
         way_m = np.linalg.norm(corner_m - apex_m[:, None], axis=2)
         along_m = np.sqrt(np.clip(way_m**2 - apart_m**2, 0, None))
-        most = below_m / (
-            apart_m - radius_m
-        )  # of stretch − 1, for an element whose image is lower by the radius
+        most = below_m / (apart_m - radius_m)  # of stretch − 1, for an element whose image is lower by the radius
         margin_m = ((most - below_m / apart_m) * along_m + most * radius_m).max(axis=1) + 1e-6
         spot_m = np.einsum("nkc,nac->nka", point_m, mirrors.axis[plane][:, :2])
         low_m = np.maximum(whole[:, [0, 2]], spot_m.min(axis=1) - margin_m[:, None])

@@ -59,12 +59,7 @@ def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
             PlanarFacet(facet.corners_m, int(m))
             for m in np.unique(mesh[rows])
             for facet in planar_facets(
-                [
-                    replace(
-                        geometry.meshes[m],
-                        triangles=geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]],
-                    )
-                ]
+                [replace(geometry.meshes[m], triangles=geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]])]
             )
         ]
 
@@ -89,10 +84,7 @@ def _in_planes_of_the_largest(facets: list[PlanarFacet]) -> tuple[Int[IntArray, 
 
 
 def facets_of(
-    geometry: Geometry,
-    mirrors: MirrorPlanes,
-    kind: Int[IntArray, "S"],
-    is_opaque: Bool[NDArray[np.bool_], "K"],
+    geometry: Geometry, mirrors: MirrorPlanes, kind: Int[IntArray, "S"], is_opaque: Bool[NDArray[np.bool_], "K"]
 ) -> tuple[Facets, Int[IntArray, "Q"], Float[FloatArray, "Q 4 3"]]:
     """The facets of a scene as the kernels take them, the mesh of each, and its corners, a triangle's last twice.
 
@@ -108,9 +100,7 @@ def facets_of(
     offset_m = np.concatenate([mirrors.planes[:, 3], np.einsum("kc,kc->k", normal, blocks[:, 0])])
     plane = np.concatenate([mirrors.plane, len(mirrors.planes) + np.arange(len(blocks))])
     corners_m = np.concatenate([mirrors.corners_m, blocks[:, [0, 1, 2, 2]]])
-    is_triangle = np.array(
-        [len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool
-    )
+    is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool)
     surface = np.array([facet.surface for facet in mirrors.facets], np.int64)
     surface = np.concatenate([surface, mesh[~geometry.mirrors]])
     order, box, child, first, last = grow(corners_m.min(axis=1), corners_m.max(axis=1))
@@ -142,9 +132,7 @@ def grow(
     return divide(np.hstack([low_m, high_m]))
 
 
-def _duals(
-    corners_m: Float[FloatArray, "Q 4 3"],
-) -> tuple[Float[FloatArray, "Q 4"], Float[FloatArray, "Q 4"]]:
+def _duals(corners_m: Float[FloatArray, "Q 4 3"]) -> tuple[Float[FloatArray, "Q 4"], Float[FloatArray, "Q 4"]]:
     """Vectors u* and v*, each with its offset: u = x·u* − offset runs 0…1 from corner 0 to 1, v from 0 to 2."""
     origin_m = corners_m[:, 0]
     edge_u, edge_v = corners_m[:, 1] - origin_m, corners_m[:, 2] - origin_m

@@ -164,8 +164,7 @@ class ImageTracer:
         reached = channels.reaching(self.facets, self._media_at_centre, self._trie, tx, depth)
         node = np.array([node for node, *_ in reached], dtype=np.int64)
         along = [
-            _interactions_along(walk, int(self._trie.length[node]), depth, self._surface)
-            for node, _, walk in reached
+            _interactions_along(walk, int(self._trie.length[node]), depth, self._surface) for node, _, walk in reached
         ]
         distance_m = np.linalg.norm(tx - self._trie.image_m[node], axis=1)
         paths = PathsToCentre(
@@ -217,10 +216,7 @@ def _interactions_along(walk: Walk, num_reflections: int, depth: int, surface: I
 
 
 def media_of(
-    meshes: Sequence[SurfaceMesh],
-    carrier_hz: Float[FloatArray, "F"],
-    policy: MaterialPolicy,
-    receiver: ReceiverArray,
+    meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, receiver: ReceiverArray
 ) -> tuple[Media, Int[IntArray, "S"]]:
     """Slabs of every material and thickness, with the antenna, and which slab each mesh is made of.
 
@@ -251,9 +247,7 @@ def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
     return np.max(transmission, axis=0, initial=0.0) < OPAQUE_TRANSMISSION
 
 
-def aperture_of(
-    receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings
-) -> Aperture:
+def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:
     """The array at each wavelength as the kernels take it, offsets from its centre in world axes."""
     element = receiver.element_position_wavelengths
     half = np.abs(element).max(axis=0)
@@ -275,9 +269,7 @@ def aperture_of(
     )
 
 
-def _nodes(
-    position: Float[FloatArray, "n"], num_nodes: int
-) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
+def _nodes(position: Float[FloatArray, "n"], num_nodes: int) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
     """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements.
 
     Arrays wider than the interpolation was measured for have a node at every element.

@@ -45,9 +45,7 @@ class SionnaTracer:
         meshes = prepared.geometry.meshes
         check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
         shooting = ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
-        self._rays = shooting(
-            RadioScene(meshes, settings.materials), prepared.scene.receiver, carriers, settings
-        )
+        self._rays = shooting(RadioScene(meshes, settings.materials), prepared.scene.receiver, carriers, settings)
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:

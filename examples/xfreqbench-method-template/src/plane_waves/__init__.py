@@ -61,11 +61,7 @@ class PlaneWaveField(ChannelField):
             self.direction.copy_(self.scaling.random_positions(self.config.waves, generator))
 
     def power(
-        self,
-        tx_position_m: Float[Tensor, "B 3"],
-        carrier_hz: Float[Tensor, "B"],
-        view: GridView,
-        beams: Beams,
+        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Bartlett maps of the sums of all waves, at the directions in view."""
         tx_m = self.scaling.in_frame(tx_position_m)

@@ -56,9 +56,7 @@ CORNERS_M = {  # of what is held, by the plane's place
 }
 
 
-def plane(
-    axis: str, at_m: float, error_m: float = 0.0, tilt_rad: float = 0.0, **changes: object
-) -> dict[str, object]:
+def plane(axis: str, at_m: float, error_m: float = 0.0, tilt_rad: float = 0.0, **changes: object) -> dict[str, object]:
     """A found plane, `error_m` too far from the array and turned about the next axis."""
     index = "xyz".index(axis)
     towards = np.sign(at_m - ARRAY_M[index])
@@ -104,9 +102,7 @@ def compared(dataset: PasDataset, *planes: dict[str, object]) -> ComparedFinding
 
 @pytest.mark.parametrize(("axis", "at_m"), [("x", 8.0), ("z", 0.0), ("z", 2.8)])
 @pytest.mark.parametrize("error_m", [-3e-4, 0.0, 2e-4, 0.04])
-def test_a_plane_beyond_its_surface_has_that_error(
-    dataset: PasDataset, axis: str, at_m: float, error_m: float
-) -> None:
+def test_a_plane_beyond_its_surface_has_that_error(dataset: PasDataset, axis: str, at_m: float, error_m: float) -> None:
     (match,) = compared(dataset, plane(axis, at_m, error_m)).matches
     assert match is not None
     assert match.distance_error_m == pytest.approx(error_m, abs=EXACT_M)
@@ -182,9 +178,7 @@ def test_the_true_slab_reflects_as_the_recommendation_says(material: str) -> Non
     )
     shown = reflection([slab], {(material, 0.03): 1.0}, carrier_hz)
     assert shown.difference.max() < 1e-12  # the same arithmetic twice
-    literal = [
-        slab_coefficients(complex_permittivity(material, f), 0.03, f, 1.0)[0] for f in carrier_hz.tolist()
-    ]
+    literal = [slab_coefficients(complex_permittivity(material, f), 0.03, f, 1.0)[0] for f in carrier_hz.tolist()]
     np.testing.assert_allclose(shown.truth, np.abs(literal), atol=1e-9)  # phases of hundreds of radians
 
 
@@ -242,12 +236,7 @@ def test_everything_is_written_and_the_model_has_its_nodes(dataset: PasDataset, 
     model = trimesh.load_scene(folder / "scene.glb")
     nodes = set(model.graph.nodes_geometry)
     assert {f"surface {surface.name}" for surface in SCENE.surface} <= nodes
-    assert {
-        "receiver",
-        "found plane 0: wall",
-        "found plane 2: no such surface",
-        "virtual source 0 1",
-    } <= nodes
+    assert {"receiver", "found plane 0: wall", "found plane 2: no such surface", "virtual source 0 1"} <= nodes
     transform, name = model.graph["found plane 0: wall"]
     corners_m = trimesh.transform_points(model.geometry[name].vertices, transform)[:, [0, 2, 1]] * [1, -1, 1]
     np.testing.assert_allclose(corners_m, CORNERS_M["x", 8.0], atol=1e-5)  # float32 metres; glTF's y is up
@@ -283,9 +272,7 @@ def test_the_same_record_is_written_again_and_another_is_not(dataset: PasDataset
 @pytest.mark.parametrize("name", [name for name in FILES if name != NUMBERS])
 def test_a_foreign_file_among_ours_stays(dataset: PasDataset, tmp_path: Path, name: str) -> None:
     result = ComparedFindings.of(full_record(dataset), dataset)
-    (tmp_path / NUMBERS).write_text(
-        f'{{"record": "{result.record.id}"}}'
-    )  # all that a killed command has written
+    (tmp_path / NUMBERS).write_text(f'{{"record": "{result.record.id}"}}')  # all that a killed command has written
     (tmp_path / name).write_text("mine")
     with pytest.raises(OutputExistsError, match=f"{name} exists"):
         write_findings(result, tmp_path)

@@ -8,15 +8,7 @@ from pathlib import Path
 import pytest
 from xfreqbench.baselines.virtual_source.commands import compare_findings as findings_command
 
-from tests.support.chromium import (
-    WIDTHS,
-    canvas_pixels,
-    check_screen,
-    launched,
-    needs_chromium,
-    opened,
-    set_screen,
-)
+from tests.support.chromium import WIDTHS, canvas_pixels, check_screen, launched, needs_chromium, opened, set_screen
 from tests.support.found_box import found_room
 from tests.support.stored_records import make_record
 from xfreqbench.data.dataset import PasDataset
@@ -35,9 +27,7 @@ def browser() -> Iterator[object]:
 def file(request: pytest.FixtureRequest, box: PasDataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("findings")
     findings = {**found_room(error_m=0.02), "images": [{"planes": [0], "power": 0.1}]}
-    append(
-        folder / "records.jsonl", make_record("virtual-source", dataset_sha256=box.sha256, findings=findings)
-    )
+    append(folder / "records.jsonl", make_record("virtual-source", dataset_sha256=box.sha256, findings=findings))
     room = folder / "room" if request.param else None
     findings_command(folder, data=box.path, output=folder / "out", room=room, refine=False, quiet=True)
     return folder / "out" / "index.html"
@@ -69,12 +59,7 @@ def test_each_layer_is_drawn_and_hidden_by_its_box(browser, file: Path) -> None:
 def test_planes_materials_and_the_traced_room_are_told(browser, file: Path) -> None:
     with opened(browser, file) as page:
         text = page.locator("body").inner_text()
-        for said in (
-            "7 of 7 planes that were found are the scene's",
-            "plasterboard 20 mm",
-            "glass 10 mm",
-            "20.00",
-        ):
+        for said in ("7 of 7 planes that were found are the scene's", "plasterboard 20 mm", "glass 10 mm", "20.00"):
             assert said in text
         has_room = (file.parent.parent / "room").exists()
         assert ("traced in the room, as found" in text) == has_room

@@ -5,9 +5,7 @@ import torch
 from xfreqbench.baselines.virtual_source.field.images import Mirrors
 from xfreqbench.baselines.virtual_source.findings.compared import axes_within
 
-ROUNDING = (
-    4 * np.finfo(np.float64).eps
-)  # torch may fuse the two products of a cross product, NumPy rounds each
+ROUNDING = 4 * np.finfo(np.float64).eps  # torch may fuse the two products of a cross product, NumPy rounds each
 
 
 def normals() -> np.ndarray:

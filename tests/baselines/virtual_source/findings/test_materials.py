@@ -20,9 +20,7 @@ ANGLE_RAD = np.radians([0.0, 30.0, 60.0, 85.0])
 
 
 def compared(box: PasDataset, findings: dict[str, object]) -> ComparedFindings:
-    return ComparedFindings.of(
-        make_record("virtual-source", dataset_sha256=box.sha256, findings=findings), box
-    )
+    return ComparedFindings.of(make_record("virtual-source", dataset_sha256=box.sha256, findings=findings), box)
 
 
 def materials_of(box: PasDataset, findings: dict[str, object]) -> dict[str, ShownMaterial]:
@@ -77,6 +75,5 @@ def test_rows_say_what_paths_tell_of(box: PasDataset) -> None:
     assert screen["to that, rms |ΔR|"] == "0.000"
     without_faces = {**found_room(), "faces": []}
     assert {
-        row[header.index("seen")]
-        for row in material_rows(shown_materials(compared(box, without_faces)), 1e9)[1]
+        row[header.index("seen")] for row in material_rows(shown_materials(compared(box, without_faces)), 1e9)[1]
     } == {"–"}

@@ -41,17 +41,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def stored_run(
-    dataset: PasDataset,
-    folder: Path,
-    findings: dict[str, object],
-    method: str = "virtual-source",
-    **changes: object,
+    dataset: PasDataset, folder: Path, findings: dict[str, object], method: str = "virtual-source", **changes: object
 ) -> RunRecord:
     """A record whose predictions are the truth, turned by two degrees for other methods."""
     split = find_split(dataset, "lofo", "lofo-24.25GHz")
-    record = make_record(
-        method, dataset_sha256=dataset.sha256, split_sha256=split.sha256, findings=findings, **changes
-    )
+    record = make_record(method, dataset_sha256=dataset.sha256, split_sha256=split.sha256, findings=findings, **changes)
     maps = np.roll(dataset.pas(split.test), 0 if findings else 2, axis=2)
     write_predictions(
         folder / "predictions" / f"{record.id}.h5",
@@ -91,9 +85,7 @@ def ssim_of(residual: Residual, selection: Selection) -> np.ndarray:
 
 
 def test_all_true_paths_give_the_true_map(complete: Residual) -> None:
-    assert (
-        ssim_of(complete, EVERYTHING).min() > 0.99
-    )  # the aperture is 2 cm: a wave's power differs little on it
+    assert ssim_of(complete, EVERYTHING).min() > 0.99  # the aperture is 2 cm: a wave's power differs little on it
 
 
 def test_where_every_plane_was_found_the_found_planes_are_all(complete: Residual) -> None:
@@ -105,9 +97,7 @@ def test_where_every_plane_was_found_the_found_planes_are_all(complete: Residual
     assert not complete.share_not_found.any()
 
 
-def test_a_plane_left_out_is_missed_in_the_found_planes_alone(
-    complete: Residual, floorless: Residual
-) -> None:
+def test_a_plane_left_out_is_missed_in_the_found_planes_alone(complete: Residual, floorless: Residual) -> None:
     for order in (1, 2, None):
         lower = ssim_of(floorless, Selection(True, order)), ssim_of(complete, Selection(True, order))
         assert np.median(lower[0]) < np.median(lower[1]) - 0.005  # a floor carries percents of the power
@@ -162,9 +152,7 @@ def test_groups_hold_every_transmitter_once(floorless: Residual) -> None:
     assert medians[0] < medians[-1]
 
 
-def test_the_drawn_transmitters_are_some_of_the_tested_and_always_the_same(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_the_drawn_transmitters_are_some_of_the_tested_and_always_the_same(dataset: PasDataset, tmp_path: Path) -> None:
     compared = ComparedFindings.of(stored_run(dataset, tmp_path, ALL_PLANES), dataset)
     few, again, all_ = (plan_residual(tmp_path, compared, number).rows for number in (4, 4, 1000))
     np.testing.assert_array_equal(few, again)
@@ -193,9 +181,7 @@ def test_scores_of_no_map_are_dashes(complete: Residual) -> None:
     assert {row[header.index("shadowed")] for row in rows} == {"–"}
 
 
-def test_mistakes_are_told_before_any_ray(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_are_told_before_any_ray(dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("xfreqbench.baselines.virtual_source.findings.residual.ImageTracer", None)
     output = tmp_path / "residual.md"
     append(tmp_path / "without" / "records.jsonl", make_record("nearest"))
@@ -256,8 +242,7 @@ def test_data_without_a_scene_are_refused(tmp_path: Path) -> None:
         append_all(writer, header)
     imported = open_dataset(tmp_path / "imported.h5")
     append(
-        tmp_path / "records.jsonl",
-        make_record("virtual-source", dataset_sha256=imported.sha256, findings=ALL_PLANES),
+        tmp_path / "records.jsonl", make_record("virtual-source", dataset_sha256=imported.sha256, findings=ALL_PLANES)
     )
     with pytest.raises(DataError, match="does not say which scene"):
         residual_command(tmp_path, data=imported.path, output=tmp_path / "residual.md")

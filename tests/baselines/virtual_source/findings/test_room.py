@@ -47,9 +47,7 @@ def write(dataset: PasDataset, folder: Path, findings: dict[str, object], **chan
     (folder / "results").mkdir(exist_ok=True)
     append(folder / "results" / "records.jsonl", record_of(dataset, findings, **changes))
     output, room = folder / "page", folder / "room"
-    findings_command(
-        folder / "results", data=dataset.path, output=output, room=room, refine=False, quiet=True
-    )
+    findings_command(folder / "results", data=dataset.path, output=output, room=room, refine=False, quiet=True)
     return room
 
 
@@ -67,9 +65,7 @@ def traced(room: Path, dataset: PasDataset, output: Path) -> PasDataset:
     return open_dataset(output)
 
 
-def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(dataset: PasDataset, tmp_path: Path) -> None:
     again = traced(write(dataset, tmp_path, found_room()), dataset, tmp_path / "again.h5")
     np.testing.assert_array_equal(again.tx_position_m, dataset.tx_position_m)
     truth = dataset.tables["cfr"]
@@ -78,16 +74,12 @@ def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(
     np.testing.assert_allclose(again.pas(), dataset.pas(), atol=5e-3)
 
 
-def test_a_room_with_planes_a_centimetre_off_is_heard_to_be_another(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_room_with_planes_a_centimetre_off_is_heard_to_be_another(dataset: PasDataset, tmp_path: Path) -> None:
     again = traced(write(dataset, tmp_path, found_room(error_m=0.01)), dataset, tmp_path / "again.h5")
     assert np.abs(again.pas() - dataset.pas()).max() > 0.05
 
 
-def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(dataset: PasDataset, tmp_path: Path) -> None:
     room = write(dataset, tmp_path, found_room(seen=0.01))
     assert {path.name for path in room.iterdir()} == WRITTEN
     scene = load_scene(room / "room.toml")
@@ -106,20 +98,14 @@ def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(
 
 def test_metal_is_known_by_what_it_reflects() -> None:
     names = SlabNames(CARRIERS_HZ)
-    metal = FoundSlab(
-        share=1.0, permittivity=8.0, conductivity_s_m=500.0, conductivity_power=0.5, thickness_m=0.1
-    )
+    metal = FoundSlab(share=1.0, permittivity=8.0, conductivity_s_m=500.0, conductivity_power=0.5, thickness_m=0.1)
     nearest, second = names.nearest(metal)[:2]
     assert nearest.material == "metal"
     assert nearest.distance < 0.2 < second.distance
 
 
-@pytest.mark.parametrize(
-    ("material", "thickness_m"), [("glass", 0.008), ("plasterboard", 0.1), ("wood", 0.015)]
-)
-def test_a_material_is_known_by_its_own_reflection_at_every_thickness(
-    material: str, thickness_m: float
-) -> None:
+@pytest.mark.parametrize(("material", "thickness_m"), [("glass", 0.008), ("plasterboard", 0.1), ("wood", 0.015)])
+def test_a_material_is_known_by_its_own_reflection_at_every_thickness(material: str, thickness_m: float) -> None:
     learned = FoundSlab.model_validate(slab(material, thickness_m))
     nearest = SlabNames(CARRIERS_HZ).nearest(learned)[0]
     assert nearest.material == material
@@ -150,18 +136,14 @@ def test_slivers_are_left_out_and_corners_that_are_one_count_once(dataset: PasDa
     assert [len(surface.corners_m) for surface in surfaces] == [4] * len(SCENE.surface)
 
 
-def test_a_room_without_faces_is_refused_before_anything_is_written(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_a_room_without_faces_is_refused_before_anything_is_written(dataset: PasDataset, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="has no faces from which a room could be made"):
         write(dataset, tmp_path, ALL_PLANES)
     assert not (tmp_path / "page").exists()
     assert not (tmp_path / "room").exists()
 
 
-@pytest.mark.parametrize(
-    "change", [{"plane": 9}, {"slab": 1}, {"corners_m": [[0, 0, 0], [1, 0, 0]]}], ids=str
-)
+@pytest.mark.parametrize("change", [{"plane": 9}, {"slab": 1}, {"corners_m": [[0, 0, 0], [1, 0, 0]]}], ids=str)
 def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[str, object]) -> None:
     findings = found_room()
     findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
@@ -180,9 +162,7 @@ def test_the_room_that_the_run_refined_is_shown_as_it_is(dataset: PasDataset) ->
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"corners_m": [[0, 0, 0], [1, 0, 0]]}, {"depth_m": -1.0}, {"slab": ["wood", None, 0.0]}],
-    ids=str,
+    "change", [{"corners_m": [[0, 0, 0], [1, 0, 0]]}, {"depth_m": -1.0}, {"slab": ["wood", None, 0.0]}], ids=str
 )
 def test_a_room_that_is_none_is_refused(dataset: PasDataset, change: dict[str, object]) -> None:
     (surface, *_) = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
@@ -191,9 +171,7 @@ def test_a_room_that_is_none_is_refused(dataset: PasDataset, change: dict[str, o
         ComparedFindings.of(record_of(dataset, told), dataset)
 
 
-def test_the_room_of_the_same_record_is_written_again_and_nothing_else(
-    dataset: PasDataset, tmp_path: Path
-) -> None:
+def test_the_room_of_the_same_record_is_written_again_and_nothing_else(dataset: PasDataset, tmp_path: Path) -> None:
     mine, other = (
         ComparedFindings.of(record_of(dataset, found_room(), id=name), dataset) for name in ("mine", "other")
     )

@@ -57,14 +57,8 @@ def rectangle_m(low: np.ndarray, high: np.ndarray) -> list[list[float]]:
         (plane("z", 0.0, tilt_rad=2.1e-3), False),
         (plane("z", 0.0, corners_m=None), False),
         (plane("z", 0.0, corners_m=rectangle_m(FOOT_M, FOOT_M)), True),
-        (
-            plane("z", 0.0, corners_m=rectangle_m(FOOT_M + np.array([0.9 * HELD_MARGIN_M, -1]), FOOT_M + 1)),
-            True,
-        ),
-        (
-            plane("z", 0.0, corners_m=rectangle_m(FOOT_M + np.array([1.1 * HELD_MARGIN_M, -1]), FOOT_M + 1)),
-            False,
-        ),
+        (plane("z", 0.0, corners_m=rectangle_m(FOOT_M + np.array([0.9 * HELD_MARGIN_M, -1]), FOOT_M + 1)), True),
+        (plane("z", 0.0, corners_m=rectangle_m(FOOT_M + np.array([1.1 * HELD_MARGIN_M, -1]), FOOT_M + 1)), False),
     ],
 )
 def test_a_plane_counts_as_found_where_it_runs_through_the_reflection_and_holds_something(

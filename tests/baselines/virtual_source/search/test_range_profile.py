@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 from xfreqbench.baselines.virtual_source.search.cross_terms import CrossTerms
 from xfreqbench.baselines.virtual_source.search.planes import Plane
-from xfreqbench.baselines.virtual_source.search.range_profile import (
-    find_more_planes,
-    find_planes,
-    random_planes,
-)
+from xfreqbench.baselines.virtual_source.search.range_profile import find_more_planes, find_planes, random_planes
 from xfreqbench.baselines.virtual_source.search.selection import mirrored_receivers_m
 
 from tests.support.mirrored_room import RECEIVER, Room, Wall, tilt_rad
@@ -80,9 +76,7 @@ def assert_found(planes: Sequence[Plane], walls: Sequence[Wall]) -> None:
     for wall in walls:
         plane = the_one(planes, wall)
         assert abs(plane.distance_m - wall.distance_m) < 2e-4
-        assert (
-            tilt_rad(plane.normal, wall) < 5e-4
-        )  # a quarter of that wavelength over the transmitters' metres
+        assert tilt_rad(plane.normal, wall) < 5e-4  # a quarter of that wavelength over the transmitters' metres
 
 
 def test_planes_are_found_to_a_fifth_of_a_millimetre_and_one_lit_from_a_third_of_the_room_too(
@@ -97,9 +91,7 @@ def test_standard_deviations_cover_errors(found: list[Plane]) -> None:
     for wall in WALLS:
         plane = the_one(found, wall)
         assert abs(plane.distance_m - wall.distance_m) < 4 * plane.distance_std_m < 2e-3
-        assert (
-            plane.distance_std_m > 5e-5
-        )  # because of layers behind a surface, of which these walls have none
+        assert plane.distance_std_m > 5e-5  # because of layers behind a surface, of which these walls have none
         assert tilt_rad(plane.normal, wall) < 4 * plane.tilt_std_rad
 
 
@@ -112,17 +104,13 @@ def test_what_is_explained_is_not_found_again(room: PasDataset, found: list[Plan
 
 
 def test_what_is_not_explained_yet_is_found_along_known_normals(room: PasDataset, found: list[Plane]) -> None:
-    known = (
-        replace(ROOM, walls=(WALL, SIDE, FLOOR)).cfr().reshape(-1, len(RECEIVER.element_position_wavelengths))
-    )
+    known = replace(ROOM, walls=(WALL, SIDE, FLOOR)).cfr().reshape(-1, len(RECEIVER.element_position_wavelengths))
     planes = find_more_planes(room, [the_one(found, WALL)], lambda rows: known[rows][None])
     assert abs(planes[0].distance_m - FACET.distance_m) < 2e-4
     assert tilt_rad(planes[0].normal, FACET) < 5e-4
 
 
-def test_a_wall_at_right_angles_to_the_only_one_known_is_found_too(
-    tmp_path: Path, found: list[Plane]
-) -> None:
+def test_a_wall_at_right_angles_to_the_only_one_known_is_found_too(tmp_path: Path, found: list[Plane]) -> None:
     corner = Wall(azimuth_deg=WALL.azimuth_deg - 90, elevation_deg=0.0, distance_m=3.4, reflection=0.3)
     room = replace(ROOM, walls=(WALL, FLOOR, corner))
     known = replace(ROOM, walls=(WALL, FLOOR)).cfr().reshape(-1, len(RECEIVER.element_position_wavelengths))
@@ -158,9 +146,7 @@ def test_few_transmitters_tell_of_walls_that_all_of_them_see(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("num_tx", "walls"), [(36, (WALL, CORNER, FLOOR)), (33, (CORNER, FLOOR))])
-def test_fewer_tell_of_more_walls_than_show_by_themselves(
-    num_tx: int, walls: Sequence[Wall], tmp_path: Path
-) -> None:
+def test_fewer_tell_of_more_walls_than_show_by_themselves(num_tx: int, walls: Sequence[Wall], tmp_path: Path) -> None:
     """Of 36 one wall shows, and what is at right angles to it; of 33 none does, but where it may be is guessed."""
     room = replace(ROOM, walls=(WALL, CORNER, FLOOR), num_tx=num_tx).stored(tmp_path)
     images_m = mirrored_receivers_m(CrossTerms.of(room), 0)

@@ -47,9 +47,7 @@ def assert_found(images_m: np.ndarray, walls: Sequence[Wall]) -> None:
         assert tilt_rad(image_m / twice_m, wall) < 3e-3  # a wavelength over the room
 
 
-def test_a_slanted_wall_a_leaning_wall_and_a_leaning_floor_are_found_and_nothing_else(
-    room: PasDataset,
-) -> None:
+def test_a_slanted_wall_a_leaning_wall_and_a_leaning_floor_are_found_and_nothing_else(room: PasDataset) -> None:
     assert_found(found_in(room), WALLS)
 
 

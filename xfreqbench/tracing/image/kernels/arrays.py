@@ -45,9 +45,7 @@ class Facets(NamedTuple):
 
     normal: F64  # (3, P)
     offset: F64  # (P,): normal · x = offset
-    face: (
-        F64  # (Q, 12): its plane's normal and offset; u* and its offset, v* and its offset: u = x·u* − offset
-    )
+    face: F64  # (Q, 12): its plane's normal and offset; u* and its offset, v* and its offset: u = x·u* − offset
     is_triangle: Bools  # (Q,): u + v ≤ 1 holds too, beside 0 ≤ u, v ≤ 1
     plane: I64  # (Q,)
     slab: I64  # (Q,): its kind, an index into Media
@@ -74,9 +72,7 @@ class Media(NamedTuple):
     def in_lanes(self, num_nodes: int, num_elements: int) -> Media:
         """The media of an array of so many nodes and elements, from those with one lane for each carrier."""
         one = self.lanes[:, :, :-LANES]
-        lanes = np.concatenate(
-            [np.repeat(one, num_nodes, axis=2), np.repeat(one, num_elements, axis=2)], axis=2
-        )
+        lanes = np.concatenate([np.repeat(one, num_nodes, axis=2), np.repeat(one, num_elements, axis=2)], axis=2)
         return self._replace(lanes=np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge"))
 
 

@@ -295,9 +295,7 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
             crossed = _crosses(facets, q, s, bundle, vertex)
             if crossed == MIXED:
                 verdict = MIXED
-            elif crossed == EVERYWHERE and _counts(
-                facets, q, s, walk.crossed, walk.num_crossed[s], path, walk
-            ):
+            elif crossed == EVERYWHERE and _counts(facets, q, s, walk.crossed, walk.num_crossed[s], path, walk):
                 here = side_of(face, q, vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2])
                 there = side_of(face, q, vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2])
                 if not _cross(facets, q, s, here / (here - there), num_left, walk):

@@ -117,11 +117,7 @@ def _add_path(
 ) -> None:
     """Add a path to `sums` (F, M) each. A carrier at which the corners agree decides for all narrower apertures."""
     (real, imag), reach, num_carriers, num_nodes = sums, MIXED, num_paths.shape[0], aperture.weight.shape[0]
-    x, y, z = (
-        walk.start[0, 0] - path.image[0],
-        walk.start[0, 1] - path.image[1],
-        walk.start[0, 2] - path.image[2],
-    )
+    x, y, z = (walk.start[0, 0] - path.image[0], walk.start[0, 1] - path.image[1], walk.start[0, 2] - path.image[2])
     mirror = path.mirror
     image = (  # the way from the image of the array centre to the transmitter, in the elements' axes
         x * x + y * y + z * z,
@@ -159,9 +155,7 @@ def _add_path(
             num_paths[f] += size > 0.0
         else:
             are_gathered = has_mirrors, has_slabs
-            num_paths[f] += _add_to_some(
-                facets, media, aperture, quads, path, f, image, are_gathered, walk, own_sums
-            )
+            num_paths[f] += _add_to_some(facets, media, aperture, quads, path, f, image, are_gathered, walk, own_sums)
 
 
 @bare
@@ -210,9 +204,7 @@ def add_channel(
 
 
 @entry
-def reaching(
-    facets: Facets, media: Media, trie: Trie, tx: F64, max_depth: int
-) -> list[tuple[int, C128, Walk]]:
+def reaching(facets: Facets, media: Media, trie: Trie, tx: F64, max_depth: int) -> list[tuple[int, C128, Walk]]:
     """Nodes whose path reaches the array centre from `tx` (3,), with its gain (F,), and how it runs.
 
     The lanes of `media` are its carriers.

@@ -94,9 +94,7 @@ def begin_at(wedges: Wedges, e: int, work: Work) -> None:
     """Let the halves of paths begin at edge e."""
     for c in range(3):
         work.near.edge[0, c] = work.far.edge[0, c] = wedges.start[e, c]
-        work.near.edge[1, c] = work.far.edge[1, c] = (
-            wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
-        )
+        work.near.edge[1, c] = work.far.edge[1, c] = wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
 
 
 @bare
@@ -175,9 +173,7 @@ def reach(
 
 
 @bare
-def _carry(
-    facets: Facets, media: Media, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work
-) -> None:
+def _carry(facets: Facets, media: Media, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work) -> None:
     """Carry the field of the antenna at one end to the point of the edge, backwards over a half that was traced.
 
     `end` is the image of that end. The wave's direction at the edge is left in `work.waves`.
@@ -192,9 +188,7 @@ def _carry(
     for c in range(3):
         wave[c * BLOCK] = mirror[0, c] * way[0] + mirror[1, c] * way[1] + mirror[2, c] * way[2]
         wave[(6 + c) * BLOCK] = 0.0
-    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = antenna_field(
-        media, wave[0], wave[BLOCK], wave[2 * BLOCK]
-    )
+    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = antenna_field(media, wave[0], wave[BLOCK], wave[2 * BLOCK])
     for s in range(side.length, -1, -1):
         for i in range(walk.num_crossed[s] - 1, -1, -1):
             q = walk.crossed[s, i]

@@ -85,9 +85,7 @@ def _with_echoes(r: Pair, once: Pair) -> tuple[Pair, Pair]:
 
 
 @lane
-def _slab(
-    cosine: float, eta_real: float, eta_imag: float, phase_thickness: float
-) -> tuple[Pair, Pair, Pair, Pair]:
+def _slab(cosine: float, eta_real: float, eta_imag: float, phase_thickness: float) -> tuple[Pair, Pair, Pair, Pair]:
     """Reflection TE, TM and transmission TE, TM of a slab, as `slab_coefficients`, in real and imaginary parts."""
     x, y, te, tm = _face(cosine, eta_real, eta_imag)
     decay = _decay(-phase_thickness * y)
