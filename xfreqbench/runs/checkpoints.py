@@ -78,8 +78,16 @@ class CheckpointFolder:
                 sync(path)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
-            for number in numbers:
+            for number in filter(self._is_own, numbers):
                 remove(self.path / str(number))
+
+    def _is_own(self, number: int) -> bool:
+        """Whether a folder of a checkpoint's name holds one, and not what somebody else has put there."""
+        try:
+            Checkpoint.model_validate_json(read_bytes(self.path / str(number) / _STATE_FILE))
+        except (OSError, ValidationError):
+            return False
+        return True
 
     def newest(self) -> Path | None:
         """The folder of the newest checkpoint; None if there is none yet."""
