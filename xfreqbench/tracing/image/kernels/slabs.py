@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import BLOCK, F64
-from xfreqbench.tracing.image.kernels.compiled import bare, entry, lane
+from .arrays import BLOCK, F64
+from .compiled import bare, entry, lane
 
 Pair = tuple[float, float]  # real and imaginary part
 
