@@ -12,7 +12,8 @@ from xfreqbench.bench.reference import Reference, _write_reference, make_referen
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.scene.model import load_scene
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 
 pytestmark = pytest.mark.sionna
@@ -34,7 +35,11 @@ def test_channels_of_a_furnished_room_reach_the_bar_against_eight_times_the_rays
     lounge = load_scene("lounge")
     reference = read_reference(lounge)
     assert reference.about["way"] == "solver image" and reference.about["rays"] == 8 * TraceSettings().rays
-    tracer = make_tracer(lounge, reference.carrier_hz, TraceSettings(rays=100_000))
+    tracer = tracer_of(
+        PreparedScene.of(lounge),
+        reference.carrier_hz,
+        TraceSettings(interactions=("specular", "refraction"), rays=100_000),
+    )
     for error in map_errors(lounge, tracer.channel(reference.tx_position_m).cfr, reference.cfr):
         assert error.median_psnr_db > 50 and error.fifth_percentile_psnr_db > 40
 

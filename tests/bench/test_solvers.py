@@ -14,7 +14,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 
 def test_a_rung_changes_what_it_says_and_nothing_else() -> None:
     for rung in ladder(["image", "sionna"]):
-        defaults = TraceSettings(rung.solver)
+        defaults = TraceSettings(rung.solver, ("specular", "refraction"))
         changed = {
             "depth": rung.settings.max_depth != defaults.max_depth,
             "rays": rung.settings.rays != defaults.rays,
@@ -32,8 +32,18 @@ def test_the_table_of_settings_is_recorded_with_its_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rungs = [
-        Rung("image", "depth 1", ("depth",), TraceSettings("image", max_depth=1, rays=1000)),
-        Rung("image", "depth 2", ("depth", "rays"), TraceSettings("image", max_depth=2, rays=1000)),
+        Rung(
+            "image",
+            "depth 1",
+            ("depth",),
+            TraceSettings("image", ("specular", "refraction"), max_depth=1, rays=1000),
+        ),
+        Rung(
+            "image",
+            "depth 2",
+            ("depth", "rays"),
+            TraceSettings("image", ("specular", "refraction"), max_depth=2, rays=1000),
+        ),
     ]
     monkeypatch.setattr(convergence, "ladder", lambda solvers: iter(rungs))
     said: list[str] = []

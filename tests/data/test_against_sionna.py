@@ -22,7 +22,7 @@ pytestmark = pytest.mark.sionna
 CARRIERS_GHZ = [2.4, 24.25]
 OFFSETS_HZ = np.linspace(-200e6, 200e6, 33)
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 
 
 def stored(

@@ -166,7 +166,9 @@ main()
 
 
 def test_extrapolated_materials_are_recorded(tmp_path: Path) -> None:
-    settings = TraceSettings(rays=1000, max_depth=1, materials="extrapolate")
+    settings = TraceSettings(
+        interactions=("specular", "refraction"), rays=1000, max_depth=1, materials="extrapolate"
+    )
     plan = plan_generation(load_scene("two_rooms"), [0.9e9], settings, num_transmitters=2)
     dataset = open_dataset(generate_planned(plan, tmp_path / "low.h5"))
     assert "concrete" in dataset.header.settings["extrapolated_materials"]

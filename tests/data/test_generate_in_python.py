@@ -16,7 +16,7 @@ from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
 OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
-OF_PYTHON_ALONE = {"freqs_ghz", "progress"}
+OF_PYTHON_ALONE = {"freqs_ghz", "progress", "tell"}
 
 
 def small(path: Path, **changes: object) -> PasDataset:
@@ -36,7 +36,7 @@ def test_every_option_of_the_command_is_one_here_with_the_same_default() -> None
 
 def test_what_the_rays_are_asked_by_default_are_the_defaults_of_the_settings() -> None:
     python = inspect.signature(xb.generate).parameters
-    settings = asdict(xb.TraceSettings()) | {
+    settings = asdict(xb.TraceSettings(interactions=("specular", "refraction"))) | {
         "interactions": None
     }  # those of ground truth, which depend on the scene
     assert {name: python[name].default for name in settings} == settings

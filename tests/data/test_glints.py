@@ -17,7 +17,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.tracer import TraceSettings
 
-SETTINGS = TraceSettings("image", max_depth=1, rays=20_000)
+SETTINGS = TraceSettings("image", ("specular", "refraction"), max_depth=1, rays=20_000)
 TX_M = np.array([[3.0, 2.2, 1.6], [0.5, 0.5, 1.6]])
 
 

@@ -12,7 +12,6 @@ import pytest
 from tests.support.furnished_room import GRID, RECEIVER, plate, write_meshes
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import plan as planning
-from xfreqbench.data import trace
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import (
@@ -23,7 +22,7 @@ from xfreqbench.errors import (
     UnknownNameError,
     XFreqBenchError,
 )
-from xfreqbench.scene import facets
+from xfreqbench.scene import facets, prepared
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -40,13 +39,22 @@ def test_bad_input_is_refused_before_any_ray() -> None:
     with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
         plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
     for settings, message in (
-        (TraceSettings(max_depth=-1), "depth is -1; give a number from 0 to 16"),
-        (TraceSettings(max_depth=1_000_000), "depth is 1,000,000; give a number from 0 to 16"),
         (
-            TraceSettings(rays=10**12),
+            TraceSettings(interactions=("specular", "refraction"), max_depth=-1),
+            "depth is -1; give a number from 0 to 16",
+        ),
+        (
+            TraceSettings(interactions=("specular", "refraction"), max_depth=1_000_000),
+            "depth is 1,000,000; give a number from 0 to 16",
+        ),
+        (
+            TraceSettings(interactions=("specular", "refraction"), rays=10**12),
             "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000",
         ),
-        (TraceSettings(seed=2**32), "seed is 4,294,967,296; give a number from 0 to 4,294,967,295"),
+        (
+            TraceSettings(interactions=("specular", "refraction"), seed=2**32),
+            "seed is 4,294,967,296; give a number from 0 to 4,294,967,295",
+        ),
     ):
         with pytest.raises(XFreqBenchError, match=message):
             plan_generation(office, [1e9], settings)
@@ -66,7 +74,7 @@ def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
 
         monkeypatch.setattr(module, name, call)
 
-    counted(planning, "surface_meshes")
+    counted(prepared, "surface_meshes")
     counted(facets, "planar_facets")
     generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
     assert calls == {"surface_meshes": 1, "planar_facets": 1}
@@ -79,7 +87,7 @@ def test_planning_a_scene_of_many_triangles_does_not_loop_over_them_in_python(tm
         seen: list[str] = []
         sys.setprofile(lambda frame, event, argument: seen.append(event))
         try:
-            plan_generation(scene, [24.25e9], TraceSettings("image"))
+            plan_generation(scene, [24.25e9], TraceSettings("image", ("specular", "refraction")))
         finally:
             sys.setprofile(None)
         return len(seen)
@@ -96,20 +104,20 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
     assert told == tracing and hash(told) == hash(tracing)
     assert told.known_geometry is None
     assert len(pickled) < 10_000
-    for there, here in zip(told.geometry().meshes, tracing.geometry().meshes, strict=True):
+    for there, here in zip(told.prepared().geometry.meshes, tracing.prepared().geometry.meshes, strict=True):
         np.testing.assert_array_equal(there.corners_m, here.corners_m)
 
 
 def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     told = pickle.loads(pickle.dumps(small_plan(num_transmitters=2).tracing))
-    original = trace.surface_meshes
+    original = prepared.surface_meshes
 
     def meshes_without_the_last(scene: Scene) -> list[Any]:
         return original(scene)[:-1]
 
-    monkeypatch.setattr(trace, "surface_meshes", meshes_without_the_last)
+    monkeypatch.setattr(prepared, "surface_meshes", meshes_without_the_last)
     with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
-        told.geometry()
+        told.prepared()
 
 
 def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ def planned(
     **changes: Any,
 ) -> Plan:
     of_plan = {name: changes.pop(name) for name in ("pas_kind", "maps", "paths") if name in changes}
-    settings = TraceSettings(**changes)
+    settings = TraceSettings(**{"interactions": ("specular", "refraction"), **changes})
     return plan_generation(scene, carrier_hz, settings, tx_position_m=tx_position_m, **of_plan)
 
 

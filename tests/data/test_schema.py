@@ -79,7 +79,7 @@ def with_header(path: Path, **changes: object) -> PasDataset:
 
 
 def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays(tmp_path: Path) -> None:
-    settings = TraceSettings(solver="image", max_depth=2)
+    settings = TraceSettings(interactions=("specular", "refraction"), solver="image", max_depth=2)
     plan = plan_generation(load_scene("empty"), [1e9], settings, num_transmitters=1, maps=False)
     dataset = open_dataset(generate_planned(plan, tmp_path / "data.h5"))
     assert replace(dataset.scene, folder=load_scene("empty").folder) == load_scene("empty")

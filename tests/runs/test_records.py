@@ -15,8 +15,17 @@ from tests.support.leaderboard_records import make_bench
 from tests.support.stored_records import make_record, make_summary
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.packed import pack, unpack
-from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunRecord, append, read
+from xfreqbench.runs.records import (
+    BenchRecord,
+    CurvePoint,
+    External,
+    Job,
+    RunRecord,
+    append,
+    pack,
+    read,
+    unpack,
+)
 from xfreqbench.runs.sealed import SEAL, SealedModel, content_sha256
 
 

@@ -108,13 +108,14 @@ def test_runs_on_workers_are_told_of_too(
 def test_a_run_that_fails_stops_no_other_here_or_on_workers(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], executor: str
 ) -> None:
-    methods = ["stub_methods:FailsInFit", "nearest"]
+    methods = ["tests.support.stub_methods:FailsInFit", "nearest"]
     with pytest.raises(RunsFailedError) as raised:
         xb.run(dataset, methods, results=tmp_path, executor=executor, progress=True, **TARGET)  # type: ignore[arg-type]
     number, failed = str(raised.value).splitlines()
     assert number.startswith("1 of 2 runs failed")
     assert failed.startswith(
-        "stub_methods:FailsInFit on lofo-77GHz, seed 0: Method 'stub_methods:FailsInFit' failed"
+        "tests.support.stub_methods:FailsInFit on lofo-77GHz, seed 0: "
+        "Method 'tests.support.stub_methods:FailsInFit' failed"
     )
     (error,) = raised.value.errors.values()
     assert isinstance(error, MethodError)

@@ -14,7 +14,8 @@ from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.materials import ConstantMaterial, Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import load_scene, parse_scene
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 
 # Of meshes and of the scene's JSON, before GLB, OBJ, transforms, own materials and rooms could be given.
@@ -77,7 +78,10 @@ def test_a_scene_that_sionna_rt_does_not_bring_names_the_nearest(tmp_path: Path)
 
 def test_sionnas_box_is_a_room(tmp_path: Path) -> None:
     plan = plan_generation(
-        scene_of_file(tmp_path, "sionna:box"), [2.4e9], TraceSettings(max_depth=2), maps=False
+        scene_of_file(tmp_path, "sionna:box"),
+        [2.4e9],
+        TraceSettings(interactions=("specular", "refraction"), max_depth=2),
+        maps=False,
     )
     assert len(plan.tx_position_m) == 2
 
@@ -97,7 +101,11 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}')
     tx_position_m, carriers_hz = np.array([[3.5, 3.0, 1.5]]), [1e9, 30e9]
     image, sionna = (
-        make_tracer(scene, carriers_hz, TraceSettings(solver=solver, max_depth=1, rays=10_000))
+        tracer_of(
+            PreparedScene.of(scene),
+            carriers_hz,
+            TraceSettings(interactions=("specular", "refraction"), solver=solver, max_depth=1, rays=10_000),
+        )
         .channel(tx_position_m)
         .cfr
         for solver in ("image", "sionna")
@@ -105,7 +113,11 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     assert np.abs(image - sionna).max() < 2e-3 * np.abs(image).max()  # Sionna's float32
     vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
     nothing = (
-        make_tracer(vacuum, carriers_hz, TraceSettings(solver="image", max_depth=1))
+        tracer_of(
+            PreparedScene.of(vacuum),
+            carriers_hz,
+            TraceSettings(interactions=("specular", "refraction"), solver="image", max_depth=1),
+        )
         .channel(tx_position_m)
         .cfr
     )
@@ -116,7 +128,11 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
 def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
     thick = FOAM.replace("thickness_m = 0.1", "thickness_m = 1000.0")
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "1e9")}{thick}')
-    tracer = make_tracer(scene, [94e9], TraceSettings(solver="sionna", max_depth=1, rays=10_000))
+    tracer = tracer_of(
+        PreparedScene.of(scene),
+        [94e9],
+        TraceSettings(interactions=("specular", "refraction"), solver="sionna", max_depth=1, rays=10_000),
+    )
     with pytest.raises(
         SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"
     ):
@@ -239,4 +255,8 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
     with pytest.raises(SceneError, match="no material of the scene scatters"):
         plan_generation(smooth, [1e9], settings, maps=False)
     with pytest.raises(SceneError, match="rough ones too"):
-        make_tracer(scene, [1e9], TraceSettings(solver="image"))
+        tracer_of(
+            PreparedScene.of(scene),
+            [1e9],
+            TraceSettings(interactions=("specular", "refraction"), solver="image"),
+        )

@@ -16,7 +16,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 
 ARRAY_M = np.array([2.1, 1.6, 2.3])
 SIZE_M = np.array([5.0, 4.0, 2.6])
-SETTINGS = TraceSettings(solver="image", rays=20_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=20_000, max_depth=3)
 SCENE = Scene(
     name="box",
     receiver=ReceiverArray(position_m=(2.1, 1.6, 2.3)),

@@ -6,7 +6,7 @@ from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.scene.model import load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
-SETTINGS = TraceSettings(rays=20_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=3)
 CARRIERS_HZ = [1e9, 24.25e9]
 
 

@@ -16,6 +16,7 @@ from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
@@ -29,7 +30,7 @@ _LEAST_WIDTH_M = 0.8
 _JITTER_RAD = 0.3  # of a fifth of a turn, 1.26
 _ASIDE_M = 0.5  # of the array from the middle, at most
 _MARGIN_M = 0.3
-_SETTINGS = TraceSettings(solver="image", max_depth=4, rays=100_000)
+_SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", max_depth=4, rays=100_000)
 _FOUND_M, _FOUND_RAD = 0.02, 0.01  # a plane that is so near a wall is that wall
 
 
@@ -72,7 +73,7 @@ class RandomRoom:
     def traced(self, path: Path) -> PasDataset:
         """The channels of all transmitters at `CARRIERS_HZ`, stored in a new file."""
         scene = Scene("random room", self.receiver, TransmitterGrid((0, 0, 1), (0, 0, 1), (1, 1, 1)))
-        tracer = ImageTracer(scene, CARRIERS_HZ, _SETTINGS, geometry=Geometry(self.walls))
+        tracer = ImageTracer(PreparedScene(scene, Geometry(self.walls)), CARRIERS_HZ, _SETTINGS)
         cfr = tracer.channel(self.tx_position_m).cfr
         carriers_hz = np.array(CARRIERS_HZ)
         return stored_channels(path, self.receiver, carriers_hz, self.tx_position_m, cfr, maps=False)

@@ -11,7 +11,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGri
 from xfreqbench.tracing.tracer import TraceSettings
 
 CARRIERS_GHZ = (2.4, 24.25, 77.0)
-SETTINGS = TraceSettings(rays=20_000, max_depth=2)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=2)
 SCENE = Scene(
     name="screened",
     description="A room with a metal screen, for tests.",

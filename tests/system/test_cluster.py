@@ -147,7 +147,7 @@ def running(two_workers: Started) -> Started:
 
 
 def _plan(num_tx: int = 96) -> Plan:
-    settings = TraceSettings(rays=20_000, max_depth=5)
+    settings = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=5)
     return plan_generation(load_scene("two_rooms"), [1e9, 24.25e9], settings, num_transmitters=num_tx)
 
 

@@ -18,14 +18,16 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import Scene, load_scene
-from xfreqbench.tracing.solvers import make_tracer, resolve_solver
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
+from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 
 pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = [1e9, 10e9, 94e9]
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 SOLVERS = ("sionna", "image")
 POLARIZATIONS = ("V", "H")
 
@@ -43,7 +45,7 @@ def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
     name: str, polarization: Any, solver: SolverName
 ) -> None:
     scene = simple_scenes(replace(ONE_ELEMENT, polarization=polarization))[name]
-    tracer = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
     for tx in TRANSMITTERS_M:
         paths = tracer.paths(tx)
         for traced, carrier_hz in zip(paths.gain, CARRIERS_HZ, strict=True):
@@ -61,7 +63,7 @@ def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(solver: SolverName) -> None:
     scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
-    tracer = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
     cfr = tracer.channel(TRANSMITTERS_M).cfr[..., 0]
     for tx, row in zip(TRANSMITTERS_M, cfr, strict=True):
         for carrier_hz, value in zip(CARRIERS_HZ, row, strict=True):
@@ -89,15 +91,19 @@ def test_interactions_that_are_off_do_not_happen(
 ) -> None:
     scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
     settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
-    assert make_tracer(scene, [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [[num_paths]]
+    assert tracer_of(PreparedScene.of(scene), [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [
+        [num_paths]
+    ]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName) -> None:
     office = load_scene("office")
     reference = read_reference(office)
-    settings = resolve_solver(Geometry(surface_meshes(office)), TraceSettings(solver=solver))
-    tracer = make_tracer(office, reference.carrier_hz.tolist(), settings)
+    settings = resolve_solver(
+        Geometry(surface_meshes(office)), TraceSettings(interactions=("specular", "refraction"), solver=solver)
+    )
+    tracer = tracer_of(PreparedScene.of(office), reference.carrier_hz.tolist(), settings)
     cfr = tracer.channel(reference.tx_position_m).cfr
     for error in map_errors(office, cfr, reference.cfr):
         assert error.median_psnr_db > 40
@@ -118,15 +124,15 @@ def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Pat
     wall, pane = surface_meshes(simple_scenes()["a wall and a pane between"])
     write_mitsuba([tilted(mesh) for mesh in (*surface_meshes(scene), wall, pane)], tmp_path)
     imported = replace(scene, surface=(), scene="scene.xml", folder=tmp_path)
-    settings = TraceSettings(rays=400_000, max_depth=3)
-    image, sionna = (
-        make_tracer(imported, CARRIERS_HZ, replace(settings, solver=solver)).channel(TRANSMITTERS_M).cfr
-        for solver in ("image", "sionna")
+    settings = TraceSettings(interactions=("specular", "refraction"), rays=400_000, max_depth=3)
+    prepared = PreparedScene.of(imported)
+    tracers = (
+        ImageTracer(prepared, CARRIERS_HZ, settings, ImageSavings(field_nodes_per_axis=4)),
+        tracer_of(prepared, CARRIERS_HZ, replace(settings, solver="sionna")),
     )
+    image, sionna = (tracer.channel(TRANSMITTERS_M).cfr for tracer in tracers)
     # float32 vertices, and paths along an edge that one of the two misses
-    np.testing.assert_allclose(
-        sionna, image, rtol=0, atol=5e-3 * np.abs(image).max(axis=(0, 2), keepdims=True).max()
-    )
+    np.testing.assert_allclose(sionna, image, rtol=0, atol=5e-3 * np.abs(image).max(axis=(0, 2), keepdims=True).max())
     relative = np.linalg.norm(sionna - image, axis=2) / np.linalg.norm(image, axis=2)
     assert np.median(relative) < 5e-3
 
@@ -141,7 +147,7 @@ def test_a_traced_direct_path_peaks_where_the_transmitter_stands_in_the_receiver
     pole = np.array(boresight) / np.linalg.norm(boresight)
     towards = pole + 0.4 * np.array([0.48, -0.6, 0.64])  # within the hemisphere, off every axis
     tx = np.asarray(receiver.position_m) + 3.0 * towards[None]
-    channel = make_tracer(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
+    channel = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
     grid = AngularGrid.hemisphere()
     maps, _ = BartlettBeam(receiver.element_position_wavelengths, grid).maps(channel.cfr[0])
     for pas_map in maps:

@@ -25,7 +25,9 @@ CORNERS_M = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1
 def is_opaque_to_image(material: str, thickness_m: float, carrier_hz: list[float]) -> bool:
     floor = Surface("floor", material, thickness_m, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
     scene = Scene(name="floor", receiver=ReceiverArray((0.0, 0.0, 2.0)), transmitters=GRID, surface=(floor,))
-    tracer = ImageTracer(scene, carrier_hz, TraceSettings(max_depth=1, rays=10))
+    tracer = ImageTracer(
+        scene, carrier_hz, TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=10)
+    )
     return bool(tracer.facets.is_opaque.all())
 
 

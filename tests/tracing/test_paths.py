@@ -13,26 +13,18 @@ from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface, load_scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.image.tracer import ImageTracer
-from xfreqbench.tracing.paths import (
-    DIFFRACTION,
-    NO_INTERACTION,
-    RaggedPaths,
-    angles_rad,
-    directions,
-    element_delays_s,
-)
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION, RaggedPaths, angles_rad, directions, element_delays_s
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import SolverName, Tracer, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 CARRIERS_HZ = [2.4e9, 24.25e9]
-SETTINGS = TraceSettings(rays=50_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=50_000, max_depth=3)
 OVER_EDGES = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
-BOX = Surface(
-    "screen, metal", "metal", 0.002, (5.4, 1.5, 0.0), (5.5, 4.5, 2.3)
-)  # Sionna RT diffracts at no rim
+BOX = Surface("screen, metal", "metal", 0.002, (5.4, 1.5, 0.0), (5.5, 4.5, 2.3))  # Sionna RT diffracts at no rim
 SCENE = replace(SCREENED, surface=(*SCREENED.surface[:-1], BOX))
 SHADOWED_M = np.array([6.0, 3.0, 1.0])
 SOLVERS = [
@@ -57,29 +49,27 @@ def require_on_named_surfaces(scene: Scene, tracer: Tracer, tx: np.ndarray) -> s
 
 @pytest.mark.parametrize(("solver", "settings"), SOLVERS)
 def test_a_path_meets_the_surfaces_that_it_names(solver: SolverName, settings: TraceSettings) -> None:
-    tracer = make_tracer(SCENE, CARRIERS_HZ, replace(settings, solver=solver))
+    tracer = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(settings, solver=solver))
     codes = require_on_named_surfaces(SCENE, tracer, SHADOWED_M)
     assert (DIFFRACTION in codes) == (settings is OVER_EDGES)
     office = load_scene("office")
     if settings is SETTINGS:
-        tracer = make_tracer(office, CARRIERS_HZ, replace(settings, solver=solver))
+        tracer = tracer_of(PreparedScene.of(office), CARRIERS_HZ, replace(settings, solver=solver))
         require_on_named_surfaces(office, tracer, np.array([1.0, 3.0, 1.2]))
 
 
 def test_a_path_among_meshes_meets_the_surfaces_that_it_names(tmp_path: Path) -> None:
     room = furnished_room(tmp_path, subdivisions=1)
-    tracer = make_tracer(room, CARRIERS_HZ, replace(SETTINGS, solver="image"))
+    tracer = tracer_of(PreparedScene.of(room), CARRIERS_HZ, replace(SETTINGS, solver="image"))
     assert isinstance(tracer, ImageTracer)
     for tx in TX_M:
         require_on_named_surfaces(room, tracer, tx)
 
 
 @pytest.mark.parametrize(("solver", "settings"), SOLVERS)
-def test_directions_and_delays_are_those_of_the_points_on_the_way(
-    solver: SolverName, settings: TraceSettings
-) -> None:
+def test_directions_and_delays_are_those_of_the_points_on_the_way(solver: SolverName, settings: TraceSettings) -> None:
     receiver_m = np.asarray(SCENE.receiver.position_m)
-    paths = make_tracer(SCENE, CARRIERS_HZ, replace(settings, solver=solver)).paths(SHADOWED_M)
+    paths = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(settings, solver=solver)).paths(SHADOWED_M)
     departure = paths.departure(SHADOWED_M, receiver_m)
     for p, is_met in enumerate(paths.interactions != NO_INTERACTION):
         line_m = np.vstack([SHADOWED_M, paths.vertices_m[p][is_met], receiver_m])
@@ -101,7 +91,7 @@ def test_angles_name_the_direction() -> None:
 
 
 def test_one_behind_the_other_paths_lose_single_precision_alone() -> None:
-    tracer = make_tracer(SCENE, CARRIERS_HZ, replace(SETTINGS, solver="image"))
+    tracer = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(SETTINGS, solver="image"))
     tx_m, receiver_m = np.array([[1.0, 1.0, 1.0], [6.0, 3.0, 1.0]]), np.asarray(SCENE.receiver.position_m)
     paths = [tracer.paths(tx) for tx in tx_m]
     ragged = RaggedPaths.of(paths, tx_m, receiver_m)

@@ -102,10 +102,7 @@ def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
                 table.add(work.name, way.name, *took.cells(work.unit), "yes" if same else "NO")
                 points.append(took.point(work, way.name))
         table.figure = BenchFigure(
-            x_label="start-up, s",
-            y_label="transmitters or runs a second",
-            log_x=False,
-            points=tuple(points),
+            x_label="start-up, s", y_label="transmitters or runs a second", log_x=False, points=tuple(points)
         )
 
 

@@ -22,9 +22,10 @@ from xfreqbench.errors import DataError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.files import atomic_path, require_own, require_regular, storage_errors
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback
@@ -32,7 +33,11 @@ from xfreqbench.types import FloatArray, ProgressCallback
 REFERENCE_CARRIERS_HZ = (1e9, 10e9, 94e9)
 REFERENCE_TRANSMITTERS = 24
 REFERENCE_SETTINGS = TraceSettings(
-    solver="sionna", rays=8 * TraceSettings().rays, max_depth=TraceSettings().max_depth + 1, seed=2
+    interactions=("specular", "refraction"),
+    solver="sionna",
+    rays=8 * TraceSettings().rays,
+    max_depth=TraceSettings().max_depth + 1,
+    seed=2,
 )
 PUBLIC_WAY = (
     "public forward PathSolver(synthetic_array=False), one call per transmitter and carrier, hash table of 2^25 "
@@ -99,7 +104,7 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
     reference = _unfinished_reference(scene, path)
     if scene.scene is not None and np.isnan(reference.cfr).any():
         settings = replace(REFERENCE_SETTINGS, solver="image")
-        tracer = make_tracer(scene, reference.carrier_hz.tolist(), settings)
+        tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
         reference.cfr[:] = tracer.channel(reference.tx_position_m).cfr
         _write_reference(path, reference)
     missing = np.argwhere(np.isnan(reference.cfr[..., 0]))
@@ -111,7 +116,7 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
                 scene,
                 float(reference.carrier_hz[f]),
                 reference.tx_position_m[t : t + 1],
-                REFERENCE_SETTINGS.interactions,
+                REFERENCE_SETTINGS.named_interactions,
                 REFERENCE_SETTINGS.max_depth,
                 REFERENCE_SETTINGS.rays,
                 REFERENCE_SETTINGS.seed,
@@ -121,7 +126,7 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
 
 
 def _unfinished_reference(scene: Scene, path: Path) -> Reference:
-    """The reference in the file as far as it is done, or an empty one where there is no file."""
+    """The reference in the file, which may be unfinished, or an empty one if there is no file."""
     asked = _empty_reference(scene)
 
     def fault_of(file: Path) -> str | None:
@@ -158,14 +163,14 @@ def _empty_reference(scene: Scene) -> Reference:
         "rays": REFERENCE_SETTINGS.rays,
         "max_depth": REFERENCE_SETTINGS.max_depth,
         "seed": REFERENCE_SETTINGS.seed,
-        "interactions": REFERENCE_SETTINGS.interactions,
+        "interactions": REFERENCE_SETTINGS.named_interactions,
         "software": software_versions("image" if has_meshes else "sionna"),
     }
     return Reference(tx, np.array(REFERENCE_CARRIERS_HZ), np.full(shape, np.nan, np.complex128), about)
 
 
 def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
-    """Positions of transmitters, half of which see the receiver, or more where too few do not."""
+    """Positions of transmitters. Half of them see the receiver, or more if too few are in shadow."""
     meshes = surface_meshes(scene)
     usable = place_transmitters(scene, meshes)
     lit = sees(meshes, usable.tx_position_m, np.asarray(scene.receiver.position_m))

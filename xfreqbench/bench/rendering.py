@@ -140,7 +140,7 @@ def _seconds(work: Callable[[], object]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Leaves:
-    """Inputs of accumulation by which it is differentiated, for N Gaussians and B samples."""
+    """Inputs of accumulation that have gradients, for N Gaussians and B samples."""
 
     distance: Float[Tensor, "..."]
     inverse_spread: Float[Tensor, "N B"]
@@ -234,21 +234,13 @@ def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[
 
 def dense_field(leaves: Leaves) -> Complex[Tensor, "B K"]:
     """Eq. 11 with every Gaussian on every direction; `distance` is (K, N), Gaussians are sorted, nearest first."""
-    samples = leaves.inverse_spread.T, leaves.signal.T, leaves.attenuation.T
-    return torch.stack([_dense_sample(leaves.distance, *sample) for sample in zip(*samples, strict=True)])
-
-
-def _dense_sample(
-    distance: Float[Tensor, "K N"],
-    inverse_spread: Float[Tensor, "N"],
-    signal: Complex[Tensor, "N"],
-    attenuation: Complex[Tensor, "N"],
-) -> Complex[Tensor, "K"]:
-    """The field of one sample."""
-    footprint = torch.exp(-0.5 * distance * inverse_spread)
-    through = torch.cumprod(1 - footprint * (1 - attenuation), dim=1)
-    in_front = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
-    return (footprint * in_front) @ signal
+    of_samples = []
+    for sample in range(leaves.signal.shape[1]):
+        footprint = torch.exp(-0.5 * leaves.distance * leaves.inverse_spread[:, sample])
+        through = torch.cumprod(1 - footprint * (1 - leaves.attenuation[:, sample]), dim=1)
+        in_front = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
+        of_samples.append((footprint * in_front) @ leaves.signal[:, sample])
+    return torch.stack(of_samples)
 
 
 def dense_s(projection: Projection, grid: AngularGrid) -> float:
@@ -263,7 +255,11 @@ def dense_s(projection: Projection, grid: AngularGrid) -> float:
 
     def render() -> None:
         for elevation_rad in grid.elevation_rad.tolist():
-            distance = _dense_distance(near_first, elevation_rad, grid)
+            # squared Mahalanobis distances between one row of directions and circular footprints
+            azimuth_rad = torch.as_tensor(grid.azimuth_rad, dtype=torch.float32)[:, None]
+            across = torch.remainder(azimuth_rad - near_first.azimuth_rad + math.pi, 2 * math.pi) - math.pi
+            along = elevation_rad - near_first.elevation_rad
+            distance = (across**2 + along**2) / near_first.covariance[:, 0, 0]
             differentiated(dense_field, replace(leaves, distance=distance), weights)
 
     all_threads, times_s = num_threads(), []
@@ -274,14 +270,6 @@ def dense_s(projection: Projection, grid: AngularGrid) -> float:
     finally:
         torch.set_num_threads(all_threads)
     return min(times_s)
-
-
-def _dense_distance(projection: Projection, elevation_rad: float, grid: AngularGrid) -> Float[Tensor, "A N"]:
-    """Squared Mahalanobis distances between one row of directions and N circular footprints."""
-    azimuth_rad = torch.as_tensor(grid.azimuth_rad, dtype=torch.float32)
-    across = torch.remainder(azimuth_rad[:, None] - projection.azimuth_rad + math.pi, 2 * math.pi) - math.pi
-    along = elevation_rad - projection.elevation_rad
-    return (across**2 + along**2) / projection.covariance[:, 0, 0]
 
 
 def accumulation_errors(projection: Projection, batch_size: int) -> tuple[float, float]:

@@ -23,8 +23,9 @@ from xfreqbench.maps.metrics import psnr
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray
@@ -82,16 +83,8 @@ class Workload:
 
     def channel(self) -> ChannelArray:
         """Channels as `generate` computes them, with rays that are shot once for everything."""
-        tracer = make_tracer(self.scene, self.carrier_hz, self.settings)
+        tracer = tracer_of(PreparedScene.of(self.scene), self.carrier_hz, self.settings)
         return tracer.channel(self.tx_position_m).cfr
-
-    def one_transmitter_each(self) -> list[Workload]:
-        """The same work in pieces of one transmitter."""
-        return [replace(self, tx_position_m=place[None]) for place in self.tx_position_m]
-
-    def one_carrier_each(self) -> list[Workload]:
-        """The same work in pieces of one carrier."""
-        return [replace(self, carrier_hz=(carrier,)) for carrier in self.carrier_hz]
 
     def saving(
         self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]
@@ -109,7 +102,7 @@ def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     scene = load_scene("office")
     tx_position_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), num_tx, seed=1)
     carriers = tuple(ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ)
-    return Workload(scene, tx_position_m, carriers, TraceSettings(solver))
+    return Workload(scene, tx_position_m, carriers, TraceSettings(solver, ("specular", "refraction")))
 
 
 def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
@@ -212,33 +205,33 @@ def side_by_side(work: Workload, name: str) -> Saving:
 
     The image method has a thread for each transmitter, so its ratio is mostly due to threads.
     """
-    tracer = make_tracer(work.scene, work.carrier_hz, work.settings)
+    tracer = tracer_of(PreparedScene.of(work.scene), work.carrier_hz, work.settings)
 
-    def one_by_one() -> ChannelArray:
-        return np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m])
-
-    def together() -> ChannelArray:
-        return tracer.channel(work.tx_position_m).cfr
-
-    return work.saving(name, "channels, rays shot beforehand", one_by_one, together)
+    return work.saving(
+        name,
+        "channels, rays shot beforehand",
+        lambda: np.concatenate([tracer.channel(place[None]).cfr for place in work.tx_position_m]),
+        lambda: tracer.channel(work.tx_position_m).cfr,
+    )
 
 
 def one_shooting_for_all_transmitters(work: Workload, name: str) -> Saving:
     """Rays shot from the receiver once, against anew for each transmitter."""
-
-    def anew() -> ChannelArray:
-        return np.concatenate([one.channel() for one in work.one_transmitter_each()])
-
-    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+    parts = [replace(work, tx_position_m=place[None]) for place in work.tx_position_m]
+    return work.saving(
+        name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts]), work.channel
+    )
 
 
 def one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
     """Rays shot once for the widest aperture, against anew for the aperture of each carrier."""
-
-    def anew() -> ChannelArray:
-        return np.concatenate([one.channel() for one in work.one_carrier_each()], axis=1)
-
-    return work.saving(name, SCENE_AND_RAYS, anew, work.channel)
+    parts = [replace(work, carrier_hz=(carrier,)) for carrier in work.carrier_hz]
+    return work.saving(
+        name,
+        SCENE_AND_RAYS,
+        lambda: np.concatenate([part.channel() for part in parts], axis=1),
+        work.channel,
+    )
 
 
 def shooting_from_the_receiver(work: Workload) -> Saving:
@@ -274,7 +267,7 @@ def _plain(work: Workload) -> ChannelArray:
     from xfreqbench.tracing.sionna.plain import plain_channel
 
     settings = work.settings
-    asked = settings.interactions, settings.max_depth, settings.rays, settings.seed
+    asked = settings.named_interactions, settings.max_depth, settings.rays, settings.seed
     channels = [plain_channel(work.scene, carrier, work.tx_position_m, *asked) for carrier in work.carrier_hz]
     return np.stack(channels, axis=1)
 

@@ -27,11 +27,10 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr, ssim
 from xfreqbench.runs.records import BenchFigure, BenchPoint
-from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
-from xfreqbench.tracing.solvers import make_tracer, resolve_solver, with_interactions
+from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
@@ -156,7 +155,7 @@ def ladder(solvers: Sequence[str]) -> Iterator[Rung]:
 
 def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> Iterator[Rung]:
     """The settings of one solver."""
-    base = TraceSettings(solver)
+    base = TraceSettings(solver, ("specular", "refraction"))
     yield Rung(solver, "defaults", ("depth", "rays", "interactions"), base)
     for depth in depths:
         yield Rung(solver, f"depth {depth}", ("depth",), replace(base, max_depth=depth))
@@ -172,8 +171,9 @@ def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: 
     Times are the smallest of `_REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
     is one.
     """
-    settings = resolve_solver(Geometry(surface_meshes(scene)), settings)
-    is_dear = "diffraction" in settings.interactions and settings.solver == "sionna"
+    prepared = PreparedScene.of(scene)
+    settings = resolve_solver(prepared.geometry, settings)
+    is_dear = "diffraction" in settings.named_interactions and settings.solver == "sionna"
     num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), _REPEATS)
     _traced(scene, settings, reference, num_warm)
     shoot_s, channel_s, (cfr, *_) = zip(
@@ -189,7 +189,7 @@ def _traced(
 ) -> tuple[float, float, Complex[NDArray[np.complex128], "T F M"]]:
     """Seconds for rays and for the channels of the first `num_tx` transmitters, and these channels."""
     start = time.perf_counter()
-    tracer = make_tracer(scene, reference.carrier_hz.tolist(), settings)
+    tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
     shot = time.perf_counter()
     channel = tracer.channel(reference.tx_position_m[:num_tx])
     return shot - start, time.perf_counter() - shot, channel.cfr
@@ -203,7 +203,7 @@ def measure_plain(
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
 
     chosen = np.linspace(0, len(reference.tx_position_m) - 1, num_tx).astype(int)
-    interactions = REFERENCE_SETTINGS.interactions
+    interactions = REFERENCE_SETTINGS.named_interactions
 
     def solve(carrier_hz: float, rows: NDArray[np.int64]) -> Complex[NDArray[np.complex128], "T M"]:
         tx = reference.tx_position_m[rows]
@@ -280,14 +280,13 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     scene = load_scene(scene_name)
     reference = read_reference(scene)
     bench.introduce()
-    base, points = TraceSettings(), []
-    can_diffract = "diffraction" in with_interactions(scene).interactions
-    every = ladder(solvers)
-    rungs = [each for each in every if can_diffract or "diffraction" not in each.settings.interactions]
+    base, points = TraceSettings(interactions=("specular", "refraction")), []
+    rungs = ladder(solvers)
     note = (
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
-        f"{' and '.join(base.interactions)}; a row names what it changes. Rays are shot once for all transmitters, but "
-        f"with diffraction by Sionna RT, not reciprocal. Times are the least of {_REPEATS} warm runs, of one there."
+        f"{' and '.join(base.named_interactions)}; a row names what it changes. Rays are shot once for all "
+        "transmitters, but with diffraction by Sionna RT, not reciprocal. Times are the least of "
+        f"{_REPEATS} warm runs, of one there."
     )
     title = f"Error of the generated maps against run time, {scene_name}"
     with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
@@ -347,12 +346,22 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
 
 def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
     """Costs of the full pipeline, by name."""
-    yield "image", measure_pipeline(scene, TraceSettings("image"), num_tx)
+    yield "image", measure_pipeline(scene, TraceSettings("image", ("specular", "refraction")), num_tx)
     for count in (1, 5, 10):
         carriers_ghz = PAPER_CARRIERS_GHZ[:count]
         few = min(num_tx or _FEW_TX, _FEW_TX)
-        yield f"price per carrier: {count}", measure_pipeline(scene, TraceSettings(), few, carriers_ghz)
-    yield "sionna", measure_pipeline(scene, TraceSettings("sionna"), min(num_tx or _FEW_TX, _FEW_TX))
+        yield (
+            f"price per carrier: {count}",
+            measure_pipeline(
+                scene, TraceSettings(interactions=("specular", "refraction")), few, carriers_ghz
+            ),
+        )
+    yield (
+        "sionna",
+        measure_pipeline(
+            scene, TraceSettings("sionna", ("specular", "refraction")), min(num_tx or _FEW_TX, _FEW_TX)
+        ),
+    )
 
 
 def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[MeasuredSetting]:
@@ -372,7 +381,12 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
             series = "plain, larger table" if is_roomy else "plain"
             points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
         for solver in SOLVERS:
-            row = measure(scene, TraceSettings(solver), reference, f"{solver}, defaults, tracing alone")
+            row = measure(
+                scene,
+                TraceSettings(solver, ("specular", "refraction")),
+                reference,
+                f"{solver}, defaults, tracing alone",
+            )
             table.add(*row.cells)
             points.append(row.point(solver, "defaults"))
         table.figure = _figure(points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +17,7 @@ from xfreqbench.cli.options import (
     Quiet,
     app,
     example,
+    parse_carriers_ghz,
     parse_carriers_hz,
     parse_interactions,
     say,
@@ -98,58 +100,45 @@ def generate(
     scene
         A shipped scene's name, or the path of a scene TOML.
     """
-    import time
-
-    from xfreqbench.data.dataset import open_dataset
+    from xfreqbench.data import generate as generation
     from xfreqbench.data.fingerprint import compare_fingerprint
-    from xfreqbench.data.generate import estimate_seconds, generate_planned
-    from xfreqbench.data.plan import plan_generation
-    from xfreqbench.scene.facets import Geometry
-    from xfreqbench.scene.meshes import surface_meshes
-    from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
-    from xfreqbench.system.workers import open_workers, require_executor
-    from xfreqbench.tracing.solvers import with_interactions
+    from xfreqbench.system.workers import require_executor
+    from xfreqbench.tracing.solvers import interactions_named
     from xfreqbench.tracing.tracer import TraceSettings
 
     require_executor(executor)
-    if tx is not None and tx_positions is not None:
-        raise XFreqBenchError(
-            "--tx chooses from the scene's grid and --tx-positions replaces it; give one of them."
-        )
-    settings = TraceSettings(
-        solver=solver,
-        max_depth=max_depth,
-        rays=rays,
-        seed=seed,
-        materials=materials,
-    )
-    start = time.perf_counter()
-    loaded = load_scene(scene)
-    geometry = Geometry(surface_meshes(loaded))
-    plan = plan_generation(
-        loaded,
-        parse_carriers_hz(freqs),
-        with_interactions(loaded, settings, parse_interactions(interactions), geometry),
-        num_transmitters=tx,
-        tx_position_m=_read_positions(tx_positions),
-        pas_kind=pas_kind,
-        maps=maps,
-        paths=paths,
-        geometry=geometry,
-    )
-    say(f"{plan.summary}\nplanned in {time.perf_counter() - start:.1f} s", quiet)
+    freqs_ghz, names = parse_carriers_ghz(freqs), parse_interactions(interactions)
+    chosen = {
+        "tx": tx,
+        "tx_positions": _read_positions(tx_positions),
+        "pas_kind": pas_kind,
+        "maps": maps,
+        "paths": paths,
+    }
     if dry_run:
-        print(f"estimated time {estimate_seconds(plan):.0f} s on this machine; nothing was written")
+        settings = TraceSettings(solver, interactions_named(names), max_depth, rays, seed, materials)
+        plan = generation.plan_of(scene, freqs_ghz, settings, **chosen)
+        seconds = generation.estimate_seconds(plan)
+        print(f"{plan.summary}\nestimated time {seconds:.0f} s on this machine; nothing was written")
         return
     is_new = not output.exists()
-    with (
-        open_workers(executor) as workers,
-        progress_bars("transmitters", ["tracing", "writing"], quiet) as (tracing, writing),
-    ):
-        generate_planned(plan, output, tracing, writing, workers)
+    dataset = generation.generate(
+        scene,
+        output,
+        freqs_ghz,
+        **chosen,
+        solver=solver,
+        interactions=names,
+        rays=rays,
+        max_depth=max_depth,
+        seed=seed,
+        materials=materials,
+        executor=executor,
+        progress=not quiet,
+        tell=partial(say, quiet=quiet),
+    )
     say_written(output, is_new, quiet)
-    say(compare_fingerprint(open_dataset(output)).verdict, quiet)
+    say(compare_fingerprint(dataset).verdict, quiet)
 
 
 def _read_positions(path: Path | None) -> Any:

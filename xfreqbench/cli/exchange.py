@@ -204,7 +204,7 @@ def split(
     handout = Handout(dataset, make_splits(dataset, protocol, parse_targets_ghz(targets), on), maps)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
         is_new = write_handout(handout, output, *bars)
-    names = ", ".join(each.name for each in handout.splits)
+    names = ", ".join(split.name for split in handout.splits)
     size = f"{output.stat().st_size / 1e6:.1f} MB"
     say(f"wrote {output} ({size}): {names}" if is_new else f"{output} already holds these splits", quiet)
 

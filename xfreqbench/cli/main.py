@@ -17,14 +17,7 @@ from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import require_thread_count
 
-__all__ = [
-    "app",
-    "data",
-    "exchange",
-    "main",
-    "measure",
-    "runs",
-]  # importing a file adds its commands
+__all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
 _MOMENT_S = 0.01
 _IGNORED = add_plugin_commands(app)  # after the commands of our own

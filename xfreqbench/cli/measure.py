@@ -8,15 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import (
-    Interactions,
-    Output,
-    Quiet,
-    bench,
-    example,
-    parse_interactions,
-    say,
-)
+from xfreqbench.cli.options import Interactions, Output, Quiet, bench, example, parse_interactions, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[

@@ -21,14 +21,14 @@ def _refusal(error: CycloptsError) -> RichGroup:
     from rich.text import Text
 
     chain = tuple(error.command_chain or ())
-    told: CycloptsError | str = error
+    shown: CycloptsError | str = error
     if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
         names = error.argument.names
         needed = (
             names[0].lstrip("-").upper() if error.argument.field_info.is_positional else " or ".join(names)
         )
-        told = f"xfreqbench {' '.join(chain)} needs {needed}."
-    panel, command = CycloptsPanel(told), app
+        shown = f"xfreqbench {' '.join(chain)} needs {needed}."
+    panel, command = CycloptsPanel(shown), app
     for name in chain:
         command = command[name]
     return RichGroup(panel, Text(command.help_epilogue)) if command.help_epilogue else RichGroup(panel)

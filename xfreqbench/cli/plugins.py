@@ -50,7 +50,9 @@ def __getattr__(name: str) -> App:
             raise MethodError(
                 f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one."
             )
-        (entry,) = {each.value: each for each in entry_points(group=COMMAND_GROUP, name=name)}.values()
+        (entry,) = {
+            entry_point.value: entry_point for entry_point in entry_points(group=COMMAND_GROUP, name=name)
+        }.values()
         with method_code(f"Command {name!r} cannot be loaded:", "Mend its package, or uninstall it.", ()):
             app = entry.load()
         if not isinstance(app, App) or app.name[0] != name:

@@ -27,6 +27,14 @@ from xfreqbench.errors import XFreqBenchError
 if TYPE_CHECKING:
     from xfreqbench.runs.records import RunRecord
 
+Overrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
+    ),
+]
+
 
 @app.command(group=RUN, help_epilogue=example("methods xfreq-gs"))
 def methods(method: str | None = None) -> None:
@@ -58,13 +66,7 @@ def methods(method: str | None = None) -> None:
 def check_method(
     method: str,
     *,
-    set_: Annotated[
-        tuple[str, ...],
-        Parameter(
-            name="--set",
-            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
-        ),
-    ] = (),
+    set_: Overrides = (),
 ) -> None:
     """Try every part of a method's contract on a small data set, in seconds.
 
@@ -154,13 +156,7 @@ def run(
     device: Annotated[
         Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")
     ] = "cpu",
-    set_: Annotated[
-        tuple[str, ...],
-        Parameter(
-            name="--set",
-            help="Change an option of the method, as in num_gaussians=512; `methods NAME` lists them.",
-        ),
-    ] = (),
+    set_: Overrides = (),
     executor: Executor = "serial",
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
@@ -204,12 +200,6 @@ def _warn_of_busy(records: Sequence[RunRecord], quiet: bool) -> None:
             "little, and budgets in seconds gave fewer steps; budgets in steps, as in --budget 500steps, do not mind.",
             file=sys.stderr,
         )
-
-
-def _raise_failures(failures: list[str], what: str) -> None:
-    if failures:
-        number = f"{len(failures)} of its {what} failed; the same command tries them again."
-        raise XFreqBenchError("\n".join([number, *failures]))
 
 
 def _seeds(text: str) -> list[int]:
@@ -281,7 +271,9 @@ def benchmark(
             benchmarks.record_contents(planned)
     folder = planned.results_dir
     report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
-    _raise_failures(failures, "parts")
+    if failures:
+        number = f"{len(failures)} of its parts failed; the same command tries them again."
+        raise XFreqBenchError("\n".join([number, *failures]))
 
 
 @app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))
@@ -334,7 +326,8 @@ def report(
 def compare(a: Path, b: Path) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
-    Rows of the same method, options and budget are paired; the only rows of both, whatever they are.
+    Rows of the same method, options and budget are paired, then rows that are alone with their method in A and in B,
+    and at last the only row left in A with the only one in B.
 
     Parameters
     ----------

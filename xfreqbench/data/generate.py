@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import InstanceOf
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
@@ -20,19 +22,17 @@ from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import MaterialPolicy
-from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
-from xfreqbench.tracing.solvers import make_tracer, with_interactions
+from xfreqbench.tracing.solvers import interactions_named, tracer_of
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import ProgressCallback, ignore_progress
+from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 _FEW_RAYS = 1000  # which meet all that has to be compiled
@@ -59,6 +59,7 @@ def generate(
     paths: bool = False,
     executor: Word = SERIAL,
     progress: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> PasDataset:
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
 
@@ -66,34 +67,57 @@ def generate(
     scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres. The
     other options are those of `xfreqbench generate`, with the same names and defaults: without `interactions` they
     are specular, refraction, and diffraction where solver `image` traces it. `executor` is `serial`, a
-    number of processes, or `dask://host:port`, and `progress` draws bars on stderr.
+    number of processes, or `dask://host:port`, and `progress` draws bars on stderr. `tell` is given counts and size of
+    what will be traced, in a few lines, before the first ray.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
     what is raised. Mistakes are `XFreqBenchError`s, before the first ray where that is possible.
     """
-    if tx is not None and tx_positions is not None:
-        raise XFreqBenchError(
-            "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
-        )
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    settings = TraceSettings(solver=solver, max_depth=max_depth, rays=rays, seed=seed, materials=materials)
-    geometry = Geometry(surface_meshes(scene))
-    plan = plan_generation(
+    plan = plan_of(
         scene,
-        [ghz_to_hz(carrier) for carrier in freqs_ghz],
-        with_interactions(scene, settings, interactions, geometry),
-        num_transmitters=tx,
-        tx_position_m=tx_positions,
+        freqs_ghz,
+        TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials),
+        tx=tx,
+        tx_positions=tx_positions,
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
-        geometry=geometry,
     )
+    if tell:
+        tell(plan.summary)
     with (
         open_workers(executor) as workers,
         progress_bars("transmitters", ["tracing", "writing"], not progress) as (tracing, writing),
     ):
         return open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
+
+
+def plan_of(
+    scene: str | Path | Scene,
+    freqs_ghz: Sequence[float],
+    settings: TraceSettings,
+    *,
+    tx: int | None,
+    tx_positions: Float[FloatArray, "T 3"] | None,
+    pas_kind: str,
+    maps: bool,
+    paths: bool,
+) -> Plan:
+    """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
+    if tx is not None and tx_positions is not None:
+        raise XFreqBenchError(
+            "tx chooses from the scene's grid and tx_positions replaces it; give one of them."
+        )
+    return plan_generation(
+        scene if isinstance(scene, Scene) else load_scene(scene),
+        [ghz_to_hz(carrier) for carrier in freqs_ghz],
+        settings,
+        num_transmitters=tx,
+        tx_position_m=tx_positions,
+        pas_kind=pas_kind,
+        maps=maps,
+        paths=paths,
+    )
 
 
 def generate_planned(
@@ -183,7 +207,7 @@ def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
     for settings in (replace(plan.settings, rays=_FEW_RAYS), plan.settings):
         start = time.perf_counter()
-        tracer = make_tracer(plan.scene, plan.tracing.carrier_hz, settings, plan.geometry)
+        tracer = tracer_of(plan.tracing.prepared(), plan.tracing.carrier_hz, settings)
         channel_by(tracer, plan.tracing, plan.tx_position_m[spread[:1]])
     shot = time.perf_counter()
     channel_by(tracer, plan.tracing, plan.tx_position_m[spread])

@@ -11,10 +11,9 @@ from jaxtyping import Float, Int
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError
-from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz
 
@@ -74,8 +73,8 @@ def _paths(
 ) -> tuple[Int[IntArray, "n"], Float[FloatArray, "n F"]]:
     """Number of paths of each transmitter to the array centre, and their power at each carrier."""
     settings = replace(dataset.trace_settings, solver="sionna", interactions=("specular", "refraction"))
-    geometry = Geometry(surface_meshes(scene))
-    tracer = make_tracer(scene, dataset.header.carrier_hz.tolist(), settings, geometry)
+    prepared = PreparedScene.of(scene)
+    tracer = tracer_of(prepared, dataset.header.carrier_hz.tolist(), settings)
     paths = [tracer.paths(tx) for tx in tx_position_m]
     counts = np.array([len(each.delay_s) for each in paths], dtype=np.int64)
     return counts, np.array([(np.abs(each.gain) ** 2).sum(axis=1) for each in paths])

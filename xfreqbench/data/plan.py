@@ -17,7 +17,7 @@ from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import Geometry, check_overlaps
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
-from xfreqbench.scene.meshes import meshes_sha256, slabs_of, surface_meshes
+from xfreqbench.scene.meshes import meshes_sha256, slabs_of
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import (
     Placement,
@@ -26,10 +26,11 @@ from xfreqbench.scene.placement import (
     choose_transmitters,
     place_transmitters,
 )
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.machine import available_memory_mib
-from xfreqbench.tracing.solvers import resolve_solver, with_interactions
+from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
 from xfreqbench.types import FloatArray
@@ -59,7 +60,7 @@ class Plan:
     @property
     def geometry(self) -> Geometry:
         """Meshes and facets of the scene."""
-        return self.tracing.geometry()
+        return self.tracing.prepared().geometry
 
     @property
     def settings(self) -> TraceSettings:
@@ -85,7 +86,7 @@ class Plan:
             f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({self.line_of_sight.sum()} in sight) "
             f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB"
             f"{' and the paths' if self.header.paths else ''}\n"
-            f"solver {self.settings.solver}, {' and '.join(self.settings.interactions)}, depth "
+            f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}" + self._material_notes
         )
@@ -102,7 +103,7 @@ class Plan:
         rough = [
             f"{name} (S {each.coefficient:g}, {each.pattern})" for name, each in self.geometry.scattering
         ]
-        is_traced = "diffuse" in self.settings.interactions
+        is_traced = "diffuse" in self.settings.named_interactions
         return (f"\nthe same at every carrier: {', '.join(told)}" if told else "") + (
             f"\nscattering: {', '.join(rough)}"
             f"{'' if is_traced else ', of which the interaction diffuse is not traced'}"
@@ -123,29 +124,27 @@ class Plan:
 
 
 def plan_generation(
-    scene: Scene,
+    scene: Scene | PreparedScene,
     carrier_hz: Sequence[float],
-    settings: TraceSettings | None = None,
+    settings: TraceSettings = TraceSettings(),
     *,
     num_transmitters: int | None = None,
     tx_position_m: Float[FloatArray, "T 3"] | None = None,
     pas_kind: str = "power",
     maps: bool = True,
     paths: bool = False,
-    geometry: Geometry | None = None,
 ) -> Plan:
     """Check a job and look up all that it needs; no ray is shot.
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file; `paths` puts the paths into it. Without `settings` the defaults are taken, with the interactions
-    of ground truth. `geometry` is that of the scene, where it is known already. Raises `MaterialBandError`,
-    `PlacementError` or another `XFreqBenchError`.
+    out of the file; `paths` puts the paths into it. Raises `MaterialBandError`, `PlacementError` or another
+    `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
-    geometry = geometry or Geometry(surface_meshes(scene))
-    settings = settings or with_interactions(scene, geometry=geometry)
-    if paths and "diffuse" in settings.interactions:
+    prepared = PreparedScene.of(scene)
+    scene, geometry = prepared.scene, prepared.geometry
+    if paths and "diffuse" in settings.named_interactions:
         raise XFreqBenchError(
             "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
             "up to one for each ray: they are not stored. Leave out --paths, or the interaction diffuse."
@@ -201,7 +200,7 @@ def _header(
 ) -> DatasetHeader:
     """What the file will say about itself."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    told = [{"material": name, **each.stated} for name, each in tracing.geometry().scattering]
+    told = [{"material": name, **each.stated} for name, each in tracing.prepared().geometry.scattering]
     rough = {"scattering": told} if told else {}
     return DatasetHeader(
         scene_name=tracing.scene.name,

@@ -61,10 +61,10 @@ class Recipe:
             {
                 "version": header.physics,
                 "scene": _scene_content(scene, header),
-                "interactions": sorted(settings.interactions),
+                "interactions": sorted(settings.named_interactions),
                 "max_depth": settings.max_depth,
                 "extrapolated_materials": header.settings.get("extrapolated_materials", []),
-                "drawn": [settings.rays, settings.seed] if "diffuse" in settings.interactions else [],
+                "drawn": [settings.rays, settings.seed] if "diffuse" in settings.named_interactions else [],
             }
         )
         samples = {

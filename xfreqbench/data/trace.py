@@ -12,10 +12,11 @@ from jaxtyping import Float
 
 from xfreqbench.errors import ClusterError
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
+from xfreqbench.scene.meshes import meshes_sha256
 from xfreqbench.scene.model import Scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import RaggedPaths
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
 from xfreqbench.types import FloatArray
 
@@ -38,17 +39,17 @@ class Tracing:
     def __reduce__(self) -> tuple[Any, ...]:
         return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths)
 
-    def geometry(self) -> Geometry:
-        """Meshes and facets of the scene; raises `ClusterError` where a worker finds other meshes than planned."""
+    def prepared(self) -> PreparedScene:
+        """The scene with its geometry; raises `ClusterError` where a worker finds other meshes than planned."""
         if self.known_geometry is not None:
-            return self.known_geometry
-        geometry = Geometry(surface_meshes(self.scene))
-        if meshes_sha256(geometry.meshes) != self.scene_sha256:
+            return PreparedScene(self.scene, self.known_geometry)
+        prepared = PreparedScene.of(self.scene)
+        if meshes_sha256(prepared.geometry.meshes) != self.scene_sha256:
             raise ClusterError(
                 f"A worker on {platform.node()} finds other meshes of scene {self.scene.name!r} in "
                 f"{self.scene.folder}. Keep them on a file system that all workers share."
             )
-        return geometry
+        return prepared
 
 
 def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
@@ -74,4 +75,4 @@ def forget_rays() -> None:
 
 @lru_cache(maxsize=1)
 def _tracer(tracing: Tracing) -> Tracer:
-    return make_tracer(tracing.scene, tracing.carrier_hz, tracing.settings, tracing.geometry())
+    return tracer_of(tracing.prepared(), tracing.carrier_hz, tracing.settings)

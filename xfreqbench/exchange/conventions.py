@@ -228,5 +228,7 @@ def convention_rows() -> list[tuple[str, ...]]:
     for name in shown:
         values = (getattr(convention, name) for convention in CONVENTIONS.values())
         rows.append((name, *(f"{value:g}" if isinstance(value, float) else str(value) for value in values)))
-    repeats = ("yes" if each.last_column_repeats_the_first else "no" for each in CONVENTIONS.values())
+    repeats = (
+        "yes" if convention.last_column_repeats_the_first else "no" for convention in CONVENTIONS.values()
+    )
     return [*rows, ("last column repeats first", *repeats)]

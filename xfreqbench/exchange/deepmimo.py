@@ -100,7 +100,7 @@ def _tables(paths: RaggedPaths, carrier: int, carrier_hz: float) -> dict[str, An
 def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
     settings = dataset.trace_settings
     allowed = {
-        name: settings.max_depth if name in settings.interactions else 0
+        name: settings.max_depth if name in settings.named_interactions else 0
         for name in ("specular", "refraction")
     }
     return {
@@ -110,7 +110,7 @@ def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
         "max_path_depth": settings.max_depth,
         "max_reflections": allowed["specular"],
         "max_transmissions": allowed["refraction"],
-        "max_diffractions": int("diffraction" in settings.interactions),
+        "max_diffractions": int("diffraction" in settings.named_interactions),
         "max_scattering": 0,
         "diffuse_reflections": 0,
         "diffuse_diffractions": 0,
@@ -149,17 +149,17 @@ def _sets(num_users: int, num_heard: int) -> dict[str, dict[str, Any]]:
 
 def _materials(slabs: Sequence[Slab], carrier_hz: float, policy: MaterialPolicy) -> dict[str, dict[str, Any]]:
     """What the surfaces are made of at one carrier, by number."""
-    told = {}
+    materials = {}
     for number, slab in enumerate(slabs):
         permittivity = complex_permittivity(slab.material, carrier_hz, policy)
-        told[f"material_{number}"] = {
+        materials[f"material_{number}"] = {
             "id": number,
             "name": str(slab.material),
             "permittivity": permittivity.real,
             "conductivity": conductivity_s_m(permittivity, carrier_hz),
             "thickness": slab.thickness_m,
         }
-    return told
+    return materials
 
 
 def _write_scene(folder: Path, meshes: Sequence[SurfaceMesh]) -> dict[str, Any]:

@@ -74,10 +74,12 @@ def import_deepmimo(
     `progress` is told how many users are done and how many there are. Raises `DataError` that names the file,
     `UnknownNameError` for a pair that is not there, `OutputExistsError` and `StorageError`.
     """
-    scenarios = sorted((_read(each, pair) for each in _folders(folder)), key=lambda each: each.carrier_hz)
+    scenarios = sorted(
+        (_read(subfolder, pair) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
+    )
     _require_alike(folder, scenarios)
     first = scenarios[0]
-    is_heard = np.any([each.is_path.any(axis=1) for each in scenarios], axis=0)
+    is_heard = np.any([scenario.is_path.any(axis=1) for scenario in scenarios], axis=0)
     users = np.flatnonzero(is_heard)
     if not len(users):
         raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
@@ -92,7 +94,11 @@ def import_deepmimo(
         for part, own in zip(parts, paths, strict=True):
             cfr, num_paths = _channels(own, header)
             samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)
-            writer.append(first.user_m[part], _are_in_sight(scenarios, part), samples, own)
+            direct = [
+                (scenario.of_paths["inter"][part] == 0) & scenario.is_path[part] for scenario in scenarios
+            ]
+            in_sight = np.any([is_direct.any(axis=1) for is_direct in direct], axis=0)
+            writer.append(first.user_m[part], in_sight, samples, own)
             done += len(part)
             progress(done, len(users))
     return True
@@ -112,12 +118,12 @@ def _read(folder: Path, pair: str | None) -> Scenario:
     digest = hashlib.sha256()
     try:
         content = read_bytes(folder / PARAMETERS)
-        told = json.loads(content)
+        parameters = json.loads(content)
         carrier_hz, raytracer = (
-            float(told["rt_params"]["frequency"]),
-            str(told["rt_params"]["raytracer_name"]),
+            float(parameters["rt_params"]["frequency"]),
+            str(parameters["rt_params"]["raytracer_name"]),
         )
-        stations = {int(each["id"]) for each in told["txrx_sets"].values() if each["is_tx"]}
+        stations = {int(antennas["id"]) for antennas in parameters["txrx_sets"].values() if antennas["is_tx"]}
     except (*_UNREADABLE, AttributeError, RecursionError) as error:
         raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {error!r}.") from error
     if not (np.isfinite(carrier_hz) and 0 < carrier_hz < 1e15):
@@ -231,15 +237,17 @@ def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
 
 
 def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
-    carriers = [each.carrier_hz for each in scenarios]
+    carriers = [scenario.carrier_hz for scenario in scenarios]
     if len(set(carriers)) < len(carriers):
         raise DataError(f"{folder} holds two scenarios at the same carrier; import them one by one.")
     first = scenarios[0]
-    for each in scenarios[1:]:
-        same = np.array_equal(each.station_m, first.station_m) and np.array_equal(each.user_m, first.user_m)
+    for scenario in scenarios[1:]:
+        same = np.array_equal(scenario.station_m, first.station_m) and np.array_equal(
+            scenario.user_m, first.user_m
+        )
         if not same:
             raise DataError(
-                f"{folder}: station or users at {format_ghz(each.carrier_hz)} stand elsewhere than at "
+                f"{folder}: station or users at {format_ghz(scenario.carrier_hz)} stand elsewhere than at "
                 f"{format_ghz(first.carrier_hz)}; import the scenarios one by one."
             )
 
@@ -249,9 +257,9 @@ def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> Dat
     return DatasetHeader(
         scene_name=name,
         scene_json=json.dumps({"name": name}),
-        scene_sha256=hashlib.sha256("".join(each.sha256 for each in scenarios).encode()).hexdigest(),
+        scene_sha256=hashlib.sha256("".join(scenario.sha256 for scenario in scenarios).encode()).hexdigest(),
         receiver=ReceiverArray(position_m=tuple(first.station_m.tolist())),
-        carrier_hz=np.array([each.carrier_hz for each in scenarios]),
+        carrier_hz=np.array([scenario.carrier_hz for scenario in scenarios]),
         num_tx=len(users),
         pas_kind="power",
         maps=False,
@@ -269,17 +277,17 @@ def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> Dat
 
 def _ragged(scenarios: Sequence[Scenario], users: IntArray) -> RaggedPaths:
     """The paths of some users at all carriers, the earliest first; each has a gain of 0 where it is not listed."""
-    depth = max(each.point_m.shape[2] for each in scenarios)
+    depth = max(scenario.point_m.shape[2] for scenario in scenarios)
     rows, gains, owners = [], [], []
-    for number, each in enumerate(scenarios):
-        is_path = each.is_path[users]
-        user, tables = np.nonzero(is_path)[0], {k: v[users][is_path] for k, v in each.of_paths.items()}
+    for number, scenario in enumerate(scenarios):
+        is_path = scenario.is_path[users]
+        user, tables = np.nonzero(is_path)[0], {k: v[users][is_path] for k, v in scenario.of_paths.items()}
         points_m = np.zeros((len(user), depth, 3))
-        points_m[:, : each.point_m.shape[2]] = np.nan_to_num(each.point_m[users][is_path])
+        points_m[:, : scenario.point_m.shape[2]] = np.nan_to_num(scenario.point_m[users][is_path])
         shared = [tables[key] for key in ("delay", "aod_az", "aod_el", "aoa_az", "aoa_el", "inter")]
         rows.append(np.column_stack([user, *shared, points_m.reshape(len(user), -1)]))
         received = 10 ** (tables["power"] / 20) * np.exp(1j * np.radians(tables["phase"]))
-        gains.append(received * np.exp(2j * np.pi * (each.carrier_hz * tables["delay"] % 1.0)))
+        gains.append(received * np.exp(2j * np.pi * (scenario.carrier_hz * tables["delay"] % 1.0)))
         owners.append(np.full(len(user), number))
     distinct, place = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
     gain = np.zeros((len(distinct), len(scenarios)), np.complex64)
@@ -324,9 +332,3 @@ def _channels(paths: RaggedPaths, header: DatasetHeader) -> tuple[NDArray[np.com
         waves = paths.gain[:, carrier, None] * np.exp(-2j * np.pi * carrier_hz * delay_s)
         cfr[:, carrier] = np.add.reduceat(waves, first, axis=0)
     return cfr, np.add.reduceat(paths.gain != 0, first, axis=0, dtype=np.int64)
-
-
-def _are_in_sight(scenarios: Sequence[Scenario], users: IntArray) -> Bool[NDArray[np.bool_], "T"]:
-    """Whether some scenario lists a path without interactions of each user."""
-    direct = [(each.of_paths["inter"][users] == 0) & each.is_path[users] for each in scenarios]
-    return np.asarray(np.any([each.any(axis=1) for each in direct], axis=0))

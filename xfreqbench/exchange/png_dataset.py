@@ -157,18 +157,15 @@ def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> N
     (folder / POSITIONS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     carrier_ghz = np.repeat(header.carrier_hz / 1e9, header.num_tx).tolist()
     (folder / CARRIERS).write_text("".join(f"{carrier:.15g}\n" for carrier in carrier_ghz), encoding="utf-8")
-    (folder / RECEIVER).write_text(_receiver_yaml(header, convention), encoding="utf-8")
-
-
-def _receiver_yaml(header: DatasetHeader, convention: Convention) -> str:
     quaternion = convention.published_quaternion(header.receiver.quaternion_xyzw)
-    return (
+    receiver = (
         f"{CONVENTION}: {json.dumps(convention.drawing_fields())}  # how xfreqbench drew the maps\n"
         f"dataset_name: {json.dumps(header.scene_name)}\n"
         "gateway1:\n"
         f"  position: {list(header.receiver.position_m)}\n"
         f"  orientation: {list(quaternion)}  # quaternion {convention.quaternion}\n"
     )
+    (folder / RECEIVER).write_text(receiver, encoding="utf-8")
 
 
 def _check_array(dataset: PasDataset, convention: Convention) -> None:
@@ -203,8 +200,8 @@ def _check_maps(dataset: PasDataset, convention: Convention) -> None:
     """Raise `DataError` unless maps without channels are as the convention draws them: they can only be copied."""
     kinds = {"amplitude": "amplitude", "power": "power", "phase-only": "phase-only power"}
     guessed = {"values": kinds[dataset.header.pas_kind], "darkest": "zero"}
-    told = dataset.header.settings.get("convention")
-    imported = told if isinstance(told, dict) else {}
+    named = dataset.header.settings.get("convention")
+    imported = named if isinstance(named, dict) else {}
     for name in ("values", "darkest"):
         drawn, expected = imported.get(name, guessed[name]), getattr(convention, name)
         if drawn != expected:

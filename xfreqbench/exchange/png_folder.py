@@ -75,7 +75,7 @@ def write_levels(path: Path, levels: Levels) -> None:
 
 
 def _opened(path: Path) -> Image.Image:
-    """The image in a file, of which only the header is read yet; raises `DataError`, also where it is too large."""
+    """The image in a file, with only its header read; raises `DataError`, also if it is too large."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
@@ -192,16 +192,15 @@ def _read_positions(path: Path) -> list[tuple[float, ...]]:
     header, *lines = _lines(path) or [""]
     if header.replace(" ", "").lower() != "x,y,z":
         raise DataError(f"{path}, line 1, is {header!r}; it must be x,y,z.")
-    return [_position(path, number, line) for number, line in enumerate(lines, start=2)]
-
-
-def _position(path: Path, number: int, line: str) -> tuple[float, ...]:
-    position_m = _numbers(line, 3)
-    if position_m is None or max(map(abs, position_m)) > FAR_M:
-        raise DataError(
-            f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres."
-        )
-    return position_m
+    positions = []
+    for number, line in enumerate(lines, start=2):
+        position_m = _numbers(line, 3)
+        if position_m is None or max(map(abs, position_m)) > FAR_M:
+            raise DataError(
+                f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres."
+            )
+        positions.append(position_m)
+    return positions
 
 
 def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:
@@ -226,7 +225,7 @@ def _carrier_hz(place: str, text: str) -> float:
 def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
     """The receiver that `gateway_info.yml` describes, with the array of the convention."""
     content = _yaml(path)
-    _check_told(path, content, convention)
+    _check_declared(path, content, convention)
     gateway = _gateway(path, content)
     published, position_m = (
         _listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3))
@@ -264,12 +263,12 @@ def _yaml(path: Path) -> dict[Any, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> None:
+def _check_declared(path: Path, content: dict[Any, Any], convention: Convention) -> None:
     """Raise `DataError` if the folder says that its maps are drawn in another way than the convention."""
-    told, stated = content.get(CONVENTION), convention.drawing_fields()
-    told = told if isinstance(told, dict) else {}
-    differing = [name for name, value in stated.items() if not _is_alike(told.get(name, value), value)]
-    if any(not isinstance(told[name], str | int | float) for name in differing):
+    declared, stated = content.get(CONVENTION), convention.drawing_fields()
+    declared = declared if isinstance(declared, dict) else {}
+    differing = [name for name, value in stated.items() if not _is_alike(declared.get(name, value), value)]
+    if any(not isinstance(declared[name], str | int | float) for name in differing):
         raise DataError(
             f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
             "meant by --set."
@@ -277,16 +276,16 @@ def _check_told(path: Path, content: dict[Any, Any], convention: Convention) -> 
     if differing:
         raise DataError(
             f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
-            f"Give {' '.join(f'--set {name}={told[name]}' for name in differing)} too."
+            f"Give {' '.join(f'--set {name}={declared[name]}' for name in differing)} too."
         )
 
 
-def _is_alike(told: object, stated: object) -> bool:
+def _is_alike(declared: object, stated: object) -> bool:
     """Whether two values are equal; numbers are compared as numbers, because YAML reads some of JSON's as texts."""
-    if isinstance(stated, str) or not isinstance(told, str | int | float):
-        return told == stated
+    if isinstance(stated, str) or not isinstance(declared, str | int | float):
+        return declared == stated
     try:
-        return float(told) == stated
+        return float(declared) == stated
     except ValueError:
         return False
 
@@ -295,7 +294,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
     """The receiver in a YAML file: the only mapping in it that has a position and an orientation."""
     found = [content, *content.values()]
     gateways = [
-        each for each in found if isinstance(each, dict) and {"position", "orientation"} <= each.keys()
+        frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()
     ]
     if len(gateways) != 1:
         raise DataError(
@@ -308,7 +307,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
     """The numbers in the list under a key of the receiver."""
     listed = gateway[key] if isinstance(gateway[key], list) else []
-    listed = listed if all(isinstance(each, str | int | float) for each in listed) else []
+    listed = listed if all(isinstance(entry, str | int | float) for entry in listed) else []
     numbers = _numbers(",".join(map(str, listed)), count)
     if numbers is None:
         raise DataError(
@@ -371,24 +370,15 @@ def _sample_table(
                 f"{position} m has two samples at {format_ghz(carrier)}; it must have one."
             )
         table[place] = number
-    _check_complete(folder, table, position_m, carriers)
-    return table
-
-
-def _check_complete(
-    folder: Path,
-    table: Int[NDArray[np.int64], "T F"],
-    position_m: list[tuple[float, ...]],
-    carriers: list[float],
-) -> None:
     missing = np.argwhere(table == 0)
     if len(missing):
-        transmitter, carrier = missing[0].tolist()
+        transmitter, absent = missing[0].tolist()
         number = int(table[transmitter].max())
         raise DataError(
             f"{folder / POSITIONS}, line {number + 1}: the transmitter at {position_m[number - 1]} m has no "
-            f"sample at {format_ghz(carriers[carrier])}; every one needs each carrier of {CARRIERS} once."
+            f"sample at {format_ghz(carriers[absent])}; every one needs each carrier of {CARRIERS} once."
         )
+    return table
 
 
 def _content_sha256(paths: list[Path]) -> str:

@@ -99,7 +99,7 @@ def known_splits(dataset: PasDataset) -> dict[str, Split]:
     heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
     targets = [None, *([carrier / 1e9] for carrier in heard)]
     protocols = (*PROTOCOLS, *VALIDATIONS)
-    found = (splits_or_none(dataset, protocol, each) for protocol in protocols for each in targets)
+    found = (splits_or_none(dataset, protocol, target) for protocol in protocols for target in targets)
     return {split.name: split for splits in found for split in splits}
 
 
@@ -175,9 +175,9 @@ def _place(path: Path, group: str | None) -> str:
 
 
 def _declaration(place: str, owners: Sequence[Any], method: str | None) -> Declaration:
-    """The attributes of the root and of a group, of which those of the group win; raises `DataError`."""
+    """The attributes of the root and of a group; those of the group replace those of the root. Raises `DataError`."""
     names = Declaration.model_fields
-    given = {name: _plain(each.attrs[name]) for each in owners for name in names if name in each.attrs}
+    given = {name: _plain(owner.attrs[name]) for owner in owners for name in names if name in owner.attrs}
     if method is not None:
         given["method"] = method
     try:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -112,7 +112,11 @@ def score_file(
     submission = _Submission(dataset, str(data), parts, maps_sha256)
     scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
-    return ScoredFile(tuple(scored), tuple(_missing(dataset, parts)), is_data_known)
+    given = {part.split.name for part in parts}
+    protocols = dict.fromkeys(part.split.protocol for part in parts)
+    usual = [split.name for protocol in protocols for split in splits_or_none(dataset, protocol)]
+    missing = tuple(name for name in usual if name not in given)
+    return ScoredFile(tuple(scored), missing, is_data_known)
 
 
 def _each(
@@ -167,12 +171,3 @@ def _record(submission: _Submission, part: Part, record_id: str, predictions: Pa
         external=External(sha256=submission.sha256, hardware=declared.hardware, url=declared.url),
     )
     return scored_record(record_id, job, submission.dataset, part.split, predictions, outcome)
-
-
-def _missing(dataset: PasDataset, parts: Sequence[Part]) -> Iterator[str]:
-    """Names of the splits that the protocols in a file have by default, and that it leaves out."""
-    given = {part.split.name for part in parts}
-    for protocol in dict.fromkeys(part.split.protocol for part in parts):
-        for split in splits_or_none(dataset, protocol):
-            if split.name not in given:
-                yield split.name

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -83,10 +83,12 @@ def write_handout(handout: Handout, path: Path, progress: ProgressCallback = ign
     with create_sealed(path, variables, header, groups) as writer:
         for split in handout.splits:
             _append_known(writer, handout.dataset, split)
-        for name, maps in _training_maps(handout):
-            writer.append(name, maps)
-            done += len(maps)
-            progress(done, handout.num_maps)
+        for split in handout.splits if handout.maps else ():
+            for start in range(0, len(split.train), BATCH_SIZE):
+                maps = handout.dataset.pas(split.train[start : start + BATCH_SIZE])
+                writer.append(f"{split.name}/{MAPS}", maps)
+                done += len(maps)
+                progress(done, handout.num_maps)
     return True
 
 
@@ -142,8 +144,8 @@ def _variables(handout: Handout, split: Split) -> list[Variable]:
         variables.append(maps)
     prefix = f"{split.name}/"
     return [
-        replace(each, name=prefix + each.name, axes=tuple(prefix + axis for axis in each.axes))
-        for each in variables
+        replace(variable, name=prefix + variable.name, axes=tuple(prefix + axis for axis in variable.axes))
+        for variable in variables
     ]
 
 
@@ -157,10 +159,3 @@ def _append_known(writer: SealedWriter, dataset: PasDataset, split: Split) -> No
         values[f"{part}_carrier_hz"] = samples.carrier_hz
     for name, known in values.items():
         writer.append(f"{split.name}/{name}", known)
-
-
-def _training_maps(handout: Handout) -> Iterator[tuple[str, NDArray[np.float32]]]:
-    for split in handout.splits if handout.maps else ():
-        for start in range(0, len(split.train), BATCH_SIZE):
-            rows = split.train[start : start + BATCH_SIZE]
-            yield f"{split.name}/{MAPS}", handout.dataset.pas(rows)

@@ -85,7 +85,9 @@ def _results(trial: _Trial) -> Iterator[CheckResult]:
 @dataclass(frozen=True)
 class _Check:
     requirement: str
-    fault_of: Callable[[_Trial], str | None]
+    fault_of: Callable[
+        [_Trial], object
+    ]  # the fault as a text; whatever else is returned means that there is none
     is_warning: bool = False
     compares_fits: bool = False  # which says something where equal seeds give equal maps
 
@@ -107,7 +109,8 @@ def _seeds_differ(trial: _Trial) -> bool:
 def _fault_or_exception(check: _Check, trial: _Trial) -> str | None:
     try:
         with method_code("it raised", ""):
-            return check.fault_of(trial)
+            found = check.fault_of(trial)
+            return found if isinstance(found, str) else None
     except UnknownNameError:
         raise
     except XFreqBenchError as error:
@@ -184,11 +187,6 @@ def _is_training(dataset: PasDataset) -> NDArray[np.bool_]:
     return (dataset.tx_index != _UNSEEN_TX) & (dataset.carrier_hz != unseen_hz)
 
 
-def _construction_fault(trial: _Trial) -> str | None:
-    trial.new()
-    return None
-
-
 def _config_fault(trial: _Trial) -> str | None:
     as_json(trial.built.config)
     kind = type(trial.built.config)
@@ -220,21 +218,6 @@ def _first_yield_fault(trial: _Trial) -> str | None:
 def _steps_fault(trial: _Trial) -> str | None:
     if any(later <= earlier for earlier, later in zip(trial.steps, trial.steps[1:], strict=False)):
         return f"they are {trial.steps}. Count every optimiser step, once, from the start of the fit."
-    return None
-
-
-def _parameters_fault(trial: _Trial) -> str | None:
-    checked_num_parameters(trial.fitted)
-    return None
-
-
-def _map_fault(trial: _Trial) -> str | None:
-    trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index != _UNSEEN_TX])
-    return None
-
-
-def _unseen_transmitter_fault(trial: _Trial) -> str | None:
-    trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index == _UNSEEN_TX])
     return None
 
 
@@ -335,19 +318,25 @@ def _difference_fault(
 
 _STAGES = (
     (
-        _Check("it can be constructed, with and without its config", _construction_fault),
+        _Check("it can be constructed, with and without its config", _Trial.new),
         _Check("its config is a frozen dataclass that can be written as JSON", _config_fault),
     ),
     (
         _Check("fit is a generator that yields Progress", _fit_fault),
         _Check("predict is valid at fit's first yield, and fit can be closed there", _first_yield_fault),
         _Check("the steps that fit yields ascend", _steps_fault),
-        _Check("num_parameters is an integer of 0 or more", _parameters_fault),
+        _Check(
+            "num_parameters is an integer of 0 or more", lambda trial: checked_num_parameters(trial.fitted)
+        ),
     ),
     (
-        _Check("predict returns float32 maps in [0, 1] at a carrier it was not trained on", _map_fault),
         _Check(
-            "predict returns maps for a transmitter that it was not trained on", _unseen_transmitter_fault
+            "predict returns float32 maps in [0, 1] at a carrier it was not trained on",
+            lambda trial: trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index != _UNSEEN_TX]),
+        ),
+        _Check(
+            "predict returns maps for a transmitter that it was not trained on",
+            lambda trial: trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index == _UNSEEN_TX]),
         ),
         _Check("every map has peak 1", _peak_fault),
         _Check("predict answers the same when asked twice", _repeat_fault),

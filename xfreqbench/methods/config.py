@@ -79,9 +79,9 @@ def _meaning(config: Any, name: str) -> str:
     for base in type(config).__mro__:
         hint = get_type_hints(base, include_extras=True).get(name)
         for said in getattr(hint, "__metadata__", ()):
-            told = getattr(said, "documentation", None) or getattr(said, "description", None)
-            if told:
-                return str(told)
+            text = getattr(said, "documentation", None) or getattr(said, "description", None)
+            if text:
+                return str(text)
     return ""
 
 

@@ -21,9 +21,7 @@ _IMPORTING = Path(importlib.__file__).parent
 
 @contextmanager
 def method_code(
-    failed: str,
-    advice: str,
-    passed: tuple[type[XFreqBenchError], ...] = (XFreqBenchError,),
+    failed: str, advice: str, passed: tuple[type[XFreqBenchError], ...] = (XFreqBenchError,)
 ) -> Iterator[None]:
     """A block that runs a method's own code, in which whatever it raises becomes a `MethodError`.
 

@@ -50,8 +50,8 @@ def method_description(name: str) -> tuple[str, list[OptionRow]]:
     config = build_method(name).config
     with method_code(f"Method {name!r} cannot be described:", "Mend its docstring or its config."):
         own, generated = _docstring(type(config)), f"{type(config).__name__}("  # as dataclasses write theirs
-        told = [_docstring(resolve_method(name)), "" if own.startswith(generated) else own]
-        return "\n\n".join(filter(None, told)), option_rows(config)
+        texts = [_docstring(resolve_method(name)), "" if own.startswith(generated) else own]
+        return "\n\n".join(filter(None, texts)), option_rows(config)
 
 
 def _docstring(named: Any) -> str:

@@ -34,7 +34,7 @@ def write_method_package(name: str, folder: Path) -> list[Path]:
     `StorageError`.
     """
     contents = {
-        each: (files("xfreqbench.examples") / TEMPLATE / each).read_text("utf-8") for each in TEMPLATE_FILES
+        name: (files("xfreqbench.examples") / TEMPLATE / name).read_text("utf-8") for name in TEMPLATE_FILES
     }
     module, class_name = name.replace("-", "_"), "".join(part.capitalize() for part in name.split("-"))
     _require_free(name, module, class_name, "\n".join(contents.values()))

@@ -163,6 +163,10 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
     places = num_places or benchmark.num_places
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
+    num_bytes = sum(  # if every split tests every transmitter once
+        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2
+        for block in preset.blocks
+    )
     return "\n".join(
         [
             f"preset {benchmark.name}: {preset.description}",
@@ -170,7 +174,7 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
             f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
             f"{len(preset.benches)} measurements: about {in_hours(seconds_needed(benchmark, places))}; "
-            f"{_disk_gb(benchmark):.0f} GB of predictions",
+            f"{num_bytes / 1e9:.0f} GB of predictions",
         ]
     )
 
@@ -178,7 +182,9 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
 def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
     """Estimated seconds for all runs, as if none was done yet, and all measurements."""
     runs_s = sum(
-        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, each) for each in block.settings)
+        _num_splits(block)
+        * len(block.seeds)
+        * sum(_run_seconds(block, setting) for setting in block.settings)
         for block in benchmark.preset.blocks
     )
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
@@ -250,7 +256,7 @@ def record_contents(benchmark: Benchmark) -> None:
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
         rows=tuple(map(_contents, benchmark.preset.blocks)),
     )
-    known = [(each.note, each.rows) for each in benchmark.results.stored.benches]
+    known = [(bench.note, bench.rows) for bench in benchmark.results.stored.benches]
     if (contents.note, contents.rows) not in known:
         benchmark.results.append(contents)
 
@@ -283,11 +289,3 @@ def _data_line(benchmark: Benchmark, scene: str) -> str:
     if path.exists():
         return f"{path} is there already and is used"
     return f"{path}: {plan.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"
-
-
-def _disk_gb(benchmark: Benchmark) -> float:
-    """Estimated size of all predictions in GB, if every split tests every transmitter once."""
-    return sum(
-        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 / 1e9
-        for block in benchmark.preset.blocks
-    )

@@ -74,7 +74,8 @@ class CheckpointFolder:
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
             (unfinished / _STATE_FILE).write_bytes(state.sealed_json())
-            _sync_tree(unfinished)
+            for path in (*unfinished.rglob("*"), unfinished):
+                sync(path)
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
             for number in numbers:
@@ -165,8 +166,3 @@ def _sha256_by_name(folder: Path) -> dict[str, str]:
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
     }
-
-
-def _sync_tree(folder: Path) -> None:
-    for path in (*folder.rglob("*"), folder):
-        sync(path)

@@ -30,7 +30,9 @@ class Estimate:
     @property
     def seconds(self) -> float:
         """The most that the runs with a budget in seconds take, one after the other; other fits may take any time."""
-        return sum(OVERHEAD_S + _most_seconds(job) for job in self.left)
+        return sum(
+            OVERHEAD_S + (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0) for job in self.left
+        )
 
     @property
     def is_long(self) -> bool:
@@ -79,7 +81,3 @@ def _num_places(executor: str) -> int | None:
 
 def _is_trivial(job: Job) -> bool:
     return job.method in EVERY_TRIVIAL
-
-
-def _most_seconds(job: Job) -> float:
-    return 0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0

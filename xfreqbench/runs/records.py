@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import errno
 import os
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -29,7 +31,6 @@ from pydantic import (
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.packed import pack, unpack
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
@@ -43,7 +44,8 @@ CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
-_STEP = 1e-4  # of scores of which there are many; tables print medians to 1e-5, which are therefore finer
+_MAX_NUMBERS = 10_000_000  # of a text that is unpacked
+_STEP = 1e-4  # of the scores of single samples; medians, which tables print to 1e-5, are finer
 
 
 def _rounded(number: float) -> float:
@@ -60,14 +62,46 @@ def _rounded_within(found: Any) -> Any:
     return _rounded(found) if isinstance(found, float) else found
 
 
+def pack(numbers: Sequence[float], step: float) -> str | list[float]:
+    """A text that stands for numbers to the nearest multiple of `step`; the numbers themselves where one is infinite.
+
+    Each multiple less the one before is an `int32`. The lowest bytes of all come first, then the second, third and
+    fourth; they are deflated (zlib) and written in base64.
+    """
+    multiples = np.round(np.asarray(numbers, np.float64) / step)
+    if not (np.abs(multiples) < 2**30).all():
+        return list(numbers)
+    differences = np.diff(multiples, prepend=0.0).astype("<i4")
+    content = differences.view(np.uint8).reshape(-1, 4).T.tobytes()
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def unpack(packed: Any, step: float) -> Any:
+    """The numbers that a text of `pack` stands for; what is no text comes back as it is.
+
+    Raises `ValueError` for a text that `pack` does not write.
+    """
+    if not isinstance(packed, str):
+        return packed
+    inflate = zlib.decompressobj()
+    try:
+        content = inflate.decompress(base64.b64decode(packed, validate=True), 4 * _MAX_NUMBERS)
+    except zlib.error as error:
+        raise ValueError(f"a packed list cannot be read: {error}") from error
+    if not inflate.eof or len(content) % 4:
+        raise ValueError("a packed list is cut off, or longer than ten million numbers")
+    differences = np.frombuffer(content, np.uint8).reshape(4, -1).T.copy().view("<i4")
+    return (differences.ravel().cumsum(dtype=np.int64) * step).tolist()
+
+
 def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
     """The number of samples of each transmitter, and the scores of all, each as one text."""
-    every = [score for each in scores for score in each]
-    return [pack([len(each) for each in scores], 1), pack(every, _STEP)]
+    every = [score for of_transmitter in scores for score in of_transmitter]
+    return [pack([len(of_transmitter) for of_transmitter in scores], 1), pack(every, _STEP)]
 
 
 def _unpack_by_tx(packed: Any) -> Any:
-    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(each, str) for each in packed)):
+    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(text, str) for text in packed)):
         return packed
     ends = np.cumsum(unpack(packed[0], 1), dtype=np.int64)
     scores = unpack(packed[1], _STEP)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Literal
 from uuid import uuid4
 
-from jaxtyping import Float, Int
 from pydantic import InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -44,7 +43,6 @@ from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked
 from xfreqbench.system.files import storage_errors
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
-from xfreqbench.types import IntArray, Maps
 
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 
@@ -272,25 +270,23 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
 
 
 def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatch]:
-    """Rows and predicted maps of the split's test rows, batch by batch; `clock` runs within `predict` alone."""
+    """Rows and predicted maps of the split's test rows, batch by batch; `clock` runs within `predict` alone.
+
+    Raises `MethodError` for the first map that no file of predictions may hold.
+    """
     test = task.dataset.subset(task.split.test)
     for start in range(0, len(test), BATCH_SIZE):
         part = slice(start, start + BATCH_SIZE)
         rows, asked = task.split.test[part], (test.tx_position_m[part], test.carrier_hz[part])
         with task.method_errors("predict"), clock:
             maps = method.predict(*asked)
-        yield rows, _scorable(task, rows, checked_maps(method, maps, (len(rows), *test.grid.shape)))
-
-
-def _scorable(task: Task, rows: Int[IntArray, "n"], maps: Float[Maps, "n E A"]) -> Float[Maps, "n E A"]:
-    """The maps predicted for some rows; raises `MethodError` for the first that no file of predictions may hold."""
-    fault = fault_of_maps(maps)
-    if fault:
-        raise MethodError(
-            f"Method {task.job.method!r} failed in predict on split {task.split.name!r}: the map of row "
-            f"{rows[fault[0]]} {fault[1]}"
-        )
-    return maps
+        maps = checked_maps(method, maps, (len(rows), *test.grid.shape))
+        if fault := fault_of_maps(maps):
+            raise MethodError(
+                f"Method {task.job.method!r} failed in predict on split {task.split.name!r}: the map of row "
+                f"{rows[fault[0]]} {fault[1]}"
+            )
+        yield rows, maps
 
 
 def _findings(task: Task, method: Method) -> dict[str, Any]:

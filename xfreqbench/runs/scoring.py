@@ -52,7 +52,10 @@ def scored_record(
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
-    scores, test = _stored_scores(dataset, split, predictions), dataset.subset(split.test)
+    stored, test = read_predictions(predictions), dataset.subset(split.test)
+    if stored.split_sha256 != split.sha256 or not np.array_equal(stored.rows, split.test):
+        raise DataError(f"{predictions} holds predictions of another split. Delete it and run again.")
+    scores = _scores(dataset, stored.batches(BATCH_SIZE))
     return RunRecord(
         id=record_id,
         job=job,
@@ -129,14 +132,6 @@ def score(
 def median(values: Float[FloatArray, "N"]) -> float:
     """Median of scores, as a Python number."""
     return float(np.median(values))
-
-
-def _stored_scores(dataset: PasDataset, split: Split, path: Path) -> dict[str, Float[FloatArray, "N"]]:
-    """The score of every test sample, (N,), by the name of the metric; computed from the predictions as stored."""
-    predictions = read_predictions(path)
-    if predictions.split_sha256 != split.sha256 or not np.array_equal(predictions.rows, split.test):
-        raise DataError(f"{path} holds predictions of another split. Delete it and run again.")
-    return _scores(dataset, predictions.batches(BATCH_SIZE))
 
 
 def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Float[FloatArray, "N"]]:

@@ -99,14 +99,6 @@ def _array(given: Any, shape: str) -> FloatArray:
     return found
 
 
-def _positions(given: Any) -> FloatArray:
-    return np.atleast_2d(_array(given, "(T, 3)"))
-
-
-def _position(given: Any) -> FloatArray:
-    return _array(given, "(3,)").reshape(3)
-
-
 def _path(given: Any) -> str | Path:
     if isinstance(given, str | Path):
         return given
@@ -125,5 +117,7 @@ WholeNumbers = Annotated[
 ]  # seeds: one number is a list of one
 Word = Annotated[str, Field(coerce_numbers_to_str=True)]  # or a number in place of its digits
 Texts = Annotated[Sequence[str], BeforeValidator(_each)]  # one text is a list of one
-Positions = Annotated[Float[FloatArray, "T 3"], PlainValidator(_positions)]  # one is a list of one
-Position = Annotated[Float[FloatArray, "3"], PlainValidator(_position)]
+Positions = Annotated[  # one is a list of one
+    Float[FloatArray, "T 3"], PlainValidator(lambda given: np.atleast_2d(_array(given, "(T, 3)")))
+]
+Position = Annotated[Float[FloatArray, "3"], PlainValidator(lambda given: _array(given, "(3,)").reshape(3))]

@@ -46,12 +46,15 @@ class DaskWorkers:
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
         with _losses_in_words(self._address):
-            if (
-                self._sent[0] is not call
-            ):  # a task of its own: it can be made again if every worker that has it dies
+            if self._sent[0] is not call:
+                # a task of its own: it can be made again if every worker that has it dies
                 self._sent = call, self._client.submit(_itself, call, pure=False)
             found = self._executor.submit(_call_alike, self._sent[1], argument, fingerprint())
-        return _in_words(found, self._address)
+        # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
+        worded: Future[Result] = Future()
+        worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
+        found.add_done_callback(partial(_pass_on, worded, self._address))
+        return worded
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
@@ -86,7 +89,12 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
         with client:
             workers = DaskWorkers(client, address)
             _require_workers(client, address)
-            _require_alike(workers)
+            for worker, found in workers.ask(fingerprint).items():
+                if differing := differences(fingerprint(), found):
+                    raise ClusterError(
+                        f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
+                        "versions on both, as with `pip install -c constraints.txt`."
+                    )
             yield workers
 
 
@@ -161,16 +169,6 @@ def _require_workers(client: Any, address: str) -> None:
         )
 
 
-def _require_alike(workers: DaskWorkers) -> None:
-    for worker, found in workers.ask(fingerprint).items():
-        differing = differences(fingerprint(), found)
-        if differing:
-            raise ClusterError(
-                f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
-                "versions on both, as with `pip install -c constraints.txt`."
-            )
-
-
 def lost_workers(number: int, where: str = "") -> str:
     """Words for a call that ended because `number` workers died of it."""
     return (
@@ -189,14 +187,6 @@ def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers:
     if differing:
         raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
     return call(argument)
-
-
-def _in_words(found: Future[Result], address: str) -> Future[Result]:
-    """A future with the same outcome, except that the death of workers or scheduler is a `ClusterError`."""
-    worded: Future[Result] = Future()
-    worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
-    found.add_done_callback(partial(_pass_on, worded, address))
-    return worded
 
 
 @contextmanager

@@ -34,7 +34,10 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
     temporary = _partial(target)
     try:
         with storage_errors(target, num_bytes):
-            _try_allocating(temporary, num_bytes)
+            if num_bytes and hasattr(os, "posix_fallocate"):
+                # a quota or limit is an error here; within HDF5 it would be a crash
+                with temporary.open("wb") as file:
+                    os.posix_fallocate(file.fileno(), 0, num_bytes)
         yield temporary
         with storage_errors(target, num_bytes):
             sync(temporary)
@@ -156,13 +159,6 @@ def require_space(target: Path, num_bytes: int) -> None:
             f"{target} needs {num_bytes:,} bytes, but its disk has {free_bytes:,} free. "
             "Free some space or choose another place."
         )
-
-
-def _try_allocating(temporary: Path, num_bytes: int) -> None:
-    """Reserve the space of a file, so that a quota or limit is an error here; within HDF5 it would be a crash."""
-    if num_bytes and hasattr(os, "posix_fallocate"):
-        with temporary.open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, num_bytes)
 
 
 def sync(path: Path) -> None:

@@ -78,9 +78,8 @@ def available_memory_mib() -> float:
 @cache
 def hardware() -> dict[str, str]:
     """Processor, number of cores that this process may use, operating system, and NVIDIA GPUs if there are any."""
-    has_affinity = hasattr(
-        os, "sched_getaffinity"
-    )  # on Linux; `taskset` keeps a process from some of the cores
+    # on Linux; `taskset` keeps a process from some of the cores
+    has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
     return {
         "processor": _processor(),

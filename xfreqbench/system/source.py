@@ -47,7 +47,8 @@ def _package_files() -> dict[str, Path]:
     """Python files by their paths within the package, the same however it is installed."""
     found: dict[str, Path] = {}
     for package in (PACKAGE, _BASELINES):
-        for folder in map(Path, _folders(package)):
+        spec = _spec(package, tuple(sys.path))
+        for folder in map(Path, (spec.submodule_search_locations or []) if spec else []):
             prefix = package.replace(".", "/")
             paths = (path for path in folder.rglob("*.py") if path.relative_to(folder).parts[0] not in _DATA)
             found |= {f"{prefix}/{path.relative_to(folder).as_posix()}": path for path in paths}
@@ -90,7 +91,8 @@ def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
         found[module] = path, source
         if not _is_followed(module, own):
             continue
-        waiting += _parents(module)
+        parts = module.split(".")
+        waiting += [".".join(parts[:number]) for number in range(1, len(parts))]
         for asked in _imports(source, module, path.name == "__init__.py") if path.suffix == ".py" else ():
             if _is_followed(asked.module, own):
                 waiting += _modules_of(asked)
@@ -100,12 +102,8 @@ def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
 def _is_followed(module: str, own: set[str]) -> bool:
     """Whether what a module imports is looked into."""
     top = module.partition(".")[0]
-    return top in own or not _is_library(_file(top))
-
-
-def _parents(module: str) -> list[str]:
-    parts = module.split(".")
-    return [".".join(parts[:number]) for number in range(1, len(parts))]
+    path = _file(top)
+    return top in own or not (path is None or _is_library_folder(path) or _is_standard(path))
 
 
 def _modules_of(asked: _Import) -> list[str]:
@@ -116,7 +114,7 @@ def _modules_of(asked: _Import) -> list[str]:
         return [f"{asked.module}.{asked.name}"]
     offered = _offered(asked.module)
     wanted = offered.values() if asked.name == "*" else filter(None, [offered.get(asked.name)])
-    return [asked.module, *(module for each in wanted for module in _modules_of(each))]
+    return [asked.module, *(module for name in wanted for module in _modules_of(name))]
 
 
 def _offered(package: str) -> dict[str, _Import]:
@@ -143,12 +141,9 @@ def _imports(source: bytes, module: str, is_init: bool) -> tuple[_Import, ...]:
     for node in nodes:
         if isinstance(node, ast.Import):
             found += [_Import(alias.name) for alias in node.names]
-            modules |= {
-                alias.asname or alias.name.partition(".")[0]: alias.name
-                if alias.asname
-                else alias.name.partition(".")[0]
-                for alias in node.names
-            }
+            for alias in node.names:
+                top = alias.name.partition(".")[0]
+                modules[alias.asname or top] = alias.name if alias.asname else top
         elif isinstance(node, ast.ImportFrom):
             origin = _absolute(node, module, is_init)
             found += [_Import(origin, alias.name) for alias in node.names]
@@ -158,7 +153,8 @@ def _imports(source: bytes, module: str, is_init: bool) -> tuple[_Import, ...]:
             root, *names = _dotted(node)
             if root in modules:
                 found.append(_Import(".".join([modules[root], *names[:-1]]), names[-1]))
-    return tuple(each for each in dict.fromkeys(found) if not _is_standard_name(each.module))
+    standard = sys.stdlib_module_names
+    return tuple(asked for asked in dict.fromkeys(found) if asked.module.partition(".")[0] not in standard)
 
 
 def _executed(tree: ast.Module) -> Iterator[ast.AST]:
@@ -247,11 +243,6 @@ def _file(module: str) -> Path | None:
     return path if path.is_file() else None
 
 
-def _folders(package: str) -> list[str]:
-    spec = _spec(package, tuple(sys.path))
-    return list(spec.submodule_search_locations or []) if spec else []
-
-
 @cache
 def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
     """What the import system would load for a name; unlike `find_spec`, this imports no parent package."""
@@ -269,10 +260,6 @@ def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
     return None
 
 
-def _is_standard_name(module: str) -> bool:
-    return module.partition(".")[0] in sys.stdlib_module_names
-
-
 def _is_standard(path: Path | None) -> bool:
     return (
         path is not None and not _is_library_folder(path) and any(map(path.is_relative_to, _STANDARD_LIBRARY))
@@ -281,8 +268,3 @@ def _is_standard(path: Path | None) -> bool:
 
 def _is_library_folder(path: Path) -> bool:
     return not _LIBRARY_FOLDERS.isdisjoint(path.parts)
-
-
-def _is_library(path: Path | None) -> bool:
-    """Whether a file belongs to an installed library or to Python; what has no file does."""
-    return path is None or _is_library_folder(path) or _is_standard(path)

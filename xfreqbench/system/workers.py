@@ -72,11 +72,7 @@ def require_executor(executor: str) -> None:
 
 
 def side_by_side(
-    workers: Workers,
-    call: Callable[[Argument], Result],
-    arguments: Iterable[Argument],
-    *,
-    ahead: int = 0,
+    workers: Workers, call: Callable[[Argument], Result], arguments: Iterable[Argument], *, ahead: int = 0
 ) -> Iterator[tuple[Argument, Future[Result]]]:
     """Call a function with every argument, in their order, as many calls at a time as `workers` has places.
 

@@ -67,10 +67,7 @@ class RaggedPaths:
 
     @classmethod
     def of(
-        cls,
-        paths: Sequence[Paths],
-        tx_position_m: Float[FloatArray, "T 3"],
-        receiver_m: Float[FloatArray, "3"],
+        cls, paths: Sequence[Paths], tx_position_m: Float[FloatArray, "T 3"], receiver_m: Float[FloatArray, "3"]
     ) -> RaggedPaths:
         """The paths of T transmitters, one at least, and of a receiver at `receiver_m`."""
         is_met: list[Bool[NDArray[np.bool_], "P D"]] = [each.interactions != NO_INTERACTION for each in paths]

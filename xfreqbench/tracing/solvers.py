@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
+from jaxtyping import Float
 from pydantic import InstanceOf
 
 from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
-from xfreqbench.system.arguments import Numbers, checked
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.tracing.tracer import (
     INTERACTIONS,
     MAX_DEPTH,
@@ -24,10 +25,14 @@ from xfreqbench.tracing.tracer import (
     Tracer,
     TraceSettings,
 )
+from xfreqbench.types import FloatArray
+from xfreqbench.units import ghz_to_hz
 
 
-def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
-    """The names, in their order, as interactions; raises `UnknownNameError` for one that is none."""
+def interactions_named(names: Iterable[str] | None) -> tuple[Interaction, ...] | None:
+    """The names, in their order, as interactions, or None; raises `UnknownNameError` for one that is none."""
+    if names is None:
+        return None
     given = tuple(names)
     for name in given:
         if name not in INTERACTIONS:
@@ -35,33 +40,11 @@ def interactions_named(names: Iterable[str]) -> tuple[Interaction, ...]:
     return cast("tuple[Interaction, ...]", given)
 
 
-def with_interactions(
-    scene: Scene,
-    settings: TraceSettings = TraceSettings(),
-    names: Iterable[str] | None = None,
-    geometry: Geometry | None = None,
-) -> TraceSettings:
-    """The settings with the interactions of these names, or with those of ground truth where none are given.
-
-    Ground truth has specular reflection, refraction and diffraction, where solver `image` traces them in the scene
-    and solver `sionna` is not named; elsewhere it has the first two, because Sionna RT's diffraction is not
-    reciprocal, is not continuous, and takes a hundred times as long. `geometry` is that of the scene, where it is
-    known already. Raises `UnknownNameError`.
-    """
-    if names is not None:
-        return replace(settings, interactions=interactions_named(names))
-    from xfreqbench.tracing.image.tracer import can_solve
-
-    whole = replace(settings, interactions=("specular", "refraction", "diffraction"))
-    is_exact = settings.solver != "sionna" and can_solve(geometry or Geometry(surface_meshes(scene)), whole)
-    return whole if is_exact else replace(settings, interactions=("specular", "refraction"))
-
-
 def check_settings(settings: TraceSettings) -> None:
     """Raise `XFreqBenchError` for settings that no solver takes."""
     if settings.solver not in get_args(SolverName):
         raise UnknownNameError("solver", settings.solver, get_args(SolverName))
-    interactions_named(settings.interactions)
+    interactions_named(settings.named_interactions)
     for name, value, least, most in (
         ("depth", settings.max_depth, 0, MAX_DEPTH),
         ("number of rays", settings.rays, 1, MAX_RAYS),
@@ -73,7 +56,7 @@ def check_settings(settings: TraceSettings) -> None:
 
 def _check_diffuse(geometry: Geometry, settings: TraceSettings) -> None:
     """Raise `XFreqBenchError` for diffuse reflection in a scene without any, or with more paths than memory holds."""
-    if "diffuse" not in settings.interactions:
+    if "diffuse" not in settings.named_interactions:
         return
     if not geometry.scattering:
         raise SceneError(
@@ -90,42 +73,45 @@ def _check_diffuse(geometry: Geometry, settings: TraceSettings) -> None:
 
 
 def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings:
-    """Settings that name a solver: `auto` is `image` where scene and interactions allow it, else `sionna`.
+    """Settings that name a solver and interactions: `auto` is `image` where it takes the scene and them, else `sionna`.
 
     Interactions are put in one order. Raises `XFreqBenchError` for settings that no solver takes.
     """
     from xfreqbench.tracing.image.tracer import can_solve
 
     check_settings(settings)
+    solver = settings.solver
+    if solver == "auto":
+        solver = "image" if can_solve(geometry, settings) else "sionna"
+    settings = settings.by(solver)
     _check_diffuse(geometry, settings)
-    canonical = tuple(name for name in INTERACTIONS if name in settings.interactions)
-    settings = replace(settings, interactions=canonical)
-    if settings.solver != "auto":
-        return settings
-    return replace(settings, solver="image" if can_solve(geometry, settings) else "sionna")
+    canonical = tuple(name for name in INTERACTIONS if name in settings.named_interactions)
+    return replace(settings, interactions=canonical)
 
 
 @checked
 def make_tracer(
-    scene: InstanceOf[Scene],
-    carrier_hz: Numbers,
+    scene: InstanceOf[Scene] | InstanceOf[PreparedScene],
+    freqs_ghz: CarriersGhz,
     settings: TraceSettings = TraceSettings(),
-    geometry: InstanceOf[Geometry] | None = None,
 ) -> Tracer:
     """Load a scene into the solver that `settings` names, and shoot its rays.
 
-    `auto` is the solver that `resolve_solver` names. `geometry` is that of the scene, where it is known already;
-    else it is built here. Raises `SceneError`, of which `MaterialBandError` is one.
+    `auto` is the solver that `resolve_solver` names. Raises `SceneError`, of which `MaterialBandError` is one.
     """
     check_settings(settings)
-    geometry = geometry or Geometry(surface_meshes(scene))
-    if settings.solver == "auto":
-        settings = resolve_solver(geometry, settings)
-    _check_diffuse(geometry, settings)
+    return tracer_of(PreparedScene.of(scene), [ghz_to_hz(carrier) for carrier in freqs_ghz], settings)
+
+
+def tracer_of(
+    scene: PreparedScene, carrier_hz: Sequence[float] | Float[FloatArray, "F"], settings: TraceSettings
+) -> Tracer:
+    """As `make_tracer`, at carriers in hertz."""
+    settings = resolve_solver(scene.geometry, settings)
     if settings.solver == "image":
         from xfreqbench.tracing.image.tracer import ImageTracer
 
-        return ImageTracer(scene, carrier_hz, settings, geometry=geometry)
+        return ImageTracer(scene, carrier_hz, settings)
     from xfreqbench.tracing.sionna.tracer import SionnaTracer
 
-    return SionnaTracer(scene, carrier_hz, settings, geometry)
+    return SionnaTracer(scene, carrier_hz, settings)

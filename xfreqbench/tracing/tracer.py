@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
@@ -19,22 +19,39 @@ SolverName = Literal["auto", "image", "sionna"]
 MAX_DEPTH, MAX_RAYS = 16, 10_000_000  # with both at once, paths fill some gigabytes of memory
 MAX_DIFFUSE_PATHS = 4_000_000  # each ray may leave one at each depth, of some 300 bytes
 MAX_SEED = 2**32 - 1  # Sionna's are of 32 bits
+# Interactions of ground truth. Diffraction by Sionna RT is not reciprocal, not continuous, and a hundred times as slow.
+GROUND_TRUTH: dict[SolverName, tuple[Interaction, ...]] = {
+    "auto": ("specular", "refraction", "diffraction"),
+    "image": ("specular", "refraction", "diffraction"),
+    "sionna": ("specular", "refraction"),
+}
 
 
 @dataclass(frozen=True)
 class TraceSettings:
     """What is asked of the rays. With the defaults channels have converged (`xfreqbench bench generate`).
 
-    `max_depth` counts reflections and transmissions together; `rays` is the number shot in all; `materials` says
-    what happens at carriers at which ITU-R P.2040 does not define a material.
+    `interactions` that are None are those of ground truth: specular reflection and refraction, and with solver `image`
+    diffraction. `max_depth` counts reflections and transmissions together; `rays` is the number shot in all;
+    `materials` says what happens at carriers at which ITU-R P.2040 does not define a material.
     """
 
     solver: SolverName = "auto"
-    interactions: tuple[Interaction, ...] = ("specular", "refraction")
+    interactions: tuple[Interaction, ...] | None = None
     max_depth: int = 6
     rays: int = 500_000
     seed: int = 1
     materials: MaterialPolicy = "error"
+
+    def by(self, solver: SolverName) -> TraceSettings:
+        """These settings with a solver, and its interactions by name."""
+        named = GROUND_TRUTH[solver] if self.interactions is None else self.interactions
+        return replace(self, solver=solver, interactions=named)
+
+    @property
+    def named_interactions(self) -> tuple[Interaction, ...]:
+        """The interactions, where they are None those of ground truth by name."""
+        return self.by(self.solver).interactions or ()
 
 
 @dataclass(frozen=True)

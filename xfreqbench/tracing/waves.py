@@ -11,9 +11,7 @@ from xfreqbench.tracing.paths import Paths, element_delays_s
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 
-def spherical_waves(
-    paths: Paths, carrier: int, receiver: ReceiverArray
-) -> Complex[NDArray[np.complex128], "P M"]:
+def spherical_waves(paths: Paths, carrier: int, receiver: ReceiverArray) -> Complex[NDArray[np.complex128], "P M"]:
     """Channel of each path at the array's elements, as one spherical wave.
 
     The wave comes from the path's source as the array centre sees it; power and polarisation are those at the

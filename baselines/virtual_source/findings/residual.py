@@ -283,9 +283,9 @@ def _settings_of(compared: ComparedFindings) -> TraceSettings:
     settings = dataset.trace_settings
     if not can_solve(Geometry(compared.meshes), settings):
         raise DataError(
-            f"{dataset.path} was traced with {', '.join(settings.interactions)} to depth {settings.max_depth}, but "
-            "exact paths are known for specular, refraction and diffraction among planar facets alone. Use a data set "
-            "of `xfreqbench generate --solver image`."
+            f"{dataset.path} was traced with {', '.join(settings.named_interactions)} to depth "
+            f"{settings.max_depth}, but exact paths are known for specular, refraction and diffraction among planar "
+            "facets alone. Use a data set of `xfreqbench generate --solver image`."
         )
     return settings
 

@@ -71,8 +71,8 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
     geometry = Geometry([surface.mesh for surface in refinement.room])
     if not can_solve(geometry, settings_in_room(dataset)):
         raise DataError(
-            f"{dataset.path} was traced with {', '.join(dataset.trace_settings.interactions)}, which the image method "
-            f"does not trace among the {len(refinement.room)} surfaces that were learned. Leave out --room."
+            f"{dataset.path} was traced with {', '.join(dataset.trace_settings.named_interactions)}, which the image "
+            f"method does not trace among the {len(refinement.room)} surfaces that were learned. Leave out --room."
         )
     return refinement
 

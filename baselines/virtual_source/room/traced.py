@@ -18,6 +18,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import TraceSettings
@@ -29,7 +30,9 @@ from .surfaces import RoomSurface, Surfaces
 NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
-COMPARING = TraceSettings(solver="image", materials="extrapolate", max_depth=4, rays=20_000)
+COMPARING = TraceSettings(
+    interactions=("specular", "refraction"), solver="image", materials="extrapolate", max_depth=4, rays=20_000
+)
 PREDICTING = replace(COMPARING, max_depth=5)  # a fifth interaction is worth .003 at 2.4 GHz
 DIFFRACTING = replace(PREDICTING, interactions=("specular", "refraction", "diffraction"))
 # For what changes from one room to another.
@@ -49,8 +52,8 @@ def tracer_in(
     """A tracer of a room, for an array and carriers."""
     at = receiver.position_m
     scene = Scene("learned", receiver.in_plane_xy, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
-    geometry = Geometry([surface.mesh for surface in room])
-    return ImageTracer(scene, carrier_hz, settings, savings, geometry)
+    prepared = PreparedScene(scene, Geometry([surface.mesh for surface in room]))
+    return ImageTracer(prepared, carrier_hz, settings, savings)
 
 
 def channels_in(

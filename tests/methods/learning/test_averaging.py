@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from xfreqbench.methods.learning.averaging import averaged
+from xfreqbench.methods.learning.training import averaged
 
 
 def weights(value: float, size: int = 2) -> nn.Module:

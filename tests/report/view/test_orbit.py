@@ -13,7 +13,7 @@ import numpy as np
 
 from tests.support.screened_room import SCENE
 from xfreqbench.report.view.figures import ray_colour
-from xfreqbench.report.view.orbit import orbit_scene
+from xfreqbench.report.view.page import orbit_scene
 from xfreqbench.report.view.plan import ViewPlan
 
 ROUNDING_M = 0.0005  # half a millimetre

@@ -27,7 +27,7 @@ pytestmark = needs_chromium
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("view")
-    settings = TraceSettings(rays=20_000, max_depth=2)
+    settings = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=2)
     plan = plan_generation(load_scene("two_rooms"), [2.4e9, 10e9, 77e9], settings, num_transmitters=12)
     data = {"generated": generate_planned(plan, folder / "rooms.h5"), "imported": _imported(folder)}
     return {kind: write_view(plan_view(str(data[kind])).with_rays(), folder / kind)[0] for kind in KINDS}

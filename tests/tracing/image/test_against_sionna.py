@@ -73,9 +73,7 @@ def test_every_diffracted_path_of_the_public_solver_is_found_at_its_place() -> N
             if DIFFRACTION not in code:
                 continue
             points_m = np.where(code[:, None] > 0, points_m, np.nan)
-            apart_m = np.abs(ours.vertices_m - points_m).max(
-                axis=(1, 2), initial=0, where=code[None, :, None] > 0
-            )
+            apart_m = np.abs(ours.vertices_m - points_m).max(axis=(1, 2), initial=0, where=code[None, :, None] > 0)
             alike = (ours.interactions == code).all(axis=1)
             assert apart_m[alike].min(initial=np.inf) < 1e-3, (code, points_m)
             num_compared += 1
@@ -96,10 +94,7 @@ def test_gains_differ_from_the_public_ones_by_sionnas_coefficients_alone() -> No
         scene = scene_of(surface, receiver=ONE_ELEMENT)
         edges = find_edges(Geometry(surface_meshes(scene)).facets, np.zeros((0, 3, 3)), np.zeros(0, np.int64))
         wavelength_m = SPEED_OF_LIGHT_M_S / CARRIER_HZ
-        slab = (
-            complex_permittivity(surface.material, CARRIER_HZ),
-            2 * np.pi * surface.thickness_m / wavelength_m,
-        )
+        slab = (complex_permittivity(surface.material, CARRIER_HZ), 2 * np.pi * surface.thickness_m / wavelength_m)
         for tx_m in np.array([[3.3, 1.1, 0.6], [0.4, 2.9, 1.7], [4.4, 2.6, 0.3]]):
             codes, vertices_m, gains = told(public_paths(scene, tx_m, 1), 1)
             ours = our_paths(scene, tx_m, 1)
@@ -130,10 +125,7 @@ def test_sionnas_field_jumps_where_a_face_ceases_to_reflect_and_ours_does_not() 
     receiver = replace(ONE_ELEMENT, position_m=(1.5, 1.6, 2.3), polarization="H")
     scene, jumps_db = scene_of(METAL_BOX, receiver=receiver), []
     beside_m = np.array([[2.498, 1.61, 2.3], [2.502, 1.61, 2.3]])  # the top ends half-way, at x = 2
-    theirs = [
-        public_paths(scene, tx_m, 1).cir(normalize_delays=False, out_type="numpy")[0].sum()
-        for tx_m in beside_m
-    ]
+    theirs = [public_paths(scene, tx_m, 1).cir(normalize_delays=False, out_type="numpy")[0].sum() for tx_m in beside_m]
     settings = TraceSettings(interactions=("specular", "diffraction"), max_depth=1, rays=5000)
     ours = ImageTracer(scene, [CARRIER_HZ], settings).channel(beside_m).cfr[:, 0, 0]
     jumps_db = [20 * np.log10(abs(field[1] / field[0])) for field in (theirs, ours)]

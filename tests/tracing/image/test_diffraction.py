@@ -65,9 +65,7 @@ def test_edges_are_a_box_s_twelve_and_a_screens_rim_but_no_joint_and_no_corner_o
     assert num_edges(METAL_BOX) == {1.5: 12}
     assert num_edges(left) == {2.0: 4}
     assert num_edges(left, right) == {2.0: 6}
-    assert num_edges(left, right, across) == {
-        2.0: 9
-    }  # where three walls meet, no angle of more than π is free
+    assert num_edges(left, right, across) == {2.0: 9}  # where three walls meet, no angle of more than π is free
     assert num_edges(left, across) == {1.5: 1, 2.0: 6}  # a corner diffracts on its outside alone
     assert num_edges(METAL_BOX, FLOOR) == {1.5: 8, 2.0: 4}  # a box that stands on the floor
     assert num_edges() == {}
@@ -75,13 +73,9 @@ def test_edges_are_a_box_s_twelve_and_a_screens_rim_but_no_joint_and_no_corner_o
 
 def test_an_edge_that_a_box_hides_in_part_diffracts_where_it_is_free() -> None:
     wall = Surface("wall", "concrete", 0.2, (0.0, 0.0, 0.0), (0.0, 4.0, 2.0))
-    box = Surface(
-        "box", "metal", 0.01, (0.0, 1.0, 1.0), (1.0, 2.0, 2.0)
-    )  # its top is level with the wall's rim
+    box = Surface("box", "metal", 0.01, (0.0, 1.0, 1.0), (1.0, 2.0, 2.0))  # its top is level with the wall's rim
     edges = find_edges(Geometry(surface_meshes(scene_of(wall, box))).facets, *NO_TRIANGLES)
-    top = [
-        edge for edge in edges if abs(edge.along[1]) > 0.9 and np.allclose(edge.start_m[[0, 2]], [0.0, 2.0])
-    ]
+    top = [edge for edge in edges if abs(edge.along[1]) > 0.9 and np.allclose(edge.start_m[[0, 2]], [0.0, 2.0])]
     angles = sorted((edge.angle_rad / np.pi, edge.length_m) for edge in top)
     np.testing.assert_allclose(angles, [(1.5, 1.0), (2.0, 1.0), (2.0, 2.0)])
 
@@ -112,9 +106,7 @@ def test_a_plane_wave_at_a_metal_half_plane_gives_sommerfelds_solution(is_soft: 
                 fields = [along if is_soft else np.cross(k, along) for k in (-towards[0], towards[1])]
                 waves, angles = (-towards[0], -towards[1]), (source_rad, phi_rad)
                 complex_fields = tuple(field.astype(np.complex128) for field in fields)
-                factor = diffract(
-                    wedges, media, int(e), f, waves, complex_fields, angles, np.sqrt(2 * travel), work
-                )
+                factor = diffract(wedges, media, int(e), f, waves, complex_fields, angles, np.sqrt(2 * travel), work)
                 total, expected = factor * np.exp(-1j * travel), 0j
                 for angle, sign in ((phi_rad - source_rad, 1), (phi_rad + source_rad, -1 if is_soft else 1)):
                     argument = -np.exp(0.25j * np.pi) * np.sqrt(2 * travel) * np.cos(angle / 2)
@@ -160,18 +152,12 @@ def test_what_leaves_through_a_far_circle_is_the_power_radiated_beside_the_edge(
 
 @pytest.mark.parametrize("material", ["metal", "glass"])
 @pytest.mark.parametrize("polarization", ["V", "H"])
-@pytest.mark.parametrize(
-    "side", [-3.0, 3.0]
-)  # behind the sheet, at the shadow; before it, where it ceases to reflect
-def test_the_field_is_continuous_where_another_path_ends(
-    material: str, polarization: str, side: float
-) -> None:
+@pytest.mark.parametrize("side", [-3.0, 3.0])  # behind the sheet, at the shadow; before it, where it ceases to reflect
+def test_the_field_is_continuous_where_another_path_ends(material: str, polarization: str, side: float) -> None:
     sheet = Surface("sheet", material, 0.008, (0.0, -20.0, -20.0), (0.0, 20.0, 1.0))
     scene = scene_of(sheet, polarization=polarization)
     beside_m = (-1e-6, -1e-9, 0.0, 1e-9, 1e-6)
-    tx_m = np.array(
-        [(side, 0.0, 0.25 + beside) for beside in beside_m]
-    )  # on the line over the edge, or its image
+    tx_m = np.array([(side, 0.0, 0.25 + beside) for beside in beside_m])  # on the line over the edge, or its image
     with_edges, without = (
         tracer(scene, [1e9, 10e9], max_depth=2, interactions=asked).channel(tx_m).cfr[..., 0]
         for asked in (ALL, ALL[:2])
@@ -186,9 +172,7 @@ def test_the_two_ends_of_a_path_may_change_places(polarization: str) -> None:
     surfaces = METAL_BOX, WOODEN_BOX, PANE, FLOOR
     ends_m = (-0.3, 0.7, 1.9), (4.4, 1.3, 0.8)
     there, back = (
-        tracer(scene_of(*surfaces, at_m=at, polarization=polarization), [1e9, 10e9], max_depth=4).paths(
-            np.array(tx)
-        )
+        tracer(scene_of(*surfaces, at_m=at, polarization=polarization), [1e9, 10e9], max_depth=4).paths(np.array(tx))
         for at, tx in (ends_m, ends_m[::-1])
     )
     gains = [paths.gain[:, diffracted(paths)] for paths in (there, back)]
@@ -215,16 +199,12 @@ def test_a_metal_floor_doubles_the_paths_over_an_edge_by_the_transmitters_image(
 def test_sums_of_paths_equal_channels_and_elements_solved_alone() -> None:
     scene = scene_of(METAL_BOX, PANE, FLOOR, at_m=(0.4, 0.3, 2.0), rows=2, cols=2)
     carriers_hz, tx_m = [1e9, 24e9], np.array([[3.3, 1.1, 0.6]])
-    cfr = tracer(scene, carriers_hz, max_depth=3, savings=replace(EXACT, field_nodes_per_axis=2)).channel(
-        tx_m
-    )
+    cfr = tracer(scene, carriers_hz, max_depth=3, savings=replace(EXACT, field_nodes_per_axis=2)).channel(tx_m)
     for f, carrier_hz in enumerate(carriers_hz):
         places = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
         alone = [
             cfr_at_centre(
-                tracer(scene_of(METAL_BOX, PANE, FLOOR, at_m=tuple(place)), [carrier_hz], max_depth=3).paths(
-                    tx_m[0]
-                )
+                tracer(scene_of(METAL_BOX, PANE, FLOOR, at_m=tuple(place)), [carrier_hz], max_depth=3).paths(tx_m[0])
             )[0]
             for place in places
         ]

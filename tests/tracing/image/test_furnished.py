@@ -13,6 +13,7 @@ from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.kernels.arrays import MAX_BOXES
 from xfreqbench.tracing.image.surfaces import grow
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
@@ -21,7 +22,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 CARRIERS_HZ = [2.4e9, 24.25e9]
-SETTINGS = TraceSettings("image", max_depth=4, rays=60_000)
+SETTINGS = TraceSettings("image", ("specular", "refraction"), max_depth=4, rays=60_000)
 EXACT = ImageSavings(field_nodes_per_axis=4)
 ALONE = ReceiverArray(position_m=(0.1, -0.1, 1.9), rows=1, cols=1)
 
@@ -47,8 +48,7 @@ def test_what_elements_share_is_what_each_finds_alone(room: Scene) -> None:
 def check_that_pruning_loses_nothing(scene: Scene, tx: np.ndarray) -> None:
     settings = replace(SETTINGS, rays=20_000)
     pruned, every = (
-        ImageTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx)
-        for prune in (True, False)
+        ImageTracer(scene, [1e9, 5e9], settings, replace(EXACT, prune=prune)).channel(tx) for prune in (True, False)
     )
     np.testing.assert_allclose(pruned.cfr, every.cfr, rtol=0, atol=1e-12 * np.abs(every.cfr).max())
     np.testing.assert_array_equal(pruned.num_paths, every.num_paths)
@@ -69,7 +69,7 @@ def channel_among(
     tx: np.ndarray, *surfaces: Surface, receiver: ReceiverArray = ALONE, savings: ImageSavings = EXACT
 ) -> np.ndarray:
     scene = Scene(name="test", receiver=receiver, transmitters=GRID, surface=surfaces)
-    settings = TraceSettings("image", max_depth=2, rays=2000)
+    settings = TraceSettings("image", ("specular", "refraction"), max_depth=2, rays=2000)
     return ImageTracer(scene, [1e9, 5e9], settings, savings).channel(tx).cfr
 
 
@@ -78,9 +78,7 @@ def test_what_meets_a_facet_in_the_plane_that_it_shares_is_found_in_its_box() ->
         Surface("one", "metal", 0.002, (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),
         Surface("other", "metal", 0.002, (1.0, 0.0, 1.00009), (1.9, 1.0, 1.00009)),
     ]
-    beyond = replace(
-        ALONE, position_m=(5.0, 0.5, 0.96004)
-    )  # the second is met in the first one's plane alone
+    beyond = replace(ALONE, position_m=(5.0, 0.5, 0.96004))  # the second is met in the first one's plane alone
     assert not channel_among(np.array([[-4.0, 0.5, 1.05004]]), *sheets, receiver=beyond).any()
 
 
@@ -108,9 +106,9 @@ def test_metal_blocks_on_whichever_side_of_wood_it_lies() -> None:
     metal = Surface("metal", "metal", 0.002, (-1.0, -1.5, 0.9), (1.5, 1.0, 0.9))
     for sheets in ((wood, metal), (metal, wood)):
         scene = Scene(name="test", receiver=ALONE, transmitters=GRID, surface=sheets)
-        channel = ImageTracer(scene, [1e9], TraceSettings("image", max_depth=2), EXACT).channel(
-            np.array([[0.1, 0.2, 0.3], [-0.3, -0.2, 0.5]])
-        )
+        channel = ImageTracer(
+            scene, [1e9], TraceSettings("image", ("specular", "refraction"), max_depth=2), EXACT
+        ).channel(np.array([[0.1, 0.2, 0.3], [-0.3, -0.2, 0.5]]))
         assert not channel.num_paths.any()
 
 
@@ -205,13 +203,13 @@ def test_both_solvers_reflect_at_the_same_mirrors(tmp_path: Path, mirrors: str, 
 
 def test_auto_takes_the_image_method_where_few_patches_mirror(room: Scene) -> None:
     geometry = Geometry(surface_meshes(room))
-    assert resolve_solver(geometry, TraceSettings()).solver == "image"
+    assert resolve_solver(geometry, TraceSettings(interactions=("specular", "refraction"))).solver == "image"
     facets = replace(room, mirrors="facets", least_patch_area_m2=None)
     many = Geometry([*surface_meshes(facets)] * 2)
-    assert not can_solve(many, TraceSettings())
-    assert resolve_solver(many, TraceSettings()).solver == "sionna"
+    assert not can_solve(many, TraceSettings(interactions=("specular", "refraction")))
+    assert resolve_solver(many, TraceSettings(interactions=("specular", "refraction"))).solver == "sionna"
     with pytest.raises(SceneError, match="mirrors = 'patches'"):
-        ImageTracer(facets, CARRIERS_HZ, SETTINGS, geometry=many)
+        ImageTracer(PreparedScene(facets, many), CARRIERS_HZ, SETTINGS)
 
 
 @pytest.mark.parametrize("more", [(), ("diffraction",)])
@@ -224,9 +222,7 @@ def test_ten_thousand_triangles_in_a_plane_mirror_and_diffract_as_one_rectangle(
     whole = replace(cut, scene=None, surface=(Surface("plate", "wood", 0.02, (0, 0, 0.5), (2, 2, 0.5)),))
     tx = np.array([[1.3, 0.8, 1.2], [1.1, 1.9, 0.2]])
     cfr, expected = (
-        ImageTracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=2000, interactions=interactions), EXACT)
-        .channel(tx)
-        .cfr
+        ImageTracer(scene, CARRIERS_HZ, replace(SETTINGS, rays=2000, interactions=interactions), EXACT).channel(tx).cfr
         for scene in (cut, whole)
     )
     np.testing.assert_allclose(cfr, expected, rtol=0, atol=1e-6 * np.abs(expected).max())  # PLY: float32

@@ -32,11 +32,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def shares_met(corners_m: np.ndarray, start_m: np.ndarray, way_m: np.ndarray) -> np.ndarray:
     """Share of the way from a start at which each triangle (K, 3, 3) is met, or infinity: Möller and Trumbore."""
-    origin, along, across = (
-        corners_m[:, 0],
-        corners_m[:, 1] - corners_m[:, 0],
-        corners_m[:, 2] - corners_m[:, 0],
-    )
+    origin, along, across = (corners_m[:, 0], corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     normal_to_way = np.cross(way_m, across)
     volume = (along * normal_to_way).sum(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,9 +93,7 @@ def test_straight_ways_cross_every_triangle_between_their_ends(room: Scene) -> N
 
 
 @pytest.mark.parametrize("interactions", [("specular", "refraction"), DIFFRACTING])
-def test_transmitter_and_receiver_may_change_places(
-    room: Scene, interactions: tuple[Interaction, ...]
-) -> None:
+def test_transmitter_and_receiver_may_change_places(room: Scene, interactions: tuple[Interaction, ...]) -> None:
     """V antennas, reflections at the shell, crossings of the furniture, and the edges of its flat parts."""
     settings = TraceSettings("image", interactions, max_depth=3, rays=60_000)
     every_path = ImageSavings(diffraction_floor=0.0)

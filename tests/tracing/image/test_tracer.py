@@ -36,7 +36,11 @@ def exact_distance_m(receiver: ReceiverArray, carrier_hz: float, tx: np.ndarray)
 
 def test_free_space_obeys_friis_and_its_phase_at_every_carrier() -> None:
     horizontal = np.array([20.0, 15.0, 2.0])  # in the equator: the V antennas of both ends are parallel
-    cfr = ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings()).channel(horizontal[None]).cfr[0]
+    cfr = (
+        ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction")))
+        .channel(horizontal[None])
+        .cfr[0]
+    )
     for carrier_hz, row in zip(CARRIERS_HZ, cfr, strict=True):
         distance_m = exact_distance_m(RECEIVER, carrier_hz, horizontal)
         friis = SPEED_OF_LIGHT_M_S / carrier_hz / (4 * np.pi * distance_m)
@@ -50,21 +54,29 @@ def test_free_space_obeys_friis_and_its_phase_at_every_carrier() -> None:
 def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: str) -> None:
     receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)
     tx = np.array([[0.0, 0.0, 0.5], [1e-7, 0.0, 0.5], [0.0, -1e-7, 0.5]])
-    along, *beside = ImageTracer(scene_of(receiver=receiver), [10e9], TraceSettings()).channel(tx).cfr
+    along, *beside = (
+        ImageTracer(scene_of(receiver=receiver), [10e9], TraceSettings(interactions=("specular", "refraction")))
+        .channel(tx)
+        .cfr
+    )
     for cfr in beside:
         np.testing.assert_allclose(along, cfr, rtol=1e-9)  # lengths differ by 1e-14, phases by 1e-12 rad
 
 
 def test_the_carriers_may_come_in_any_order() -> None:
     tx = np.array([[1.0, 2.0, 0.7]])
-    forward = ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings()).channel(tx).cfr
-    backward = ImageTracer(scene_of(), CARRIERS_HZ[::-1], TraceSettings()).channel(tx).cfr
+    forward = (
+        ImageTracer(scene_of(), CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"))).channel(tx).cfr
+    )
+    backward = (
+        ImageTracer(scene_of(), CARRIERS_HZ[::-1], TraceSettings(interactions=("specular", "refraction")))
+        .channel(tx)
+        .cfr
+    )
     np.testing.assert_array_equal(forward, backward[:, ::-1])
 
 
-def slab_reflection(
-    material: str, thickness_m: float, carrier_hz: float, cosine: float
-) -> tuple[complex, complex]:
+def slab_reflection(material: str, thickness_m: float, carrier_hz: float, cosine: float) -> tuple[complex, complex]:
     """TE and TM reflection of a dielectric slab in air by summing its multiple reflections."""
     eta = complex_permittivity(material, carrier_hz)
     inner = np.sqrt(eta - (1 - cosine**2))
@@ -82,7 +94,9 @@ def test_a_walls_reflection_equals_the_fresnel_slab(material: str, polarization:
     floor = Surface("floor", material, 0.02, (-50.0, -50.0, 0.0), (50.0, 50.0, 0.0))
     receiver = replace(RECEIVER, polarization=polarization)
     tracer = ImageTracer(
-        scene_of(floor, receiver=receiver), CARRIERS_HZ, TraceSettings(max_depth=1, rays=1000)
+        scene_of(floor, receiver=receiver),
+        CARRIERS_HZ,
+        TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000),
     )
     tx = np.array([3.0, 0.0, 1.0])
     paths = tracer.paths(tx)
@@ -103,7 +117,7 @@ def test_every_saving_leaves_the_answer_as_it_is() -> None:
     scene = load_scene("office")
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 6, seed=1)
     carriers = [1e9, 10e9, 94e9]
-    settings = TraceSettings(max_depth=4, rays=100_000)
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=4, rays=100_000)
     plain = ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4)
     reference = ImageTracer(scene, carriers, settings, plain).channel(tx)
     for savings in (replace(plain, prune=True), replace(plain, share_visibility=True)):
@@ -120,7 +134,7 @@ def test_every_saving_leaves_the_answer_as_it_is() -> None:
 @pytest.mark.parametrize(("most", "rays"), [(0, 50_000), (1, 50_000), (2, 50_000), (2, 600)])
 def test_paths_of_more_reflections_are_left_out_and_no_others(most: int, rays: int) -> None:
     scene = load_scene("office")
-    settings = TraceSettings(max_depth=4, rays=50_000)
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=4, rays=50_000)
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 3, seed=1)
     tracer = ImageTracer(scene, CARRIERS_HZ, settings)
     few = ImageTracer(scene, CARRIERS_HZ, replace(settings, rays=rays), ImageSavings(max_reflections=most))
@@ -137,18 +151,14 @@ def test_paths_of_more_reflections_are_left_out_and_no_others(most: int, rays: i
 
 def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
     """Largest difference of channels decided by corners from those of every element, relative to each sample's norm."""
-    settings = TraceSettings(max_depth=max_depth, rays=2000)
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=max_depth, rays=2000)
     by_corners, by_elements = (
-        ImageTracer(
-            scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4)
-        )
+        ImageTracer(scene, [1e9, 94e9], settings, ImageSavings(share_visibility=share, field_nodes_per_axis=4))
         .channel(tx)
         .cfr
         for share in (True, False)
     )
-    return float(
-        (np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max()
-    )
+    return float((np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max())
 
 
 def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
@@ -156,9 +166,7 @@ def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
     tx = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 20)])
     for edge_m in (1.38, 1.62):  # where some elements see the floor within 1 cm of the sheet's foot
         sheet = Surface("sheet", "glass", 0.005, (edge_m, -2.0, 0.0), (edge_m, 2.0, 1.0))
-        assert (
-            visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12
-        )  # roundings of a sum of paths
+        assert visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12  # roundings of a sum of paths
 
 
 def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone() -> None:
@@ -172,9 +180,7 @@ def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone
 def test_the_first_of_two_facets_that_overlap_in_a_plane_reflects_where_it_is() -> None:
     small = Surface("small", "glass", 0.005, (1.0, -2.0, 0.6), (1.5, 2.0, 0.6))
     large = Surface("large", "metal", 0.005, (0.0, -2.0, 0.6), (3.0, 2.0, 0.6))
-    tx = np.array(
-        [(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)]
-    )  # half of the elements' reflections lie on the small one
+    tx = np.array([(3.0, 0.1, 2.0), (2.9, -0.2, 2.1)])  # half of the elements' reflections lie on the small one
     assert visibility_apart(scene_of(small, large), tx, max_depth=1) < 1e-12  # roundings of a sum of paths
 
 
@@ -184,17 +190,16 @@ def test_a_plane_crossed_twice_over_counts_once() -> None:
         Surface("right, over the left", "glass", 0.01, (0.2, -5.0, 1.5), (5.0, 5.0, 1.5)),
     )
     tx = np.array([[3.0, 0.3, 1.0]])
-    settings = TraceSettings(max_depth=1, rays=1000)
-    for savings in (
-        ImageSavings(),
-        ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4),
-    ):
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000)
+    for savings in (ImageSavings(), ImageSavings(prune=False, share_visibility=False, field_nodes_per_axis=4)):
         assert ImageTracer(scene_of(*sheets), [10e9], settings, savings).channel(tx).num_paths == 1
 
 
 def test_a_path_whose_field_vanishes_on_the_way_is_not_counted() -> None:
     slab = Surface("slab", "concrete", 0.4, (-9.0, -9.0, 1.5), (9.0, 9.0, 1.5))
-    tracer = ImageTracer(scene_of(slab), [1e9, 94e9], TraceSettings(max_depth=1, rays=1000))
+    tracer = ImageTracer(
+        scene_of(slab), [1e9, 94e9], TraceSettings(interactions=("specular", "refraction"), max_depth=1, rays=1000)
+    )
     channel = tracer.channel(np.array([[1.0, 0.3, 1.0]]))
     assert channel.num_paths.tolist() == [[1, 0]]
     assert channel.cfr[0, 0].all()
@@ -205,7 +210,7 @@ def test_wide_arrays_get_the_field_at_every_element() -> None:
     scene = load_scene("office")
     scene = replace(scene, receiver=replace(scene.receiver, rows=1, cols=8))
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 4, seed=1)
-    settings = TraceSettings(max_depth=3, rays=50_000)
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=3, rays=50_000)
     exact = ImageTracer(scene, [1e9], settings, ImageSavings(field_nodes_per_axis=64)).channel(tx).cfr
     np.testing.assert_array_equal(ImageTracer(scene, [1e9], settings).channel(tx).cfr, exact)
 
@@ -215,7 +220,7 @@ def test_path_sums_equal_channels() -> None:
     receiver = replace(scene.receiver, rows=1, cols=1)
     scene = replace(scene, receiver=receiver)
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 5, seed=1)
-    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(rays=50_000))
+    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"), rays=50_000))
     channel = tracer.channel(tx)
     for position_m, cfr in zip(tx, channel.cfr, strict=True):
         paths = tracer.paths(position_m)
@@ -228,7 +233,7 @@ def test_path_sums_equal_channels() -> None:
 
 def test_a_metal_box_around_the_receiver_leaves_a_channel_of_zeros() -> None:
     box = Surface("box", "metal", 0.01, (-0.5, -0.5, 1.5), (0.5, 0.5, 2.5))
-    tracer = ImageTracer(scene_of(box), [94e9], TraceSettings(rays=1000))
+    tracer = ImageTracer(scene_of(box), [94e9], TraceSettings(interactions=("specular", "refraction"), rays=1000))
     channel = tracer.channel(np.array([[3.1, 0.23, 0.9]]))
     assert not channel.cfr.any()
     assert not channel.num_paths.any()
@@ -240,7 +245,9 @@ def test_depth_counts_reflections_and_transmissions_alike() -> None:
     tx = np.array([[3.0, 0.3, 1.0]])
     counts = [
         int(
-            ImageTracer(scene_of(*sheets), [5e9], TraceSettings(max_depth=d, rays=2000))
+            ImageTracer(
+                scene_of(*sheets), [5e9], TraceSettings(interactions=("specular", "refraction"), max_depth=d, rays=2000)
+            )
             .channel(tx)
             .num_paths[0, 0]
         )
@@ -263,7 +270,7 @@ def test_boxes_become_six_parallelograms_and_walls_in_one_plane_share_it() -> No
 
 def test_the_solver_declines_what_it_cannot_do() -> None:
     office = Geometry(surface_meshes(load_scene("office")))
-    assert can_solve(office, TraceSettings())
+    assert can_solve(office, TraceSettings(interactions=("specular", "refraction")))
     assert can_solve(office, TraceSettings(interactions=("specular", "diffraction")))
     assert not can_solve(office, TraceSettings(interactions=("specular", "diffuse")))
     with pytest.raises(SceneError, match="Use --solver sionna"):

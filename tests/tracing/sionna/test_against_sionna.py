@@ -20,7 +20,7 @@ pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 # The public solver's delays are float32: 6e-8 of 2πfτ ≈ 1.5e4 rad at 94 GHz and 8 m, a few roundings over.
 PLAIN_TOLERANCE = {1e9: 1e-3, 10e9: 1e-3, 94e9: 6e-3}
 ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
@@ -58,9 +58,7 @@ def test_rays_from_the_receiver_give_the_channel_of_rays_from_each_transmitter(
 
 def test_a_path_that_only_the_arrays_edge_sees_is_found() -> None:
     """At 1 GHz the array is half a metre wide: a plate can hide the transmitter from its centre alone."""
-    plate = Surface(
-        name="plate", material="metal", thickness_m=0.002, min_m=(2.4, 2.5, 1.4), max_m=(2.6, 2.5, 1.75)
-    )
+    plate = Surface(name="plate", material="metal", thickness_m=0.002, min_m=(2.4, 2.5, 1.4), max_m=(2.6, 2.5, 1.75))
     scene = scene_of(plate)
     direct = tracer(scene).paths(TRANSMITTERS_M[0]).interactions[:, 0] == NO_INTERACTION
     assert not direct.any()
@@ -101,8 +99,6 @@ def test_our_materials_equal_sionnas_own() -> None:
     assert len(ours.sionna.radio_materials) == len(defined)
     for label, material in ours.sionna.radio_materials.items():
         their = theirs.get(f"their {label.rpartition('-')[0]}")
-        assert material.relative_permittivity.numpy() == pytest.approx(
-            their.relative_permittivity.numpy(), rel=1e-6
-        )
+        assert material.relative_permittivity.numpy() == pytest.approx(their.relative_permittivity.numpy(), rel=1e-6)
         assert material.conductivity.numpy() == pytest.approx(their.conductivity.numpy(), rel=1e-6, abs=1e-12)
         assert material.thickness.numpy() == pytest.approx(0.2)

@@ -14,8 +14,9 @@ from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import DIFFUSE
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Interaction, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -75,13 +76,11 @@ def lambertian_power(coefficient: float) -> float:
 
 def test_a_lambertian_floor_scatters_what_lamberts_law_says() -> None:
     settings = replace(SETTINGS, max_depth=1, rays=200_000)
-    paths = make_tracer(metal_plate(Scattering(coefficient=0.7)), [CARRIER_HZ], settings).paths(TX_M)
+    paths = tracer_of(PreparedScene.of(metal_plate(Scattering(coefficient=0.7))), [CARRIER_HZ], settings).paths(TX_M)
     diffuse = paths.interactions[:, 0] == DIFFUSE
     power = (np.abs(paths.gain[0, diffuse]) ** 2).sum()
     assert diffuse.sum() > 10_000
-    assert power == pytest.approx(
-        lambertian_power(0.7), rel=0.02
-    )  # of 2e5 rays, the seventh of which meet it
+    assert power == pytest.approx(lambertian_power(0.7), rel=0.02)  # of 2e5 rays, the seventh of which meet it
 
 
 def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
@@ -92,22 +91,18 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
         for interactions in (smooth_only, ("specular", "diffuse")) if coefficient else (smooth_only,):
             settings = replace(SETTINGS, interactions=interactions, max_depth=1)
             scene = metal_plate(Scattering(coefficient=coefficient))
-            paths = make_tracer(scene, [CARRIER_HZ], settings).paths(TX_M)
+            paths = tracer_of(PreparedScene.of(scene), [CARRIER_HZ], settings).paths(TX_M)
             (gain,) = paths.gain[0, paths.interactions[:, 0] == 1]
             reflected[coefficient, interactions] = abs(gain)
     smooth = reflected.pop((0.0, smooth_only))
     np.testing.assert_allclose(list(reflected.values()), 0.8 * smooth, rtol=1e-5)
 
 
-def octant_powers(
-    gain: NDArray[Any], arrival: NDArray[np.float64], interactions: NDArray[Any]
-) -> NDArray[np.float64]:
+def octant_powers(gain: NDArray[Any], arrival: NDArray[np.float64], interactions: NDArray[Any]) -> NDArray[np.float64]:
     """Power from each octant by paths that scatter, and by the others: (2, 8)."""
     octant = (arrival > 0) @ np.array([1, 2, 4])
     scatters = (interactions == DIFFUSE).any(axis=1)
-    return np.array(
-        [np.bincount(octant, np.abs(gain) ** 2 * kind, minlength=8) for kind in (scatters, ~scatters)]
-    )
+    return np.array([np.bincount(octant, np.abs(gain) ** 2 * kind, minlength=8) for kind in (scatters, ~scatters)])
 
 
 def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
@@ -127,12 +122,8 @@ def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
         theta, phi = (angle.numpy().ravel().astype(float) for angle in (theirs.theta_r, theirs.phi_r))
         arrival = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
         gain, _ = theirs.cir(normalize_delays=False, out_type="numpy")
-        public += octant_powers(
-            gain.ravel(), arrival, theirs.interactions.numpy().reshape(SETTINGS.max_depth, -1).T
-        )
-    assert (
-        np.abs(10 * np.log10(ours.sum(axis=0) / public.sum(axis=0))).max() < 0.05
-    )  # rays in a hash table's order
+        public += octant_powers(gain.ravel(), arrival, theirs.interactions.numpy().reshape(SETTINGS.max_depth, -1).T)
+    assert np.abs(10 * np.log10(ours.sum(axis=0) / public.sum(axis=0))).max() < 0.05  # rays in a hash table's order
     assert np.abs(10 * np.log10(ours[0] / public[0])).max() < 0.05
     assert (ours[0] > 0.3 * ours[1]).sum() >= 4  # scattering matters in half of the octants at least
 
@@ -146,28 +137,24 @@ def test_no_path_is_left_out_however_the_elements_are_divided(monkeypatch: pytes
 
     def channel(most_paths: int) -> Channel:
         monkeypatch.setattr(forward, "MAX_DIFFUSE_PATHS", most_paths)
-        return make_tracer(scene, [CARRIER_HZ], SETTINGS).channel(TX_M[None])
+        return tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS).channel(TX_M[None])
 
     together, apart = channel(100_000), channel(SETTINGS.rays * SETTINGS.max_depth)
     assert together.num_paths[0, 0] > SETTINGS.rays / 10
     np.testing.assert_array_equal(apart.num_paths, together.num_paths)
     np.testing.assert_allclose(apart.cfr, together.cfr, rtol=0, atol=1e-5 * np.abs(together.cfr).max())
-    truth = plain_channel(
-        scene, CARRIER_HZ, TX_M[None], ALL, SETTINGS.max_depth, SETTINGS.rays, SETTINGS.seed
-    )
+    truth = plain_channel(scene, CARRIER_HZ, TX_M[None], ALL, SETTINGS.max_depth, SETTINGS.rays, SETTINGS.seed)
     np.testing.assert_allclose(together.cfr[:, 0], truth, rtol=0, atol=1e-2 * np.abs(truth).max())
 
 
 def test_smooth_scenes_scatter_nothing_and_say_so() -> None:
     scene = metal_plate(None)
-    with pytest.raises(
-        XFreqBenchError, match=r"no material of the scene scatters.*scattering = \{coefficient"
-    ):
-        make_tracer(scene, [CARRIER_HZ], SETTINGS)
+    with pytest.raises(XFreqBenchError, match=r"no material of the scene scatters.*scattering = \{coefficient"):
+        tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS)
     with pytest.raises(XFreqBenchError, match="no material of the scene"):
-        make_tracer(metal_plate(Scattering(coefficient=0.0)), [CARRIER_HZ], SETTINGS)
+        tracer_of(PreparedScene.of(metal_plate(Scattering(coefficient=0.0))), [CARRIER_HZ], SETTINGS)
 
 
 def test_more_diffuse_paths_than_memory_holds_are_refused() -> None:
     with pytest.raises(XFreqBenchError, match=r"--rays 2,000,000"):
-        make_tracer(room(*ROUGH), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))
+        tracer_of(PreparedScene.of(room(*ROUGH)), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))

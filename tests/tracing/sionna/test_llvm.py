@@ -49,9 +49,7 @@ def system_library(tmp_path: Path, name: str) -> Path:
     return path
 
 
-def test_the_packages_real_file_is_taken_and_not_its_symlink(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_packages_real_file_is_taken_and_not_its_symlink(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     let_any_file_load(monkeypatch)
     real = tmp_path / "libLLVM.so.23.1"
     real.touch()
@@ -88,14 +86,9 @@ def test_a_path_of_the_users_without_a_file_is_an_error(monkeypatch: pytest.Monk
         llvm.ensure_llvm()
 
 
-def test_a_file_of_the_users_that_is_not_llvm_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_file_of_the_users_that_is_not_llvm_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "libLLVM.so").write_bytes(b"no library")
-    libraries = {
-        str(tmp_path / "libLLVM.so"): "no library that can be loaded",
-        _ctypes.__file__: "without LLVM",
-    }
+    libraries = {str(tmp_path / "libLLVM.so"): "no library that can be loaded", _ctypes.__file__: "without LLVM"}
     for path, fault in libraries.items():
         monkeypatch.setenv(llvm.VARIABLE, path)
         with pytest.raises(MissingLLVMError, match=fault):

@@ -18,7 +18,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = [1e9, 5e9, 24.25e9, 94e9]
-SETTINGS = TraceSettings(solver="sionna", rays=60_000)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="sionna", rays=60_000)
 PLACES = {
     "office": [[1.3, 4.1, 1.2], [6.2, 1.1, 0.9], [3.9, 5.2, 1.6]],
     "two_rooms": [[1.1, 1.2, 1.2], [7.9, 2.1, 1.0]],
@@ -92,9 +92,7 @@ def reflects_on_its_triangles(
         matrix = np.stack([b - a, c - a, -towards], axis=-1)
         is_regular = is_mirror[:, depth] & (np.abs(np.linalg.det(matrix)) > 1e-12)
         solution = np.zeros((len(chain), 3))
-        solution[is_regular] = np.linalg.solve(matrix[is_regular], (point_m - a)[is_regular, :, None])[
-            :, :, 0
-        ]
+        solution[is_regular] = np.linalg.solve(matrix[is_regular], (point_m - a)[is_regular, :, None])[:, :, 0]
         u, v, t = solution.T
         inside = is_regular & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1)
         reflects &= inside | ~is_mirror[:, depth]

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.sionna
 
 CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
 TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(rays=100_000, max_depth=3)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
 
 
@@ -77,9 +77,7 @@ def test_a_wall_reflects_as_p2040_says(pattern: Any, polarization: Any) -> None:
     for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
         eta = complex_permittivity("concrete", carrier)
         te, tm, *_ = slab_coefficients(eta, 0.2, carrier, float(-incident @ normal))
-        field = over_one_slab(
-            antenna_field(incident, pattern, polarization), incident, outgoing, normal, te, tm
-        )
+        field = over_one_slab(antenna_field(incident, pattern, polarization), incident, outgoing, normal, te, tm)
         received = antenna_field(-outgoing, pattern, polarization) @ field
         expected = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance) * received
         assert traced == pytest.approx(expected, rel=2e-3)  # float32 phase across 0.2 m: 2e3 rad at 94 GHz
@@ -96,9 +94,7 @@ def test_a_pane_transmits_as_p2040_says(pattern: Any, polarization: Any) -> None
     for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
         eta = complex_permittivity("glass", carrier)
         *_, te, tm = slab_coefficients(eta, 0.008, carrier, abs(float(direction @ normal)))
-        field = over_one_slab(
-            antenna_field(direction, pattern, polarization), direction, direction, normal, te, tm
-        )
+        field = over_one_slab(antenna_field(direction, pattern, polarization), direction, direction, normal, te, tm)
         received = antenna_field(-direction, pattern, polarization) @ field
         expected = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance) * received
         assert traced == pytest.approx(expected, rel=1e-3)
@@ -131,9 +127,7 @@ def test_paths_run_from_the_transmitter_and_arrive_from_their_last_point() -> No
     for row, vertices in enumerate(paths.vertices_m):
         corners = np.vstack([TRANSMITTERS_M[0], vertices[~np.isnan(vertices[:, 0])], centre])
         length_m = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-        assert paths.delay_s[row] * SPEED_OF_LIGHT_M_S == pytest.approx(
-            length_m, abs=1e-5
-        )  # float32 vertices
+        assert paths.delay_s[row] * SPEED_OF_LIGHT_M_S == pytest.approx(length_m, abs=1e-5)  # float32 vertices
         towards = corners[-2] - centre
         np.testing.assert_allclose(paths.arrival[row], towards / np.linalg.norm(towards), atol=1e-5)
     assert (np.diff(paths.delay_s) >= 0).all()

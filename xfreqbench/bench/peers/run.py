@@ -143,7 +143,7 @@ def missed(
     """How many of the other paths have no partner of the same length here, and the largest difference of partners."""
     left, num_missed, largest = lengths_m.tolist(), 0, 0.0
     for length in others_m.tolist():
-        nearest = min(left, key=lambda each: abs(each - length), default=np.inf)
+        nearest = min(left, key=lambda value: abs(value - length), default=np.inf)
         if abs(nearest - length) <= tolerance_m:
             left.remove(nearest)
             largest = max(largest, abs(nearest - length))
@@ -187,16 +187,10 @@ def bench_peers(
                 else:
                     stopped[solver] = order
     _tabulate_paths(bench, results)
-    _tabulate_times(bench, results, _told(stopped, limit_s))
-    _tabulate_growth(bench, seconds, limit_s)
-
-
-def _told(stopped: Mapping[str, int], limit_s: float) -> str:
-    """A sentence that names solvers which did not finish, and with how many reflections."""
-    if not stopped:
-        return ""
     names = ", ".join(f"`{solver}` with {order}" for solver, order in stopped.items())
-    return f" Stopped after {limit_s:g} s, or died, and not asked for more reflections: {names}."
+    end = f" Stopped after {limit_s:g} s, or died, and not asked for more reflections: {names}."
+    _tabulate_times(bench, results, end if stopped else "")
+    _tabulate_growth(bench, seconds, limit_s)
 
 
 def _tabulate_paths(bench: Bench, results: Results) -> None:
@@ -258,7 +252,10 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
                     table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *[ABSENT] * 4)
                     break
                 totals_s[number] = result.tx_s * task.num_tx
-                exponent = _exponent(list(totals_s), list(totals_s.values()))
+                exponent = ABSENT
+                if len(totals_s) > 1:
+                    logs = np.log(list(totals_s)), np.log(list(totals_s.values()))
+                    exponent = f"{np.polyfit(*logs, 1)[0]:.2f}"
                 tx_ms = 1e3 * result.tx_s
                 times = f"{result.setup_s:.2f}", f"{tx_ms:.3g}", f"{tx_ms / len(task.carriers_hz):.3g}"
                 table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")
@@ -277,9 +274,3 @@ def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float)
     )
     carriers_hz = tuple(np.linspace(1e9, 94e9, num_carriers)) if num_carriers > 1 else CARRIERS_HZ
     return PeerTask(solver, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz, limit_s)
-
-
-def _exponent(numbers: Sequence[int], totals_s: Sequence[float]) -> str:
-    if len(numbers) < 2:
-        return ABSENT
-    return f"{np.polyfit(np.log(numbers), np.log(totals_s), 1)[0]:.2f}"

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from xfreqbench.bench.peers.differt import DiffeRTSolver
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.sionna import plain
-from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -56,7 +57,7 @@ class OurSolver:
         rays: int = RAYS,
     ) -> None:
         settings = TraceSettings(solver=solver, interactions=SPECULAR_ALONE, max_depth=order, rays=rays)
-        self._tracer = make_tracer(scene, carriers_hz, settings)
+        self._tracer = tracer_of(PreparedScene.of(scene), carriers_hz, settings)
 
     def channels(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channels:
         """As `PeerSolver` says."""
@@ -81,7 +82,9 @@ class PathSolver:
         """As `PeerSolver` says."""
         starts = range(0, len(tx_position_m), self._batch)
         found = [self._paths(tx_position_m[start : start + self._batch]) for start in starts]
-        return np.concatenate([_channels(paths) for paths in found])
+        gains = [paths.cir(normalize_delays=False, out_type="numpy")[0] for paths in found]
+        # each of shape (1, M, T, 1, paths, 1), summed over its paths
+        return np.concatenate([np.asarray(gain, np.complex128).sum(axis=(0, 3, 4, 5)).T for gain in gains])
 
     def lengths_m(self, tx_position_m: Float[FloatArray, "3"]) -> Float[FloatArray, "P"]:
         """As `PeerSolver` says."""
@@ -91,12 +94,6 @@ class PathSolver:
 
     def _paths(self, tx_position_m: Float[FloatArray, "T 3"]) -> Any:
         return plain.solve(self._scene, tx_position_m, SPECULAR_ALONE, self._order, self._rays, seed=1)
-
-
-def _channels(paths: Any) -> Channels:
-    """Sums over paths of gains (1, M, T, 1, paths, 1)."""
-    gain, _ = paths.cir(normalize_delays=False, out_type="numpy")
-    return np.asarray(gain, np.complex128).sum(axis=(0, 3, 4, 5)).T
 
 
 CONVERGED = "image, converged"
@@ -120,13 +117,24 @@ def panel_room(num_triangles: int, num_elements_a_side: int = 4, seed: int = 0) 
         raise XFreqBenchError(
             f"A room of rectangles has 12, 14, 16, … triangles, but {num_triangles} are asked for."
         )
+    surfaces = list[Surface]()
+    for axis in range(3):
+        for side in (0.0, ROOM_M[axis]):
+            low_m, high_m = np.zeros(3), np.array(ROOM_M)
+            low_m[axis] = high_m[axis] = side
+            surfaces.append(_rectangle(f"wall {len(surfaces)}", low_m, high_m))
     rng = np.random.default_rng(seed)
-    panels = (num_triangles - SHELL_TRIANGLES) // 2
+    for number in range((num_triangles - SHELL_TRIANGLES) // 2):
+        size_m = rng.uniform(*_PANEL_M, 3)
+        size_m[rng.integers(3)] = 0.0
+        highest_m = np.array([ROOM_M[0], ROOM_M[1], _RECEIVER_M[2]]) - _MARGIN_M - size_m
+        low_m = rng.uniform(np.full(3, _MARGIN_M), highest_m)
+        surfaces.append(_rectangle(f"panel {number}", low_m, low_m + size_m))
     return Scene(
         name=f"room of {num_triangles} triangles",
         receiver=ReceiverArray(_RECEIVER_M, rows=num_elements_a_side, cols=num_elements_a_side),
         transmitters=TransmitterGrid(_RECEIVER_M, _RECEIVER_M, (1.0, 1.0, 1.0)),
-        surface=(*_walls(), *(_panel(rng, number) for number in range(panels))),
+        surface=tuple(surfaces),
     )
 
 
@@ -134,24 +142,6 @@ def transmitters(number: int, seed: int = 1) -> Float[FloatArray, "T 3"]:
     """Random positions in the room."""
     low, high = np.full(3, _MARGIN_M), np.array(ROOM_M) - _MARGIN_M
     return np.random.default_rng(seed).uniform(low, high, (number, 3))
-
-
-def _walls() -> list[Surface]:
-    walls = list[Surface]()
-    for axis in range(3):
-        for side in (0.0, ROOM_M[axis]):
-            low, high = np.zeros(3), np.array(ROOM_M)
-            low[axis] = high[axis] = side
-            walls.append(_rectangle(f"wall {len(walls)}", low, high))
-    return walls
-
-
-def _panel(rng: np.random.Generator, number: int) -> Surface:
-    size_m = rng.uniform(*_PANEL_M, 3)
-    size_m[rng.integers(3)] = 0.0
-    highest_m = np.array([ROOM_M[0], ROOM_M[1], _RECEIVER_M[2]]) - _MARGIN_M - size_m
-    low_m = rng.uniform(np.full(3, _MARGIN_M), highest_m)
-    return _rectangle(f"panel {number}", low_m, low_m + size_m)
 
 
 def _rectangle(name: str, low_m: Float[FloatArray, "3"], high_m: Float[FloatArray, "3"]) -> Surface:

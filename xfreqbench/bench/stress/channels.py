@@ -27,7 +27,7 @@ CARRIERS_GHZ = (1.0, 2.4, 10.0, 24.25, 60.0, 94.0)
 PI = 4 * np.arctan(np.longdouble(1))
 LIGHT_M_S = np.longdouble(SPEED_OF_LIGHT_M_S)
 RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.0))
-SETTINGS = TraceSettings(solver="image", rays=1000)
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=1000)
 _GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
 _VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)

@@ -17,6 +17,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import PatchSize, ReceiverArray, Surface
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import SPECULAR
@@ -28,7 +29,7 @@ GEOMETRY = Area("geometry")
 _CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
 _ONE = replace(RECEIVER, rows=1, cols=1)
 _HEIGHT_M = RECEIVER.position_m[2]
-_SETTINGS = TraceSettings(solver="image", rays=2000, max_depth=1)
+_SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=2000, max_depth=1)
 # the phase's 5e-10 rad, in the sum of two or three paths
 _LIMIT = 2e-9  # the phase's 5e-10 rad, in the sum of two or three paths
 _POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
@@ -43,7 +44,7 @@ _NEAR_THE_FLOOR = {  # the floor reflects between x = 1.2 and 1.8
 }
 FACETS = Area("facets")
 _RECEIVER = replace(RECEIVER, rows=1, cols=1, polarization="H")
-_TWO_DEEP = TraceSettings(solver="image", rays=2000, max_depth=2)
+_TWO_DEEP = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=2000, max_depth=2)
 Cut = tuple[Float[FloatArray, "V 2"], Int[IntArray, "K 3"]]
 
 
@@ -141,10 +142,7 @@ def _boresight(offset_m: float, polarization: Literal["V", "H"]) -> float:
 
 
 @GEOMETRY.each(
-    {
-        "ray along the edge of a wooden screen": ("wood",),
-        "ray along the edge of a metal screen": ("metal",),
-    },
+    {"ray along the edge of a wooden screen": ("wood",), "ray along the edge of a metal screen": ("metal",)},
     limit=_LIMIT,
     unit="relative",
 )
@@ -310,7 +308,7 @@ def _channels(
     meshes: list[SurfaceMesh], receiver: ReceiverArray, tx_m: tuple[float, ...]
 ) -> Complex[NDArray[np.complex128], "F M"]:
     """Channel of one transmitter at three carriers, by the tracer that suits the number of facets."""
-    tracer = ImageTracer(free_space(receiver), _CARRIERS_HZ, _TWO_DEEP, geometry=Geometry(meshes))
+    tracer = ImageTracer(PreparedScene(free_space(receiver), Geometry(meshes)), _CARRIERS_HZ, _TWO_DEEP)
     return tracer.channel(np.array([tx_m])).cfr[0]
 
 

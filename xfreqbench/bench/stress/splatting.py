@@ -50,10 +50,7 @@ _BACKENDS: tuple[Backend, ...] = ("torch", "numba")
 _GRID = AngularGrid.hemisphere()
 _SEAM_DEG = [(0.0, 10.0), (359.9999, 20.0), (-1e-7, 30.0), (180.0, 5.0), (360.0, 0.0)]
 _PLACES_AND_SIZES_DEG = {  # centres (azimuth, elevation) and deviations along the axes
-    "at the zenith": (
-        [(10.0, 90.0), (200.0, 89.5), (0.0, 88.0)],
-        [(30.0, 1.0), (5.0, 5.0), (100.0, 0.5)],
-    ),
+    "at the zenith": ([(10.0, 90.0), (200.0, 89.5), (0.0, 88.0)], [(30.0, 1.0), (5.0, 5.0), (100.0, 0.5)]),
     "at the azimuth's seam": (_SEAM_DEG, [(3.0, 2.0), (0.5, 0.5)]),
     "a turn wide, a little less and more": (_SEAM_DEG, [(59.9, 3.0), (60.1, 3.0)]),
     "smaller than the grid": (
@@ -283,7 +280,7 @@ def _larger_than_the_sphere() -> float:
     angles = torch.tensor([[0.0, 0.5], [3.0, 1.5], [-math.pi, -1.0]]).double()
     projection = _projection(angles, 1e4 * torch.eye(2).double().expand(3, 2, 2))
     lists = [bin_footprints(projection, _GRID, _SUPPORT, backend) for backend in _BACKENDS]
-    return float(sum((each.start.diff() != 3).sum() for each in lists))
+    return float(sum((tile_list.start.diff() != 3).sum() for tile_list in lists))
 
 
 # up to 360 per rad² times 2 · 3e-7 rad, the rounding of π, of roots of distances of 1e-3 and more

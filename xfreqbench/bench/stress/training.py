@@ -208,8 +208,8 @@ def _ssim_loss() -> float:
 
 
 def _ssim_of_loss(x: Maps, y: Maps) -> NDArray[np.float64]:
-    each = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
-    return np.array([float(mean_ssim(one[None], other[None])) for one, other in each])
+    maps = zip(torch.as_tensor(x.copy()), torch.as_tensor(y.copy()), strict=True)
+    return np.array([float(mean_ssim(one[None], other[None])) for one, other in maps])
 
 
 @TRAINING.case("gradient of the SSIM of flat maps", limit=0, unit="values")
@@ -309,10 +309,7 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
 
 
 @ENCODING.case(
-    "band of 1 Hz at 24.25 GHz",
-    *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]),
-    limit=3e-4,
-    unit="absolute",
+    "band of 1 Hz at 24.25 GHz", *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]), limit=3e-4, unit="absolute"
 )
 @ENCODING.each(_BANDS_HZ, limit=1e-6, unit="absolute")  # some roundings of 6e-8
 def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:
@@ -380,7 +377,7 @@ def _same_seed() -> float:
 
 def _generated(seed: int, folder: str) -> bytes:
     """The file of a data set of three transmitters in free space."""
-    settings = TraceSettings(solver="image", rays=1000, seed=seed)
+    settings = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=1000, seed=seed)
     carriers = [ghz_to_hz(ghz) for ghz in (CARRIERS_GHZ[0], CARRIERS_GHZ[-1])]
     plan = plan_generation(load_scene("empty"), carriers, settings, num_transmitters=3, maps=False)
     return generate_planned(plan, Path(folder) / "data.h5").read_bytes()
@@ -392,7 +389,10 @@ def _other_seed() -> float:
     scene = load_scene("empty")
     chosen = [
         plan_generation(
-            scene, [1e9], TraceSettings(solver="image", seed=seed), num_transmitters=3
+            scene,
+            [1e9],
+            TraceSettings(interactions=("specular", "refraction"), solver="image", seed=seed),
+            num_transmitters=3,
         ).tx_position_m
         for seed in (1, 2)
     ]

@@ -1,9 +1,9 @@
 """Blends learned maps with those of a trivial predictor, by weights that are chosen on validation rows of the training.
 
 In the first half of a training one carrier and some transmitters are held out, as unseen ones will be. With them
-the weights are chosen, for each kind of query; then the training goes on with all rows. A transmitter that is far from
-all trained ones is a kind by itself, for which those of a whole region are held out in the first quarter: where no
-neighbour is trained, other predictors are good than among neighbours.
+the weights are chosen, for each kind of query; then the training goes on with all rows. Transmitters that are far from
+all trained ones are a kind of their own: without trained neighbours, other predictors are the good ones. For them, the
+transmitters of a whole region are held out in the first quarter.
 """
 
 from __future__ import annotations
@@ -20,13 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.learning.mixing import (
-    WEIGHTS,
-    Predict,
-    mixed,
-    similarities,
-    similarities_by_weight,
-)
+from xfreqbench.methods.learning.mixing import WEIGHTS, Predict, mixed, similarities, similarities_by_weight
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps
 
@@ -107,7 +101,7 @@ class Holdout:
 def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDArray[np.bool_], "N"]:
     """Whether each row is of one of the transmitters nearest to an outermost one on the floor.
 
-    At the rim of the floor they lie farther from the others than amid them.
+    At the rim of the floor they are farther from the others than in the middle.
     """
     tx_index, first = np.unique(train.tx_index, return_index=True)
     place_m = train.tx_position_m[first, :2]
@@ -130,7 +124,9 @@ class Blend:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {choice.predictor for choice in choices.values() if choice.weight < 1}
         self._predictors = {
-            each.__name__: _knowing(each, train) for each in predictors if each.__name__ in needed
+            predictor.__name__: _knowing(predictor, train)
+            for predictor in predictors
+            if predictor.__name__ in needed
         }
 
     @classmethod
@@ -151,7 +147,7 @@ class Blend:
         more than the standard error of their difference.
         """
         left = train.subset(holdout.left)
-        knowing = {each.__name__: _knowing(each, left).predict for each in predictors}
+        knowing = {predictor.__name__: _knowing(predictor, left).predict for predictor in predictors}
         choices = dict(before)
         for kind, of_kind in holdout.rows.items():
             if len(of_kind) < _LEAST_ROWS:
@@ -182,7 +178,7 @@ class Blend:
     def _choice(self, nth: int) -> Choice | None:
         """The choice for a kind; where far transmitters have none, that for nearer ones."""
         nearer = range(nth, 0, -2) if nth else [0]
-        return next((self.choices[KINDS[each]] for each in nearer if KINDS[each] in self.choices), None)
+        return next((self.choices[KINDS[kind]] for kind in nearer if KINDS[kind] in self.choices), None)
 
     def _of_kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -192,7 +188,7 @@ class Blend:
         is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
         reach = _reach(self.transmitters, tx_position_m)
         of_places = [~is_known & (reach == nth) for nth in range(len(_PLACES))]
-        return is_known, *(each for of in of_places for each in (of & is_heard, of & ~is_heard))
+        return is_known, *(rows for of in of_places for rows in (of & is_heard, of & ~is_heard))
 
 
 def _knowing(predictor: type, train: PasDataset) -> Any:
@@ -211,16 +207,16 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
     tx_index = np.unique(train.tx_index)
     is_carrier = np.ones(len(train), bool) if unseen_hz is None else train.carrier_hz == unseen_hz
     is_known = is_carrier if unseen_hz is None else ~is_carrier
-    sums = dict.fromkeys((each.__name__ for each in predictors), 0.0)
+    sums = dict.fromkeys((predictor.__name__ for predictor in predictors), 0.0)
     for fold in range(_FOLDS):
         is_unseen = np.isin(train.tx_index, tx_index[fold::_FOLDS])
         rows = train.subset(is_unseen & is_carrier & train.has_path)
         left = train.subset(~is_unseen & is_known)
         if not (len(rows) and left.has_path.any()):
             continue
-        for each in predictors:
-            maps = _knowing(each, left).predict(rows.tx_position_m, rows.carrier_hz)
-            sums[each.__name__] += similarities(maps, rows.pas()).sum()
+        for predictor in predictors:
+            maps = _knowing(predictor, left).predict(rows.tx_position_m, rows.carrier_hz)
+            sums[predictor.__name__] += similarities(maps, rows.pas()).sum()
     return max(sums, key=lambda name: sums[name])
 
 
@@ -232,18 +228,20 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
     """
     query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
     learned, maps = predict(*query), {name: known(*query) for name, known in trivial.items()}
-    name = max(maps, key=lambda each: similarities(maps[each], truth).mean())
+    name = max(maps, key=lambda name: similarities(maps[name], truth).mean())
     similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth), strict=True))
     best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
-        best = next(each for each in WEIGHTS if _may_be_as_good(similar[each], similar[best], rows.tx_index))
+        best = next(
+            weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index)
+        )
     return Choice(predictor=name, weight=best)
 
 
 def _may_be_as_good(
     similar: Float[FloatArray, "n"], best: Float[FloatArray, "n"], tx_index: Int[IntArray, "n"]
 ) -> bool:
-    """Whether the mean lies no more than the standard error of the difference below the best; of transmitters."""
+    """Whether the mean over transmitters is at most one standard error of the difference below the best mean."""
     number = np.unique(tx_index, return_inverse=True)[1]
     by_tx = np.bincount(number, best - similar) / np.bincount(number)
     error = by_tx.std() / np.sqrt(max(1, len(by_tx) - 1))

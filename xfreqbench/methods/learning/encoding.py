@@ -13,9 +13,8 @@ from torch.nn.functional import grid_sample
 from xfreqbench.data.dataset import PasDataset
 
 _GRID_RATE = 5.0  # of the learning rate
-_MARGIN = (
-    0.1  # by which the box of training positions grows, so that Gaussians may stand behind the outermost
-)
+# share by which the box of training positions grows, so that Gaussians may stand behind the outermost
+_MARGIN = 0.1
 
 
 def positional_encoding(x: Float[Tensor, "... D"], num_octaves: int) -> Float[Tensor, "... C"]:

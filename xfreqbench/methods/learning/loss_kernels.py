@@ -58,9 +58,9 @@ def _means_of_windows(x: F32, y: F32, row: int, window: int, of_columns: F32, me
     of_columns[:] = 0
     means[:] = 0
     share = np.float32(1 / window**2)
-    for each in range(row, row + window):
+    for window_row in range(row, row + window):
         for column in range(x.shape[1]):
-            here, there = x[each, column], y[each, column]
+            here, there = x[window_row, column], y[window_row, column]
             of_columns[0, column] += share * here
             of_columns[1, column] += share * there
             of_columns[2, column] += share * here * here
@@ -103,7 +103,7 @@ def _add_slopes(
         for shift in range(window):
             for first in range(of_windows.shape[1]):
                 summed[kind, first + shift] += of_windows[kind, first]
-    for each in range(row, row + window):
+    for window_row in range(row, row + window):
         for column in range(x.shape[1]):
-            by_value = summed[1, column] * x[each, column] + summed[2, column] * y[each, column]
-            of_map[each, column] += weight * (summed[0, column] + by_value)
+            by_value = summed[1, column] * x[window_row, column] + summed[2, column] * y[window_row, column]
+            of_map[window_row, column] += weight * (summed[0, column] + by_value)

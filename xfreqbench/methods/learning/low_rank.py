@@ -90,7 +90,7 @@ class LowRankNetwork(nn.Module):
         carrier_size = encoded_size(1, config.carrier_octaves) * self._is_input
         size = encoded_size(3, config.tx_octaves) + self.places.num_outputs + carrier_size
         widths = [size, *[config.width] * config.layers]
-        self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(widths))
+        self.layers = nn.ModuleList(nn.Linear(*sizes) for sizes in pairwise(widths))
         self.head = nn.Linear(config.width, config.rank + 1)
         self.trend = nn.Linear(config.width, config.rank + 1) if has_trend else None
         self.of_place = PlaceCodes(config) if not config.latent else None

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from xfreqbench.methods.learning.loss import ssim_of_each
 from xfreqbench.types import FloatArray, Maps
 
-WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps, of which one is chosen
-_STRIDE, _WINDOW = 3, 3  # of the SSIM by which maps are compared
+WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps; one of them is chosen
+_STRIDE, _WINDOW = 3, 3  # of the SSIM that compares maps
 _AT_ONCE = 64
 _TINY = 1e-12  # peak of a map where no path arrives
 
@@ -25,7 +25,7 @@ def mixed(
     learned: Float[Maps, "B E A"],
     other: Float[Maps, "B E A"],
 ) -> Float[Maps, "B E A"]:
-    """The means of maps, of which the learned ones have a weight, one for all or one each, scaled to peak 1."""
+    """Weighted means of learned and other maps, scaled to peak 1; the weight is one for all maps or one for each."""
     weights = np.asarray(weight, np.float32).reshape(-1, 1, 1)
     sums = weights * learned + (1 - weights) * other
     return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)
@@ -33,7 +33,8 @@ def mixed(
 
 def similarities(maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]) -> Float[FloatArray, "n"]:
     """SSIM of each of n maps, coarsely."""
-    parts = (torch.as_tensor(_in_view(each)).split(_AT_ONCE) for each in (maps, truth))
+    compared = (np.ascontiguousarray(of_all[:, ::_STRIDE, ::_STRIDE]) for of_all in (maps, truth))
+    parts = (torch.as_tensor(coarse).split(_AT_ONCE) for coarse in compared)
     similar = [ssim_of_each(shown, true, _WINDOW, _STRIDE) for shown, true in zip(*parts, strict=True)]
     return torch.cat(similar).numpy().astype(np.float64)
 
@@ -43,8 +44,3 @@ def similarities_by_weight(
 ) -> Float[FloatArray, "W n"]:
     """SSIM of n mixed maps, coarsely, for each of `WEIGHTS`."""
     return np.array([similarities(mixed(weight, learned, other), truth) for weight in WEIGHTS])
-
-
-def _in_view(maps: Maps) -> Maps:
-    """The rows and columns that are compared, as an array of their own."""
-    return np.ascontiguousarray(maps[:, ::_STRIDE, ::_STRIDE])

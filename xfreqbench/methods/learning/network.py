@@ -66,10 +66,7 @@ class PairwiseMLP(nn.Module):
         self.precision = precision
 
     def forward(
-        self,
-        query: Float[Tensor, "B Q"],
-        gaussian: Float[Tensor, "V G"],
-        pair: Float[Tensor, "B V P"],
+        self, query: Float[Tensor, "B Q"], gaussian: Float[Tensor, "V G"], pair: Float[Tensor, "B V P"]
     ) -> Float[Tensor, "B V O"]:
         """Outputs for every pair, float32."""
         size = max(1, _CHUNK_PAIRS // max(1, len(gaussian)))

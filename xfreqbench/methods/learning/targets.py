@@ -99,9 +99,9 @@ class Beams:
         """The highest power in any of the views, above 0; its slope is that of the power in that direction."""
         waves = [self._waves_in(view).flatten(1) for view in views]
         with torch.no_grad():
-            power, direction = zip(*((lags @ each).max(dim=1) for each in waves), strict=True)
+            power, direction = zip(*((lags @ wave).max(dim=1) for wave in waves), strict=True)
         highest = torch.stack(power).argmax(dim=0)
-        there = torch.stack([each.T[nth] for each, nth in zip(waves, direction, strict=True)])
+        there = torch.stack([wave.T[nth] for wave, nth in zip(waves, direction, strict=True)])
         at_peak = there[highest, torch.arange(len(lags), device=self.device)]
         return (lags * at_peak).sum(dim=1, keepdim=True).clamp_min(_MIN_PEAK)
 

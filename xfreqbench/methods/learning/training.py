@@ -25,7 +25,6 @@ from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.methods.learning.averaging import averaged, mean_weights
 from xfreqbench.methods.learning.blending import Blend, Holdout
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.stored import (
@@ -180,7 +179,7 @@ class LearnedMethod:
         training = self._training
         chosen = self._blend.choices if self._blend else {}
         holdouts = Holdout.draw(train, seed, budget.max_seconds) if self.config.blend == "auto" else []
-        holdouts = [each for each in holdouts if not each.rows.keys() & chosen.keys()]
+        holdouts = [holdout for holdout in holdouts if not holdout.rows.keys() & chosen.keys()]
         targets = self._targets(train, training, holdouts)
         if not len(targets):
             raise MethodError("No training row has a path; there is nothing to learn from.")
@@ -371,6 +370,24 @@ class LearnedMethod:
                 training.mean if is_same else None, training.field, self.config.averaging
             )
         return float(loss.detach())
+
+
+def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
+    """A running mean of a model's weights, which keeps the share `kept` of itself at a step, and less at the start."""
+
+    def update(means: Any, weights: Any, number: Any) -> None:
+        torch._foreach_lerp_(means, weights, 1 - min(kept, (1 + int(number)) / (10 + int(number))))
+
+    return AveragedModel(model, multi_avg_fn=update)
+
+
+def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> AveragedModel:
+    """The mean after another step; it begins anew where there is none, or where the model has other sizes."""
+    sizes = {name: value.shape for name, value in model.state_dict().items()}
+    if mean is None or sizes != {name: value.shape for name, value in mean.module.state_dict().items()}:
+        mean = mean_weights(model, kept)
+    mean.update_parameters(model)
+    return mean
 
 
 def _require_finite(training: Training, loss: Tensor) -> None:

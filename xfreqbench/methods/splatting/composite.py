@@ -48,7 +48,10 @@ def composite(
     Raises ValueError if "numba" is asked for on another device or in another precision.
     """
     if _chosen(backend, distance) == "numba":
-        return _composite_numba(lists, distance, inverse_spread, signal, attenuation)
+        rows = _rows(inverse_spread, signal, 1 - attenuation)
+        return _Kernels.apply(  # type: ignore[no-untyped-call]
+            lists.start, lists.gaussian, distance.contiguous(), rows, inverse_spread.shape[1]
+        )
     return _composite_torch(lists, distance, inverse_spread, signal, attenuation)
 
 
@@ -147,15 +150,6 @@ class _Peel(torch.autograd.Function):
             grad_absorption.index_add_(0, index, -weight * arriving.conj())
             arriving += footprint * per_transmittance
         return None, *grads
-
-
-def _composite_numba(
-    lists: PixelLists, distance: Tensor, inverse_spread: Tensor, signal: Tensor, attenuation: Tensor
-) -> Tensor:
-    rows = _rows(inverse_spread, signal, 1 - attenuation)
-    return _Kernels.apply(  # type: ignore[no-untyped-call]
-        lists.start, lists.gaussian, distance.contiguous(), rows, inverse_spread.shape[1]
-    )
 
 
 def _rows(

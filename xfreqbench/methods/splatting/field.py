@@ -338,5 +338,5 @@ def seen_of(lists: PixelLists) -> Bool[Tensor, "N"]:
 
 
 def renumbered(lists: PixelLists, seen: Bool[Tensor, "N"]) -> PixelLists:
-    """The same lists with indices that count only the Gaussians `seen`, for which alone there are attributes."""
+    """The same lists with indices that count only the Gaussians `seen`, since only these have attributes."""
     return PixelLists(lists.start, (seen.cumsum(0) - 1)[lists.gaussian], int(seen.sum()))

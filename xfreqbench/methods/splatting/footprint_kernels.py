@@ -18,11 +18,7 @@ _NUM_TURNS = 3  # in which a footprint around an azimuth in [0, 2π) may have co
 
 @njit(cache=True)
 def footprint_spans(
-    centre: FloatArray,
-    conic: FloatArray,
-    elevation_rad: FloatArray,
-    azimuth_rad: FloatArray,
-    support: float,
+    centre: FloatArray, conic: FloatArray, elevation_rad: FloatArray, azimuth_rad: FloatArray, support: float
 ) -> tuple[IntArray, IntArray]:
     """Where footprints meet rows: first column and number of columns in each turn, both (N, E, turns).
 

@@ -50,14 +50,14 @@ def bin_each(projection: Projection, num_maps: int, grid: AngularGrid, support: 
     The rows of directions are those of `stacked(grid, num_maps)`.
     """
     parts = (projection.azimuth_rad, projection.elevation_rad, projection.covariance, projection.range_m)
-    each = [
+    of_maps = [
         bin_footprints(Projection(*of_map), grid, support)
         for of_map in zip(*(part.chunk(num_maps) for part in parts), strict=True)
     ]
-    first = [nth * lists.num_gaussians for nth, lists in enumerate(each)]
-    counts = torch.cat([lists.start.diff() for lists in each])
+    first = [nth * lists.num_gaussians for nth, lists in enumerate(of_maps)]
+    counts = torch.cat([lists.start.diff() for lists in of_maps])
     start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(each, first, strict=True)])
+    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(of_maps, first, strict=True)])
     return PixelLists(start, gaussian, len(projection.range_m))
 
 
@@ -68,7 +68,8 @@ def stacked(grid: AngularGrid, num_maps: int) -> AngularGrid:
 
 def squared_distance(projection: Projection, lists: PixelLists, grid: AngularGrid) -> Float[Tensor, "P"]:
     """Squared Mahalanobis distance of each pair of a direction and a Gaussian, azimuths taken the short way round."""
-    azimuth_rad, elevation_rad = _directions(grid, projection.azimuth_rad)
+    azimuth_rad = torch.as_tensor(grid.azimuth_rad).to(projection.azimuth_rad)
+    elevation_rad = torch.as_tensor(grid.elevation_rad).to(projection.azimuth_rad)
     pixel = torch.repeat_interleave(lists.start.diff())
     conic = inverse(projection.covariance)
     of_gaussian = torch.column_stack([projection.azimuth_rad, projection.elevation_rad, conic])
@@ -84,14 +85,6 @@ def inverse(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 3"]:
     """Entries (0,0), (0,1), (1,1) of the inverse of symmetric positive matrices."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     return torch.stack([c, -b, a], dim=-1) / (a * c - b * b)[:, None]
-
-
-def _directions(grid: AngularGrid, like: Tensor) -> tuple[Float[Tensor, "A"], Float[Tensor, "E"]]:
-    """Azimuths and elevations of the grid, in the precision and on the device of `like`."""
-    return (
-        torch.as_tensor(grid.azimuth_rad).to(like),
-        torch.as_tensor(grid.elevation_rad).to(like),
-    )
 
 
 def _bin_torch(

@@ -29,9 +29,8 @@ _MAX_DISCS = 5  # maps side by side
 FIGURE_KINDS = ("png", "svg", "pdf")
 _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _MAX_LETTERS = 80  # of a text in a figure
-_UNKNOWN_LETTERS = (
-    "Glyph|Matplotlib currently does not support"  # warnings; whoever shows an SVG may know them
-)
+# warnings; whoever shows an SVG may know the letters
+_UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
 mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
 _MAX_PIXELS = 10**7  # of a picture that is read
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
@@ -101,7 +100,7 @@ def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
 
 
 def grey_png(levels: UInt8[NDArray[np.uint8], "R C"]) -> bytes:
-    """The bytes of a PNG of grey levels, of which `grey_levels` is the inverse."""
+    """The bytes of a PNG of grey levels; `grey_levels` is the inverse."""
     return _png_bytes(Image.fromarray(levels))
 
 

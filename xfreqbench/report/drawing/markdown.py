@@ -24,13 +24,15 @@ Cells = Sequence[str]
 def plain(text: str) -> str:
     """A text on one line: blanks in place of line ends, control characters and marks that turn the direction."""
     return "".join(
-        " " if unicodedata.category(each)[0] == "C" or each in "\u2028\u2029" else each for each in text
+        " " if unicodedata.category(character)[0] == "C" or character in "\u2028\u2029" else character
+        for character in text
     )
 
 
 def literal(text: str) -> str:
     """A text as Markdown that shows it as it is, within a line or a cell: no tag, link, code or emphasis."""
-    return _MARKUP.sub(_escaped, plain(text))
+    tags = {"<": "&lt;", "&": "&amp;"}
+    return _MARKUP.sub(lambda found: tags.get(found[0], f"\\{found[0]}"), plain(text))
 
 
 def prose(text: str) -> str:
@@ -67,7 +69,14 @@ def table(header: Cells, rows: Iterable[Cells], inline: Callable[[str], str] = l
         "-" * (width - 1) + ":" if is_right else "-" * width
         for width, is_right in zip(widths, right, strict=True)
     ]
-    return "\n".join(_aligned(row, widths, right) for row in (lines[0], rule, *lines[1:]))
+    text = []
+    for row in (lines[0], rule, *lines[1:]):
+        cells = [
+            cell.rjust(width) if is_right else cell.ljust(width)
+            for cell, width, is_right in zip(row, widths, right, strict=True)
+        ]
+        text.append(f"| {' | '.join(cells)} |")
+    return "\n".join(text)
 
 
 def number(value: float, decimals: int) -> str:
@@ -84,15 +93,3 @@ def with_interval(value: float, interval: tuple[float, float], decimals: int) ->
 def seconds(value: float) -> str:
     """Seconds with three digits and at most two decimals: `0.01 s`, `4.69 s`, `75 s`, `1200 s`."""
     return f"{value:.2f} s" if value < 1 else f"{value:.3g} s" if value < 1000 else f"{value:.0f} s"
-
-
-def _escaped(found: re.Match[str]) -> str:
-    return {"<": "&lt;", "&": "&amp;"}.get(found[0], f"\\{found[0]}")
-
-
-def _aligned(row: Cells, widths: Sequence[int], right: Sequence[bool]) -> str:
-    cells = [
-        cell.rjust(width) if is_right else cell.ljust(width)
-        for cell, width, is_right in zip(row, widths, right, strict=True)
-    ]
-    return f"| {' | '.join(cells)} |"

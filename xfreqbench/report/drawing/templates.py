@@ -12,9 +12,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-SOFTWARE = (
-    "xfreqbench"  # the mark in our figures and models, by which they are known when they are written over
-)
+SOFTWARE = "xfreqbench"  # the mark in our figures and models, by which they are known when they are replaced
 _MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
 
 _REPORT = "xfreqbench.report"

@@ -56,8 +56,8 @@ class Board:
     @property
     def title(self) -> str:
         """Scene, protocol, kind of map and budget, as a heading."""
-        told = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
-        return " · ".join(filter(None, told))
+        parts = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
+        return " · ".join(filter(None, parts))
 
     @property
     def lane_title(self) -> str:
@@ -76,7 +76,7 @@ class Board:
         return recipe_name(self.scene, self.data)
 
     def is_of(self, dataset: PasDataset) -> bool:
-        """Whether the records are of a data set, whatever processor made its last digits."""
+        """Whether the records are of a data set; digits in which processors differ do not count."""
         same_bytes = any(record.dataset_sha256 == dataset.sha256 for record in self.records)
         return same_bytes or self.data == dataset.recipe.id
 
@@ -120,10 +120,10 @@ class Board:
         larger ones.
         """
         sets = {frozenset(row.by_split) for row in self.rows}
-        num_rows = {each: sum(each <= set(row.by_split) for row in self.rows) for each in sets}
-        ordered = sorted(sets, key=lambda each: (-num_rows[each], -len(each), sorted(each)))
-        shown = [each for each in ordered if len(each) > 1] or ordered
-        return [tuple(split for split in self.splits if split in each) for each in shown]
+        num_rows = {splits: sum(splits <= set(row.by_split) for row in self.rows) for splits in sets}
+        ordered = sorted(sets, key=lambda splits: (-num_rows[splits], -len(splits), sorted(splits)))
+        shown = [splits for splits in ordered if len(splits) > 1] or ordered
+        return [tuple(split for split in self.splits if split in splits) for splits in shown]
 
     def lone_splits(self) -> list[str]:
         """Splits of rows that cover none of the sets of splits, such as ablations that were run at one carrier."""
@@ -138,10 +138,7 @@ class Board:
 
 
 def boards(
-    records: Iterable[RunRecord],
-    sources: Mapping[RecordKey, str] | None = None,
-    *,
-    by_budget: bool = True,
+    records: Iterable[RunRecord], sources: Mapping[RecordKey, str] | None = None, *, by_budget: bool = True
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 
@@ -158,9 +155,9 @@ def boards(
 
     ordered = sorted(records, key=lambda record: (*key(record), record.time_utc, record.id))
     grouped = [
-        _board(of, lane, each, sources or {})
+        _board(of, lane, records, sources or {})
         for of, group in groupby(ordered, key)
-        for lane, each in _by_lane(list(group), by_budget).items()
+        for lane, records in _by_lane(list(group), by_budget).items()
     ]
     order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
 
@@ -233,21 +230,21 @@ def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapp
     rows = sorted(board_rows(records), key=place)
     data = records[0]  # all records of a board describe the same data set
     named = {sources.get(record_key(record), "") for record in records}
-    told = sources if len(named) > 1 else {}
-    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), told)
+    named_sources = sources if len(named) > 1 else {}
+    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), named_sources)
 
 
 def require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
     """Raise `DataError` for records of two files of data that test other samples on a split of the same name."""
     first: dict[str, RunRecord] = {}
-    for each in records:
-        known = first.setdefault(each.job.split, each)
-        if each.dataset_sha256 != known.dataset_sha256 and each.split_sha256 != known.split_sha256:
+    for record in records:
+        known = first.setdefault(record.job.split, record)
+        if record.dataset_sha256 != known.dataset_sha256 and record.split_sha256 != known.split_sha256:
             raise DataError(
-                f"Records {known.id} and {each.id} of {recipe_name(*key[:2])} test other samples on the split "
-                f"{each.job.split!r} ({known.num_test} and {each.num_test}), so that they cannot be ranked together: "
-                "the data of one lack paths that those of the other have. Generate them anew with the default solver "
-                "and number of rays, or leave out the results of one."
+                f"Records {known.id} and {record.id} of {recipe_name(*key[:2])} test other samples on the split "
+                f"{record.job.split!r} ({known.num_test} and {record.num_test}), so that they cannot be ranked "
+                "together: the data of one lack paths that those of the other have. Generate them anew with the "
+                "default solver and number of rays, or leave out the results of one."
             )
 
 

@@ -78,10 +78,9 @@ def data_statement(board: Board) -> str:
         parts.append(" and ".join(map(str, settings["interactions"])) or "no interactions")
     if "max_depth" in settings:
         parts.append(f"depth {settings['max_depth']}")
-    name, told = (
-        text.replace("`", "'") for text in (board.data_name, ", ".join(parts))
-    )  # backticks are ours
-    return f"Data set `{name}`: {told}"
+    # backticks are ours
+    name, words = (text.replace("`", "'") for text in (board.data_name, ", ".join(parts)))
+    return f"Data set `{name}`: {words}"
 
 
 def origin_statement(board: Board) -> str:
@@ -96,16 +95,11 @@ def origin_statement(board: Board) -> str:
 def notes(board: Board, rows: Sequence[BoardRow]) -> list[str]:
     """Notes below a table of some rows of a board.
 
-    They tell the origins of the rows, where the board has several, whose word stands for rows that were predicted
-    elsewhere, what reduced re-implementations leave out, and which fits ran on a busy machine.
+    They say where the rows come from, if the board has several origins; who declares the times of rows that were
+    predicted elsewhere; what reduced re-implementations leave out; and which fits ran on a busy machine.
     """
-    told = (
-        _origins_note(board, rows),
-        _external_note(rows),
-        reduced_statement(rows),
-        _busy_note(rows),
-    )
-    return [note for note in told if note]
+    every = (_origins_note(board, rows), _external_note(rows), reduced_statement(rows), _busy_note(rows))
+    return [note for note in every if note]
 
 
 def machine_names(records: Sequence[RunRecord]) -> list[str]:
@@ -118,14 +112,14 @@ def _counted(name: str, values: Sequence[object]) -> str:
 
 
 def _origins_note(board: Board, rows: Sequence[BoardRow]) -> str:
-    """What the labels of origins stand for, and what does not compare; empty where there is one origin."""
+    """What the labels of origins stand for, and that times do not compare; empty if there is one origin."""
     shown = {board.origin(record) for row in rows for record in row.records}
     by_place: dict[str, list[str]] = {}
     for origin, label in board.origins.items():
         if origin in shown:
             by_place.setdefault(origin.place, []).append(f"{label} (commit {origin.commit})")
-    told = "; ".join(f"{place}: {', '.join(labels)}" for place, labels in by_place.items())
-    return f"Origins: {told}. Times compare on one machine alone." if told else ""
+    places = "; ".join(f"{place}: {', '.join(labels)}" for place, labels in by_place.items())
+    return f"Origins: {places}. Times compare on one machine alone." if places else ""
 
 
 def _external_note(rows: Sequence[BoardRow]) -> str:
@@ -133,17 +127,23 @@ def _external_note(rows: Sequence[BoardRow]) -> str:
     external = [row for row in rows if row.is_external]
     if not external:
         return ""
-    sources = "; ".join(f"{row.label}: {_declared_source(row)}" for row in external)
+    declared = []
+    for row in external:
+        sources = [
+            (record.external.hardware, record.external.url) for record in row.records if record.external
+        ]
+        texts = dict.fromkeys(text for source in sources for text in source if text)
+        declared.append(f"{row.label}: {', '.join(texts) or 'hardware not declared'}")
     return (
         "External rows were predicted elsewhere and are scored here like every other; their times and "
-        f"parameters are declared by their authors, or absent (–). {sources}."
+        f"parameters are declared by their authors, or absent (–). {'; '.join(declared)}."
     )
 
 
 def _busy_note(rows: Sequence[BoardRow]) -> str:
     """Which rows have fits that got too little of a core; empty where none has."""
     low = {
-        row.short_label: [each.core_share for each in row.records if each.core_share < LEAST_CORE_SHARE]
+        row.short_label: [record.core_share for record in row.records if record.core_share < LEAST_CORE_SHARE]
         for row in rows
     }
     busy = [f"{label} ({min(shares):.0%})" for label, shares in low.items() if shares]
@@ -153,13 +153,6 @@ def _busy_note(rows: Sequence[BoardRow]) -> str:
         f"Fitted beside busy programs, under {LEAST_CORE_SHARE:.0%} of a core, so that seconds say little: "
         f"{', '.join(busy)}."
     )
-
-
-def _declared_source(row: BoardRow) -> str:
-    """The hardware and the address that the authors of an external row declare."""
-    told = [(each.external.hardware, each.external.url) for each in row.records if each.external]
-    texts = dict.fromkeys(text for pair in told for text in pair if text)
-    return ", ".join(texts) or "hardware not declared"
 
 
 def legend() -> str:

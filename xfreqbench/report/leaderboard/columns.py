@@ -36,7 +36,7 @@ class LeaderboardColumn:
 
 @dataclass(frozen=True)
 class Cost:
-    """One thing that a method costs, as a record has it, and the format of its numbers."""
+    """One cost of a method, where a record has it, and the format of its numbers."""
 
     title: str
     hint: str
@@ -76,20 +76,8 @@ COSTS = {
 }
 
 _OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
-RANKING = (
-    "rank",
-    "method",
-    "origin",
-    "splits",
-    "average",
-    "seed spread",
-    "skill",
-    "aoa_error",
-    "seeds",
-    *COSTS,
-    "published",
-)
 BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
+RANKING = (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS, "published")
 OVERVIEW = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
 ONE_SPLIT = (
     *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
@@ -155,8 +143,8 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
     origins = comparison.board.origins
 
     def origin_text(row: BoardRow) -> str:
-        told = {origins[comparison.board.origin(record)] for record in row.records}
-        return " ".join(label for label in origins.values() if label in told)
+        of_row = {origins[comparison.board.origin(record)] for record in row.records}
+        return " ".join(label for label in origins.values() if label in of_row)
 
     origin = LeaderboardColumn("origin", "machine, code and data, told below the table", origin_text)
     return {
@@ -249,7 +237,7 @@ def _metric_column(splits: Sequence[str], name: str) -> LeaderboardColumn:
 
 
 def _cost_columns(comparison: Comparison, cost: Cost) -> list[LeaderboardColumn]:
-    """The column of a cost; none where no record of the board tells it."""
+    """The column of a cost; none where no record of the board has it."""
     if all(isnan(cost.quantity(record)) for record in comparison.board.records):
         return []
     hint = f"{cost.hint}, mean over splits and seeds"

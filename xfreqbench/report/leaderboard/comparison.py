@@ -33,7 +33,12 @@ class Resampling:
         """Median SSIM over the drawn transmitters in each of R resamples, mean over the drawn seeds: shape (R,)."""
         key = row.label, split
         if key not in self._known:
-            self._known[key] = _resampled(row, split)
+            records = row.by_split[split]
+            medians = np.array([resampled_medians(record.ssim_by_tx) for record in records])  # (S, R)
+            seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
+            drawn = np.random.default_rng(seed).integers(len(records), size=medians.shape)
+            resampled = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
+            self._known[key] = np.asarray(resampled)
         return self._known[key]
 
 
@@ -100,9 +105,13 @@ class Comparison:
         """
         if not self._has_samples(row) or not all(map(self._trivial, self.splits)):
             return UNKNOWN
-        skills = [
-            1 - (1 - self.resampling.medians(row, split)) / self._left_open(split) for split in self.splits
-        ]
+        skills = []
+        for split in self.splits:
+            best = np.max(
+                [self.resampling.medians(trivial, split) for trivial in self._trivial(split)], axis=0
+            )
+            left_open = np.where(best < 1, 1 - best, nan)
+            skills.append(1 - (1 - self.resampling.medians(row, split)) / left_open)
         return _interval(np.mean(skills, axis=0))
 
     def interval(self, row: BoardRow) -> Interval:
@@ -116,11 +125,6 @@ class Comparison:
         """The trivial predictors of a split; empty where one has no samples, or a needed one was not run."""
         rows = self.board.trivial_rows(split)
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
-
-    def _left_open(self, split: str) -> Float[FloatArray, "R"]:
-        """1 − SSIM of the best trivial predictor in each resample, shape (R,); nan where that is 0."""
-        best = np.max([self.resampling.medians(row, split) for row in self._trivial(split)], axis=0)
-        return np.where(best < 1, 1 - best, nan)
 
     def _average(self, row: BoardRow) -> Float[FloatArray, "R"]:
         return np.mean([self.resampling.medians(row, split) for split in self.splits], axis=0)
@@ -161,16 +165,8 @@ def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray
 def _times_drawn(number: int) -> Integer[NDArray[np.integer], "T R"]:
     """How often each of T transmitters is drawn in each of R resamples, shape (T, R)."""
     drawn = np.random.default_rng(number).integers(number, size=(NUM_RESAMPLES, number))
-    counted = [np.bincount(each, minlength=number) for each in drawn]
+    counted = [np.bincount(places, minlength=number) for places in drawn]
     return np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(number)))
-
-
-def _resampled(row: BoardRow, split: str) -> Float[FloatArray, "R"]:
-    records = row.by_split[split]
-    medians = np.array([resampled_medians(record.ssim_by_tx) for record in records])  # (S, R)
-    generator = np.random.default_rng(int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16))
-    seeds = generator.integers(len(records), size=medians.shape)
-    return np.asarray(np.take_along_axis(_widened(medians), seeds, axis=0).mean(axis=0))
 
 
 def _widened(medians: Float[FloatArray, "S R"]) -> Float[FloatArray, "S R"]:

@@ -32,7 +32,7 @@ def bench_figure(record: BenchRecord) -> str:
 def require_own_figures(
     boards: Iterable[Board], benches: Iterable[BenchRecord], others: Iterable[str], folder: Path
 ) -> None:
-    """Raise `OutputExistsError` where a figure of the report in `folder` would replace what is none of ours.
+    """Raise `OutputExistsError` where a figure of the report in `folder` would replace a file that we did not write.
 
     `others` are links to further figures.
     """

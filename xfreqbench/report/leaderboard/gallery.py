@@ -97,7 +97,7 @@ def shown_records(board: Board, split: str) -> dict[str, RunRecord]:
 def dozen_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]) -> ShownMaps | None:
     """The maps of a dozen samples of the shown split, of all shown records whose predictions are stored; else None.
 
-    How easy the samples are, by which they are chosen, is told by the trivial predictors where these were run.
+    The samples are chosen by how easy they are for the trivial predictors, if these were run.
     """
     split = shown_split(board)
     records = list(shown_records(board, split).values())
@@ -115,12 +115,12 @@ def stored_maps(
     folders: Sequence[ResultsFolder],
     choose: Callable[[IntArray], IntArray],
 ) -> ShownMaps | None:
-    """The maps of records of one split, as far as their predictions are stored; None without any.
+    """The maps of those records of one split whose predictions are stored; None if no predictions are stored.
 
     `choose` takes all tested rows and returns those whose maps are wanted.
     """
     found = {record.id: _predictions(folders, record, dataset) for record in records}
-    known = {key: each for key, each in found.items() if each is not None}
+    known = {key: predictions for key, predictions in found.items() if predictions is not None}
     if not known:
         return None
     rows = choose(next(iter(known.values())).rows)

@@ -91,7 +91,7 @@ def pareto_front(
     Of points that are equal in both, the first is kept.
     """
     front: list[Point] = []
-    for point in sorted(points, key=lambda each: (cost(each), -score(each))):
+    for point in sorted(points, key=lambda other: (cost(other), -score(other))):
         if not front or score(point) > score(front[-1]):
             front.append(point)
     return front

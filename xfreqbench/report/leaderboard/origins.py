@@ -1,4 +1,4 @@
-"""Where records come from: of which data they are, and whose machine, code and file of data made them."""
+"""Where records come from: the data, and the machine, the code and the data file that made them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def short_commit(commit: str | None) -> str:
 
 
 def record_key(record: RunRecord) -> RecordKey:
-    """What tells a record from all others, in whatever file it lies."""
+    """Values that identify a record, whichever file it is stored in."""
     return record.id, record.job, record.time_utc
 
 
@@ -63,9 +63,9 @@ def origin_labels(
     There are none where one machine made all, from one file of data.
     """
     ordered = [origin(record) for record in sorted(records, key=lambda record: (record.time_utc, record.id))]
-    places = {(each.machine, each.dataset_sha256) for each in ordered if each.machine is not None}
+    places = {(place.machine, place.dataset_sha256) for place in ordered if place.machine is not None}
     return (
-        {each: f"m{number}" for number, each in enumerate(dict.fromkeys(ordered), 1)}
+        {place: f"m{number}" for number, place in enumerate(dict.fromkeys(ordered), 1)}
         if len(places) > 1
         else {}
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from math import isnan, nan
 
 from xfreqbench.methods.contract import LANES
@@ -31,23 +32,22 @@ _ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers 
 
 
 def overview_markdown(
-    ranked: Sequence[Board],
-    benches: Sequence[BenchRecord],
-    pages: Mapping[str, str],
-    measurements_page: str,
+    ranked: Sequence[Board], benches: Sequence[BenchRecord], pages: Mapping[str, str], measurements_page: str
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each scene's page."""
     scene, main = main_scene(ranked), _main_boards(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main]
-    shown = [
-        each
-        for each in compared
-        if each.board.scene == scene and each.board.protocol not in _ON_ITS_PAGE_ALONE
-    ]
+    is_shown = [board.scene == scene and board.protocol not in _ON_ITS_PAGE_ALONE for board in main]
+    rankings = []
+    for comparison in compress(compared, is_shown):
+        board = comparison.board
+        title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
+        more = f"**{leak_statement(board)}** [More]({pages[scene]})"
+        rankings.append(f"## {title}\n\n{more}\n\n{ranking_table(comparison, OVERVIEW)}")
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
     parts = [
-        *(_board_part(comparison, pages[comparison.board.scene]) for comparison in shown),
+        *rankings,
         *_budget_tables(of_scene),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
         *_time_figure(of_scene, pages),
@@ -81,13 +81,6 @@ def main_scene(ranked: Sequence[Board]) -> str:
     return max(records, key=lambda scene: (records[scene], scene), default="")
 
 
-def _board_part(comparison: Comparison, page: str) -> str:
-    board = comparison.board
-    told = filter(None, (board.scene, board.protocol, board.lane_title))
-    title = f"## {heading(' · '.join(told))}"
-    return f"{title}\n\n**{leak_statement(board)}** [More]({page})\n\n{ranking_table(comparison, OVERVIEW)}"
-
-
 def _budget_tables(ranked: Sequence[Board]) -> list[str]:
     """For each protocol that was run with several budgets: the average of each method by budget."""
     parts = []
@@ -99,7 +92,7 @@ def _budget_tables(ranked: Sequence[Board]) -> list[str]:
 
 
 def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
-    """The methods that several budgets were given to, on the splits that all of these have; nothing without any."""
+    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
     fitted = [  # trivial predictors have one value in all columns, and a row in the table above
         (lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"
     ]
@@ -120,18 +113,12 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
         header.append(_GAIN)
         for line in body:
             few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
-            line.append(_gain_cell(many - few))
+            gain = many - few  # each of the two fits let its learning rate fall to its own end
+            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < _FLAT else ""))
         caption += (
             f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
         )
     return [f"{caption}:\n\n{table(header, body)}"] if body else []
-
-
-def _gain_cell(gain: float) -> str:
-    """What more maps bring; each of the two fits let its learning rate fall to its own end."""
-    if isnan(gain):
-        return ABSENT
-    return f"{gain:+.4f}" + (", flat" if gain < _FLAT else "")
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> str:
@@ -141,14 +128,15 @@ def _skill_matrix(compared: Sequence[Comparison]) -> str:
         for row in reversed(comparison.rows):  # the best comes last
             if not row.is_trivial:
                 by_method[row.job.method] = row
-    header = ["method", *(f"{each.board.scene}, {each.board.protocol}" for each in compared)]
+    boards = [comparison.board for comparison in compared]
+    header = ["method", *(f"{board.scene}, {board.protocol}" for board in boards)]
     rows = [
         [method, *map(_skill_cell, compared, (by_method.get(method) for by_method in best))]
         for method in sorted({method for by_method in best for method in by_method})
     ]
-    budgets = dict.fromkeys(each.board.lane_title for each in compared)
-    told = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
-    caption = f"Average skill on the splits that most methods share{told}:"
+    budgets = dict.fromkeys(board.lane_title for board in boards)
+    budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
+    caption = f"Average skill on the splits that most methods share{budget}:"
     return f"## Skill on every scene and protocol\n\n{caption}\n\n{table(header, rows)}"
 
 
@@ -171,22 +159,19 @@ def _time_figure(shown: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
 
 
 def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
-    """The first measurement of each kind that is told briefly, and a link to all."""
+    """The first measurement of each kind that `_BRIEFLY` names, and a link to all."""
     first = {record.bench: record for record in reversed(benches)}
-    parts = [_measured_part(title, first[bench], page) for bench, title in _BRIEFLY.items() if bench in first]
-    return (
-        [*parts, f"Every measurement with its command and its machine: [measurements]({page})."]
-        if benches
-        else []
-    )
-
-
-def _measured_part(title: str, record: BenchRecord, page: str) -> str:
-    columns, rows = _by_area(record) if record.bench == "stress" else (record.columns, record.rows)
-    shown = rows[:_MOST_ROWS]
-    left = f"{len(rows) - len(shown)} more rows" if len(shown) < len(rows) else "More"
-    body = table(columns, shown, prose)
-    return f"## {heading(title)}\n\n{paragraph(record.title, prose)}. [{left}]({page})\n\n{body}"
+    parts = []
+    for bench, title in _BRIEFLY.items():
+        if bench not in first:
+            continue
+        record = first[bench]
+        columns, rows = _by_area(record) if bench == "stress" else (record.columns, record.rows)
+        left = f"{len(rows) - _MOST_ROWS} more rows" if len(rows) > _MOST_ROWS else "More"
+        caption = f"{paragraph(record.title, prose)}. [{left}]({page})"
+        parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}")
+    rest = f"Every measurement with its command and its machine: [measurements]({page})."
+    return [*parts, rest] if benches else []
 
 
 def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:

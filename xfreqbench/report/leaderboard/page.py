@@ -33,7 +33,7 @@ from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
-_TITLE = "xfreqbench results"  # by which a page is known that may be written over
+_TITLE = "xfreqbench results"  # a page with this title was written by us, and may be replaced
 Content = dict[str, Any]
 CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
 _DIGITS = 4
@@ -65,7 +65,7 @@ def _page(found: RankedResults) -> str:
     comparisons = [comparisons_of(board) for board in boards]
     galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
-        "boards": [board_content(*each) for each in zip(comparisons, galleries, strict=True)],
+        "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
         "labels": ordered_labels(boards),
         "benches": [figure_content(bench) for bench in found.benches],
         "scales": scales(),
@@ -74,8 +74,8 @@ def _page(found: RankedResults) -> str:
         "leaderboard/page.html",
         title=_TITLE,
         facts=page_facts(boards),
-        boards=[board_tables(each) for each in comparisons],
-        overview_rows=overview_rows([each[0] for each in comparisons]),
+        boards=list(map(board_tables, comparisons)),
+        overview_rows=overview_rows([of_board[0] for of_board in comparisons]),
         overview_protocols=overview_protocols(boards),
         costs={name: COSTS[name].hint for name in CHART_COSTS},
         sources=sources_of([row for board in boards for row in board.rows]),
@@ -120,7 +120,7 @@ def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
     board = comparisons[0].board
     counts = " or ".join(f"{count:,}" for count in sorted({record.num_test for record in board.records}))
     conditions = f"{data_statement(board)}; {counts} test maps a split. {leak_statement(board)}"
-    return BoardTables(board.slug, board.title, conditions, [_set_table(each) for each in comparisons])
+    return BoardTables(board.slug, board.title, conditions, list(map(_set_table, comparisons)))
 
 
 @dataclass(frozen=True)
@@ -138,12 +138,16 @@ def overview_protocols(ranked: Sequence[Board]) -> list[str]:
 
 
 def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
-    """For each scene, for each protocol, links to the boards; given are the first comparisons of all boards."""
-    protocols = overview_protocols([each.board for each in compared])
-    scenes = dict.fromkeys(each.board.scene for each in compared)
+    """Links to the boards, by scene and then by protocol; `compared` holds the first comparison of every board."""
+    protocols = overview_protocols([comparison.board for comparison in compared])
+    scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
         scene: [
-            [_link(each) for each in compared if (each.board.scene, each.board.protocol) == (scene, protocol)]
+            [
+                _link(comparison)
+                for comparison in compared
+                if (comparison.board.scene, comparison.board.protocol) == (scene, protocol)
+            ]
             for protocol in protocols
         ]
         for scene in scenes
@@ -157,14 +161,14 @@ def _link(comparison: Comparison) -> BoardLink:
     if best is not None:
         skill = best.average(comparison.splits, board.skill)
         ssim = f"average {best.average(comparison.splits, median_ssim):.4f}"
-        told = ", ".join([ssim, *([f"skill {skill:.3f}"] if isfinite(skill) else [])])
-        standing = f"{best.short_label}: {told.replace('-', '−')}"
+        scores = ", ".join([ssim, *([f"skill {skill:.3f}"] if isfinite(skill) else [])])
+        standing = f"{best.short_label}: {scores.replace('-', '−')}"
     return BoardLink(board.slug, board.lane_title or "without budget", standing)
 
 
 def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     """Data sets, machines, commits and dates of all records, each fact with its lines."""
-    records = list({record_key(each): each for board in ranked for each in board.records}.values())
+    records = list({record_key(record): record for board in ranked for record in board.records}.values())
     data = {f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}
     commits = {short_commit(record.git_commit) for record in records}
     days = sorted({record.time_utc[:10] for record in records})
@@ -205,8 +209,11 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
             for row in board.rows
         },
         "sets": [
-            {"splits": list(each.splits), "rows": {row.label: _standing(each, row) for row in each.rows}}
-            for each in comparisons
+            {
+                "splits": list(comparison.splits),
+                "rows": {row.label: _standing(comparison, row) for row in comparison.rows},
+            }
+            for comparison in comparisons
         ],
         "metrics": {name: metric_title(name) for name in METRICS},
         "gallery": pictures.content(),
@@ -214,7 +221,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
 
 
 def ordered_labels(boards: Sequence[Board]) -> list[str]:
-    """The labels of all rows, by which a method has the same colour on every board: ablations come last."""
+    """The labels of all rows, ablations last. The place of a label gives its method the same colour on every board."""
     rows = {row.label: row for board in boards for row in board.rows}
     return sorted(rows, key=lambda label: (rows[label].family == "ablation", label))
 
@@ -231,23 +238,16 @@ def _trivial_ssim(board: Board, split: str) -> float:
 
 
 def _curves(records: Sequence[RunRecord]) -> Content:
+    """Distributions of scores, the median SSIM at each carrier in GHz, mean over seeds, and the learning curve."""
+    medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
     return {
-        "cdf": {
-            name: [_rounded(each) for each in pooled_quantiles(records, name)] for name in records[0].scores
-        },
-        "carriers": _by_carrier(records),
+        "cdf": {name: list(map(_rounded, pooled_quantiles(records, name))) for name in records[0].scores},
+        "carriers": [
+            [float(carrier) / 1e9, _rounded(float(np.mean([by_hz.get(carrier, nan) for by_hz in medians])))]
+            for carrier in sorted(medians[0], key=float)
+        ],
         "curve": [[_rounded(point.seconds), _rounded(point.ssim)] for point in records[0].curve],
     }
-
-
-def _by_carrier(records: Sequence[RunRecord]) -> list[list[float]]:
-    """Pairs of a carrier in GHz and the median SSIM there, mean over the seeds."""
-    medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
-    carriers = sorted(medians[0], key=float)
-    return [
-        [float(carrier) / 1e9, _rounded(float(np.mean([each.get(carrier, nan) for each in medians])))]
-        for carrier in carriers
-    ]
 
 
 def _standing(comparison: Comparison, row: BoardRow) -> Content:

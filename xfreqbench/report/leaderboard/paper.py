@@ -20,7 +20,7 @@ from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, t
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import BRIEF, metric_title
-from xfreqbench.report.leaderboard.comparison import Comparison, Interval, Resampling
+from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
 from xfreqbench.report.leaderboard.overview import main_scene
@@ -79,8 +79,9 @@ def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None 
 
 
 def has_counterparts(board: Board) -> bool:
-    """Whether some row of a board stands for one that the paper has numbers of."""
-    return any(_is_named(each, row) for each in published_content()["counterpart"] for row in board.rows)
+    """Whether the paper has numbers for a method of some row of a board."""
+    counterparts = published_content()["counterpart"]
+    return any(_is_named(counterpart, row) for counterpart in counterparts for row in board.rows)
 
 
 def _distributions(ranked: Sequence[Board]) -> list[str]:
@@ -93,11 +94,11 @@ def _distributions(ranked: Sequence[Board]) -> list[str]:
             parts += [f"{title}:", levels, f"![Distributions of SSIM and PSNR, {title}]({link})"]
     if not parts:
         return []
-    told = (
+    caption = (
         "Of all splits and seeds together; the paper does not say of which carriers its level is. 90 % of the maps "
         "have a score at or below the level, where the figure has a dashed line."
     )
-    return ["## Distributions of SSIM and PSNR", told, *parts]
+    return ["## Distributions of SSIM and PSNR", caption, *parts]
 
 
 def _random_samples(ranked: Sequence[Board], resampling: Mapping[str, Resampling]) -> list[str]:
@@ -105,30 +106,26 @@ def _random_samples(ranked: Sequence[Board], resampling: Mapping[str, Resampling
     boards = [board for board in ranked if board.protocol == _RANDOM]
     if not boards:
         return []
-    told = (
+    why = (
         "The released code of XFreq-GS splits samples at random by default. The paper has no numbers of that."
     )
-    rankings = [
-        part
-        for board in boards
-        for part in (
-            f"{heading(board.lane_title or 'no budget')}:",
-            ranking_table(Comparison(board, board.split_sets()[0], resampling[board.slug]), BRIEF),
-        )
-    ]
-    return ["## Random samples", f"{told} **{leak_statement(boards[0])}**", *rankings]
+    parts = ["## Random samples", f"{why} **{leak_statement(boards[0])}**"]
+    for board in boards:
+        comparison = Comparison(board, board.split_sets()[0], resampling[board.slug])
+        parts += [f"{heading(board.lane_title or 'no budget')}:", ranking_table(comparison, BRIEF)]
+    return parts
 
 
 def _maps(grids: Mapping[str, MapGrid]) -> list[str]:
     """The figures of maps; empty where there are none."""
     parts = []
     for link, grid in grids.items():
-        told = (
+        caption = (
             f"{grid.method}, {grid.budget}: maps of {len(grid.tx_position_m)} transmitters, spread from easy to hard "
             f"ones, at {len(grid.columns)} carriers that were left out in turn, the truth above the prediction. "
             "Azimuth to the right, elevation upwards, powers down to 30 dB below the peak."
         )
-        parts += [prose(told), f"![Maps beside the truth, {heading(grid.method)}]({link})"]
+        parts += [prose(caption), f"![Maps beside the truth, {heading(grid.method)}]({link})"]
     return ["## Maps", *parts] if parts else []
 
 
@@ -159,11 +156,8 @@ def _pairs(
     claim: Mapping[str, Any], board: Board, resampling: Resampling
 ) -> list[tuple[Comparison, BoardRow, BoardRow]]:
     """The two rows that a claim compares, on the splits that both were run on; none where one is missing."""
-    found = [
-        next((row for row in board.rows if _is_named(named, row)), None)
-        for named in (claim["better"], claim["worse"])
-    ]
-    better, worse = found
+    named = claim["better"], claim["worse"]
+    better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
     if better is None or worse is None:
         return []
     splits = tuple(split for split in board.splits if split in better.by_split and split in worse.by_split)
@@ -171,7 +165,7 @@ def _pairs(
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
-    """Whether a row is the one that is named; without options that is the row with the defaults."""
+    """Whether a row has the named method and options; if no options are named, it has the defaults."""
     return stands_for(named, row) and ("config" in named or row.family == "learned")
 
 
@@ -179,17 +173,12 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
     """The splits, the difference with its interval, and whether the claim holds."""
     splits = comparison.splits
     difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
-    interval = comparison.difference(better, worse)
-    low, high = interval
+    low, high = comparison.difference(better, worse)
     bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-    return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", _told(interval)]
-
-
-def _told(interval: Interval) -> str:
-    low, high = interval
-    if isnan(low):
-        return "too few seeds"
-    return _HOLDS if low > 0 else "does not hold" if high < 0 else "open"
+    verdict = (
+        "too few seeds" if isnan(low) else _HOLDS if low > 0 else "does not hold" if high < 0 else "open"
+    )
+    return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
 def _numbers_table(
@@ -218,7 +207,7 @@ def _numbers_table(
 def _found_rows(
     counterpart: Mapping[str, Any], place: str, boards: Sequence[Board]
 ) -> dict[str, tuple[Board, BoardRow, tuple[str, ...]]]:
-    """By budget our row for a published cell, and its splits; all of the row's if the paper does not say of which."""
+    """Our row for a published cell, and its splits, by budget; all its splits if the paper does not name them."""
     found: dict[str, tuple[Board, BoardRow, tuple[str, ...]]] = {}
     for board in boards:
         for row in board.rows if board.protocol == counterpart["protocol"] else ():
@@ -229,13 +218,9 @@ def _found_rows(
 
 
 def _ours(
-    board: Board,
-    row: BoardRow,
-    splits: tuple[str, ...],
-    statistic: str,
-    resampling: Mapping[str, Resampling],
+    board: Board, row: BoardRow, splits: tuple[str, ...], statistic: str, resampling: Mapping[str, Resampling]
 ) -> str:
-    """Our number for a published one, the mean over splits; of a median SSIM with its interval."""
+    """Our number beside a published one, the mean over splits; a median SSIM has its interval."""
     metric, name, decimals = _STATISTICS[statistic]
 
     def quantity(record: RunRecord) -> float:
@@ -248,7 +233,7 @@ def _ours(
 
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
-    """For each figure of the page its link from the page, and what draws it to a path and may raise `StorageError`."""
+    """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
     return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
 
 
@@ -287,15 +272,15 @@ def _draw_cdf(board: Board, path: Path) -> None:
 
 
 def published_rows(board: Board) -> dict[str, BoardRow]:
-    """Our rows with default options for those whose distribution the paper shows, by its names, the best first."""
+    """Our rows, with default options, of the methods whose distribution the paper shows, by its names; best first."""
     content = published_content()
     if board.protocol != content["table"]["cdf"]["protocol"]:
         return {}
     found: dict[str, BoardRow] = {}
     for row in board.rows:
-        for each in content["counterpart"] if row.family == "learned" else ():
-            if each["name"] in content["table"]["cdf"]["rows"] and stands_for(each, row):
-                found.setdefault(each["name"], row)
+        for counterpart in content["counterpart"] if row.family == "learned" else ():
+            if counterpart["name"] in content["table"]["cdf"]["rows"] and stands_for(counterpart, row):
+                found.setdefault(counterpart["name"], row)
     return found
 
 
@@ -339,10 +324,10 @@ def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
     main, shown, known = main_scene(found.boards), [], set[str]()
     for board in found.boards:
         dataset = open_data(board) if board.scene == main else None
-        for each in _maps_of(board, dataset, found.folders) if dataset else ():
-            new = {key: run for key, run in each.predicted.items() if key not in known}
+        for maps in _maps_of(board, dataset, found.folders) if dataset else ():
+            new = {key: run for key, run in maps.predicted.items() if key not in known}
             known |= new.keys()
-            shown += [each.model_copy(update={"predicted": new})] if new else []
+            shown += [maps.model_copy(update={"predicted": new})] if new else []
     if not shown:
         raise DataError(
             "No predictions of a data set that is here lie beside these records. Give a results folder that "
@@ -353,7 +338,7 @@ def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
 
 
 def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
-    """By the links to their figures, the paper's maps of every board whose maps are stored or shipped."""
+    """The paper's maps of every board whose maps are stored or shipped, by the links to their figures."""
     grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in ranked}
     return {link: grid for link, grid in grids.items() if grid}
 
@@ -375,7 +360,7 @@ def _maps_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]
         for split, records in papers.by_split.items()
         if split != dozen.split
     ]
-    return [dozen, *(each for each in others if each)]
+    return [dozen, *(other for other in others if other)]
 
 
 def _grid(board: Board, found: RankedResults) -> MapGrid | None:
@@ -384,15 +369,15 @@ def _grid(board: Board, found: RankedResults) -> MapGrid | None:
         return None
     dataset = open_data(board)
     stored = _maps_of(board, dataset, found.folders) if dataset else []
-    known = found.maps | {key: each for each in stored for key in each.predicted}
+    known = found.maps | {key: maps for maps in stored for key in maps.predicted}
     ids = {split: row.by_split[split][0].id for split in board.splits if split in row.by_split}
     of_split = {split: known[key] for split, key in ids.items() if key in known}
     if not of_split:
         return None
     splits = _spread(list(of_split), NUM_CARRIERS)
     first, *others = (of_split[split] for split in splits)
-    common = [each for each in first.tx_position_m if all(each in other.tx_position_m for other in others)]
-    shown = _spread(common, NUM_TX)
+    shared = [maps.tx_position_m for maps in others]
+    shown = _spread([tx for tx in first.tx_position_m if all(tx in known for known in shared)], NUM_TX)
     columns = {short_name(split): _column(of_split[split], ids[split], shown) for split in splits}
     return MapGrid(row.short_label, board.lane_title or "no budget", shown, columns) if shown else None
 
@@ -401,12 +386,12 @@ def _column(
     maps: ShownMaps, record_id: str, shown: Sequence[Position]
 ) -> tuple[Levels, Levels, Sequence[float]]:
     """The levels of true and of predicted maps at some transmitters, and the SSIM of the latter."""
-    places = [maps.tx_position_m.index(each) for each in shown]
+    places = [maps.tx_position_m.index(position) for position in shown]
     ssim = [maps.predicted[record_id].ssim[place] for place in places]
     return maps.true_levels()[places], maps.levels_of(record_id)[places], ssim
 
 
 def _spread(values: Sequence[Value], most: int) -> list[Value]:
-    """At most so many of some values, equally far apart in their order."""
+    """At most `most` of the values, equally spaced in their order."""
     places = np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int)
     return [values[place] for place in places]

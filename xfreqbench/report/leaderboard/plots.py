@@ -116,8 +116,14 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     """
     canvas = Figure(figsize=(8.0, 5.4), layout="constrained")
     axis = canvas.subplots()
-    drawn = [point for point in figure.points if _has_place(point, figure.log_x)]
-    by_series = _by_series(drawn)
+    drawn = [
+        point
+        for point in figure.points
+        if isfinite(point.x) and isfinite(point.y) and (point.x > 0 or not figure.log_x)
+    ]
+    by_series: dict[str, list[BenchPoint]] = {point.series: [] for point in drawn}
+    for point in sorted(drawn, key=lambda point: point.x):
+        by_series[point.series].append(point)
     for index, (series, points) in enumerate(by_series.items()):
         _draw_series(axis, index, series, points)
     _draw_front(axis, drawn)
@@ -131,17 +137,6 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
     _write_labels(canvas, axis, drawn, list(by_series))
     save_figure(canvas, path, "svg")
-
-
-def _has_place(point: BenchPoint, log_x: bool) -> bool:
-    return isfinite(point.x) and isfinite(point.y) and (point.x > 0 or not log_x)
-
-
-def _by_series(points: Sequence[BenchPoint]) -> dict[str, list[BenchPoint]]:
-    """The points of each series by increasing cost; series in the order of their first points."""
-    names = dict.fromkeys(point.series for point in points)
-    by_cost = sorted(points, key=lambda point: point.x)
-    return {name: [point for point in by_cost if point.series == name] for name in names}
 
 
 def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint]) -> None:
@@ -220,13 +215,8 @@ def _draw_against_time(axis: Any, panel: TimePanel, labels: Sequence[str]) -> No
     if panel.front:
         ring: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "zorder": 3, "linewidth": 0.8}
         axis.scatter(*zip(*panel.front, strict=True), s=42, label=_FRONT_LABEL, **ring)
-    axis.set_ylim(bottom=_lowest_shown(panel))
-
-
-def _lowest_shown(panel: TimePanel) -> float:
-    """Lower end of the axis, just below where fits end: their first seconds may lie far lower."""
     ends = [points[-1][1] for points in panel.lines.values()] + ([panel.trivial] if panel.trivial else [])
-    return max(0.0, min(ends) - 0.12)
+    axis.set_ylim(bottom=max(0.0, min(ends) - 0.12))  # the first seconds of fits may lie far lower
 
 
 def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]]:

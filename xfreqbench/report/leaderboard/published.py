@@ -22,34 +22,45 @@ def published_cell(row: BoardRow, splits: Sequence[str]) -> str:
     """
     for counterpart in published_content()["counterpart"]:
         if stands_for(counterpart, row):
-            return _cell(counterpart, splits)
+            cells = counterpart["cells"]
+            whole = cells.get(" ".join(splits)) or cells.get("any")
+            places = [whole] if whole else [cells.get(split) for split in splits]
+            return f"{counterpart['name']} {' / '.join(map(published_value, places))}" if all(places) else ""
     return ""
 
 
 def published_section(protocol: str) -> list[str]:
     """A heading and every published table of a protocol, as Markdown; empty where nothing was published."""
     content = published_content()
-    tables = [each for each in content["table"].values() if each["protocol"] == protocol]
+    tables = [shown for shown in content["table"].values() if shown["protocol"] == protocol]
     if not tables:
         return []
-    note = f"{content['citation']}: {content['conditions']}."
-    return ["### Published, other data, not comparable", note, *map(_published_table, tables)]
+    parts = ["### Published, other data, not comparable", f"{content['citation']}: {content['conditions']}."]
+    for published in tables:
+        rows = [[name, *values] for name, values in published["rows"].items()]
+        header = [published["first_column"], *published["columns"]]
+        parts.append(f"{published['title']}:\n\n{table(header, rows)}")
+    return parts
 
 
 def reduced_statement(rows: Sequence[BoardRow]) -> str:
     """What reduced re-implementations among the rows leave out of the systems they are named for; empty without any."""
-    notes = {each["method"]: each for each in published_content()["counterpart"] if "note" in each}
+    notes = {
+        counterpart["method"]: counterpart
+        for counterpart in published_content()["counterpart"]
+        if "note" in counterpart
+    }
     named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in notes)
     if not named:
         return ""
-    told = "; ".join(f"{method} for {notes[method]['name']}: {notes[method]['note']}" for method in named)
-    return f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {told}."
+    reduced = "; ".join(f"{method} for {notes[method]['name']}: {notes[method]['note']}" for method in named)
+    return f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {reduced}."
 
 
 def sources_of(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
     """Whose papers and programs methods among the rows are named after: `name`, and addresses `paper` and `program`."""
     methods = {row.job.method for row in rows if not row.is_external}
-    return [each for each in published_content()["source"] if methods & set(each["methods"])]
+    return [source for source in published_content()["source"] if methods & set(source["methods"])]
 
 
 @cache
@@ -68,21 +79,9 @@ def stands_for(counterpart: Mapping[str, Any], row: BoardRow) -> bool:
     )
 
 
-def _cell(counterpart: Mapping[str, Any], splits: Sequence[str]) -> str:
-    cells = counterpart["cells"]
-    whole = cells.get(" ".join(splits)) or cells.get("any")
-    each = [whole] if whole else [cells.get(split) for split in splits]
-    return f"{counterpart['name']} {' / '.join(map(published_value, each))}" if all(each) else ""
-
-
 def published_value(place: Sequence[str]) -> str:
     """The published number at a place, given as table, row and column."""
     name, row, column = place
     found = published_content()["table"][name]
     values: list[str] = found["rows"][row]
     return values[found["columns"].index(column)]
-
-
-def _published_table(content: Mapping[str, Any]) -> str:
-    rows = [[name, *values] for name, values in content["rows"].items()]
-    return f"{content['title']}:\n\n{table([content['first_column'], *content['columns']], rows)}"

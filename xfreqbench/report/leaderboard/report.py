@@ -12,12 +12,7 @@ from pathlib import Path
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
-from xfreqbench.report.leaderboard.captions import (
-    data_statement,
-    leak_statement,
-    legend,
-    origin_statement,
-)
+from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import Resampling, comparisons_of
 from xfreqbench.report.leaderboard.figures import (
@@ -74,9 +69,9 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
     Raises as `boards` does.
     """
     return "\n\n".join(
-        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(each, BRIEF)}"
+        f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(comparison, BRIEF)}"
         for board in boards(records)
-        for each in comparisons_of(board)
+        for comparison in comparisons_of(board)
     )
 
 
@@ -148,6 +143,12 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     has_paper = any(map(has_counterparts, of_main))
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     links = {scene: f"{folder}/{name}" for scene, name in names.items()}
+    paper = []
+    if has_paper:
+        grids = paper_maps(of_main, found)
+        drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
+        text = paper_markdown(of_main, grids)
+        paper = [_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn)]
     linked = links | ({"the paper's claims": f"{folder}/{_PAPER_PAGE}"} if has_paper else {})
     short = overview_markdown(found.boards, found.benches, linked, f"{folder}/{_MEASUREMENTS_PAGE}")
     return [
@@ -156,7 +157,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
-        *([_paper(found, of_main, details / _PAPER_PAGE)] if has_paper else []),
+        *paper,
         _Page(
             details / _MEASUREMENTS_PAGE,
             "Measurements",
@@ -167,17 +168,12 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
     ]
 
 
-def _paper(found: RankedResults, ranked: Sequence[Board], path: Path) -> _Page:
-    grids = paper_maps(ranked, found)
-    maps = {link: partial(_draw_maps, grid) for link, grid in grids.items()}
-    text = paper_markdown(ranked, grids)
-    return _Page(path, "The paper's claims", text, drawn=paper_figures(ranked) | maps)
-
-
 def _draw_maps(grid: MapGrid, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_map_grid
 
-    names = [f"({', '.join(f'{each:.1f}' for each in position)}) m" for position in grid.tx_position_m]
+    names = [
+        f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in grid.tx_position_m
+    ]
     plot_map_grid(grid.columns, names, path)
 
 
@@ -189,7 +185,7 @@ def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> 
 
 def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
     """The section of the benchmark's own records, which say which runs there were."""
-    return _bench_section(_WHAT_WAS_RUN_TITLE, [each for each in benches if each.bench == _WHAT_WAS_RUN])
+    return _bench_section(_WHAT_WAS_RUN_TITLE, [bench for bench in benches if bench.bench == _WHAT_WAS_RUN])
 
 
 def _board_section(board: Board) -> str:

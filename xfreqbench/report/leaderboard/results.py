@@ -64,7 +64,7 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
 
 
 def _names(folders: Sequence[ResultsFolder]) -> list[str]:
-    """What results are called beside others: their folder or file, or its whole path where two are called the same."""
+    """Names of results: their folders or files, or the whole paths if two names would be equal."""
     paths = [
         folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders
     ]
@@ -73,13 +73,13 @@ def _names(folders: Sequence[ResultsFolder]) -> list[str]:
 
 
 def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
-    """The records of a results folder that stand on the same boards as these, which are among them.
+    """The records of a results folder that are ranked on the same boards as `records`, and `records` themselves.
 
     Those of other versions of protocol or metrics, which cannot be ranked beside them, are left out.
     """
     stored = ResultsFolder(results).stored.records
     keys = {comparable(record) for record in records}
-    return [each for each in stored if comparable(each) in keys]
+    return [record for record in stored if comparable(record) in keys]
 
 
 def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

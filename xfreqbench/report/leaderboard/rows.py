@@ -92,12 +92,12 @@ class BoardRow:
         for split in splits:
             for record in self.by_split.get(split, ()):
                 values.setdefault(record.job.seed, []).append(quantity(record))
-        averages = [mean(each) for each in values.values() if len(each) == len(splits)]
+        averages = [mean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
         return stdev(averages) if len(averages) > 1 else nan
 
 
 def board_rows(records: Sequence[RunRecord]) -> list[BoardRow]:
-    """One row for each label, configuration, code and file of data; rows of equal labels are told apart."""
+    """One row for each label, configuration, code and file of data; equal labels get an addition that differs."""
     by_config: dict[Configured, Runs] = {}
     editions = _editions(records)
     for record in records:
@@ -109,7 +109,13 @@ def board_rows(records: Sequence[RunRecord]) -> list[BoardRow]:
         known = found.setdefault((record.job.split, record.job.seed), record)
         if known.dataset_sha256 == record.dataset_sha256:
             found[record.job.split, record.job.seed] = record
-    return [BoardRow(label, _by_split(found)) for label, found in _told_apart(by_config).items()]
+    rows = []
+    for label, found in _by_unique_label(by_config).items():
+        by_split: dict[str, tuple[RunRecord, ...]] = {}
+        for split, seed in sorted(found):
+            by_split[split] = (*by_split.get(split, ()), found[split, seed])
+        rows.append(BoardRow(label, by_split))
+    return rows
 
 
 def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
@@ -131,13 +137,17 @@ def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
     return editions
 
 
-def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
-    """The runs of each row by a label of its own.
+def _by_unique_label(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
+    """The runs of each row, by labels that differ.
 
     Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
     are still equal; external predictions get the first digits of their file's hash in place of a commit.
     """
-    versions = {key: _version(next(iter(found.values()))) for key, found in by_config.items()}
+    first = {key: next(iter(found.values())) for key, found in by_config.items()}
+    versions = {
+        key: record.external.sha256[:7] if record.external else short_commit(record.git_commit)
+        for key, record in first.items()
+    }
     times = Counter(label for label, *_ in by_config)
     data_of: dict[tuple[str, str], set[str]] = {}
     for key, version in versions.items():
@@ -148,19 +158,8 @@ def _told_apart(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
         name = label if times[label] == 1 else f"{label} @ {version}"
         name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
         others = (f"{name} #{number}" for number in count(2))
-        named[next(each for each in chain([name], others) if each not in named)] = found
+        named[next(label for label in chain([name], others) if label not in named)] = found
     return named
-
-
-def _version(record: RunRecord) -> str:
-    return record.external.sha256[:7] if record.external else short_commit(record.git_commit)
-
-
-def _by_split(found: Mapping[tuple[str, int], RunRecord]) -> dict[str, tuple[RunRecord, ...]]:
-    by_split: dict[str, tuple[RunRecord, ...]] = {}
-    for split, seed in sorted(found):
-        by_split[split] = (*by_split.get(split, ()), found[split, seed])
-    return by_split
 
 
 def _label(record: RunRecord) -> str:
@@ -195,7 +194,7 @@ LANE_NAMES = {budget_text(budget): name for name, budget in LANES.items()}
 
 
 def is_trivial(record: RunRecord) -> bool:
-    """Whether it is of a trivial predictor without options, run here."""
+    """Whether a record is of a trivial predictor without options that was run here."""
     return record.job.method in EVERY_TRIVIAL and not record.job.overrides and record.external is None
 
 

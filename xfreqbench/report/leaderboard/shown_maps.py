@@ -61,12 +61,12 @@ class ShownMaps(SealedModel):
     predicted: dict[str, PredictedMaps]
 
     @model_validator(mode="after")
-    def _require_one_of_each(self) -> ShownMaps:
+    def _require_equal_lengths(self) -> ShownMaps:
         counted = [
             self.carrier_hz,
-            *(each for run in self.predicted.values() for each in (run.ssim, run.psnr)),
+            *(scores for run in self.predicted.values() for scores in (run.ssim, run.psnr)),
         ]
-        if any(len(each) != len(self.tx_position_m) for each in counted):
+        if any(len(values) != len(self.tx_position_m) for values in counted):
             raise ValueError(f"not all of its lists have {len(self.tx_position_m)} samples")
         return self
 
@@ -92,8 +92,8 @@ def chosen_samples(records: Iterable[RunRecord], num_test: int) -> Int[IntArray,
 
     They are equally far apart in that order, and include its ends. All of fewer than a dozen are chosen.
     """
-    ssim = [np.concatenate([np.asarray(each) for each in record.ssim_by_tx]) for record in records]
-    mean = np.mean([each for each in ssim if len(each) == num_test] or [np.zeros(num_test)], axis=0)
+    ssim = [np.concatenate([np.asarray(values) for values in record.ssim_by_tx]) for record in records]
+    mean = np.mean([values for values in ssim if len(values) == num_test] or [np.zeros(num_test)], axis=0)
     order = np.argsort(-mean, kind="stable")
     return order[np.unique(np.linspace(0, num_test - 1, min(NUM_SHOWN, num_test)).round().astype(np.int64))]
 
@@ -107,8 +107,8 @@ def shown_maps(
     """
     samples, truth = dataset.subset(rows), dataset.pas(rows)
     found = {}
-    for record_id, each in predictions.items():
-        maps = each.maps_of(rows, BATCH_SIZE)
+    for record_id, stored in predictions.items():
+        maps = stored.maps_of(rows, BATCH_SIZE)
         scores = score_all(maps, truth, dataset.grid, dataset.header.pas_kind)
         ssim, psnr = (tuple(scores[name].round(_DECIMALS).tolist()) for name in ("ssim", "psnr"))
         found[record_id] = PredictedMaps(ssim=ssim, psnr=psnr, maps=_png(power_levels(maps, dataset)))
@@ -152,7 +152,7 @@ def write_maps(path: Path, shown: Sequence[ShownMaps]) -> None:
         return None
 
     require_own(path, fault_of)
-    write_text(path, "".join(each.sealed_json().decode() + "\n" for each in shown))
+    write_text(path, "".join(maps.sealed_json().decode() + "\n" for maps in shown))
 
 
 def read_maps(path: Path) -> dict[str, ShownMaps]:

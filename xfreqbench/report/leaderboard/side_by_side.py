@@ -9,13 +9,7 @@ from pathlib import Path
 
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import (
-    Board,
-    boards,
-    comparable,
-    require_same_samples,
-    short_name,
-)
+from xfreqbench.report.leaderboard.boards import Board, boards, comparable, require_same_samples, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
@@ -38,14 +32,14 @@ class RowPair:
 
     @classmethod
     def of(cls, board: Board, a: BoardRow, b: BoardRow) -> RowPair:
-        """The pair; its rows are called by their sets in the comparison, where each needs a label of its own."""
+        """The pair. The labels of its rows in the comparison begin with A and B, because they have to differ."""
         splits = tuple(split for split in board.splits if split in a.by_split and split in b.by_split)
         rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
         return cls(*rows, Comparison(replace(board, splits=splits, rows=rows), splits))
 
     @property
     def label(self) -> str:
-        """What the rows are called, once where both are called the same."""
+        """The names of the rows, or one name if both have the same."""
         names = (row.label.partition(" ")[2] for row in (self.a, self.b))
         return " and ".join(dict.fromkeys(names))
 
@@ -58,10 +52,10 @@ class RowPair:
 def compare_results(a: Path, b: Path) -> str:
     """Tables, as Markdown, of what two sets of results have in common, and how B differs from A.
 
-    Each is a results folder, a file of records, those of one method by folder and name, as `results/nearest`, or one
-    record by folder and id, as `results/0123456789abcdef`, of which the first digits do. Rows of one label (method,
-    options and budget) are paired, and of the others those of a method that has one row in either set, or the only
-    rows of both. Raises `DataError` where there are no records, or none that may be compared.
+    A set is a results folder, a file of records, the records of one method, such as `results/nearest`, or one record
+    by its id or the first digits of it, such as `results/0123456789abcdef`. Rows with the same label (method, options
+    and budget) are paired. Then the rows of a method that has one unpaired row in each set, and at last the only
+    unpaired row of each set. Raises `DataError` where there are no records, or none that may be compared.
     """
     of_a, of_b = (
         {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)}
@@ -69,12 +63,14 @@ def compare_results(a: Path, b: Path) -> str:
     )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
-        raise DataError(f"Nothing in {a} and {b} can be compared: {_told(of_a)}; and {_told(of_b)}.")
+        raise DataError(
+            f"Nothing in {a} and {b} can be compared: {_content_of(of_a)}; and {_content_of(of_b)}."
+        )
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:
-    """The records of a results folder or of a file, or of a folder those of the method or id that ends the path."""
+    """The records of a results folder or a file; of `FOLDER/NAME`, those in the folder with this method or id."""
     beside = ResultsFolder(path.parent).records if not path.exists() else ()
     if not beside:
         return read_results(path).records
@@ -116,7 +112,10 @@ def _section(a: Board, b: Board) -> str:
 
 
 def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
-    """Rows of one label; of the rest those that are alone with their method in either board, or alone altogether."""
+    """Rows with the same label; then the only row of a method in A and in B; then the only row of A and of B.
+
+    Rows that are already paired do not count.
+    """
     names: list[Callable[[BoardRow], str]] = [
         lambda row: row.label,
         lambda row: row.job.method,
@@ -125,11 +124,11 @@ def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
     left_a, left_b = list(a.rows), list(b.rows)
     for name in names:
         for row in tuple(left_a):
-            alike = [[each for each in left if name(each) == name(row)] for left in (left_a, left_b)]
-            if [len(each) for each in alike] == [1, 1]:
-                yield row, alike[1][0]
+            in_a, in_b = ([other for other in left if name(other) == name(row)] for left in (left_a, left_b))
+            if len(in_a) == len(in_b) == 1:
+                yield row, in_b[0]
                 left_a.remove(row)
-                left_b.remove(alike[1][0])
+                left_b.remove(in_b[0])
 
 
 def _ssim_cells(pair: RowPair) -> list[str]:
@@ -146,10 +145,10 @@ def _ssim_cells(pair: RowPair) -> list[str]:
 
 def _other_table(pairs: Sequence[RowPair]) -> str:
     columns = [leaderboard_columns(pair.comparison, PAIR) for pair in pairs]
-    titles = list(dict.fromkeys(column.title for each in columns for column in each))
+    titles = list(dict.fromkeys(column.title for of_pair in columns for column in of_pair))
     rows = []
-    for pair, each in zip(pairs, columns, strict=True):
-        cells = {column.title: f"{column.text(pair.a)} → {column.text(pair.b)}" for column in each}
+    for pair, shown in zip(pairs, columns, strict=True):
+        cells = {column.title: f"{column.text(pair.a)} → {column.text(pair.b)}" for column in shown}
         rows.append([pair.label, *(cells.get(title, ABSENT) for title in titles)])
     return table(["method", *titles], rows)
 
@@ -176,7 +175,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
     ]
 
 
-def _told(found: _Boards) -> str:
+def _content_of(found: _Boards) -> str:
     """Data sets, protocols and methods of a set of results."""
     return "; ".join(
         f"{board.title} of data {board.data_name}, versions {board.records[0].protocol_version} and "

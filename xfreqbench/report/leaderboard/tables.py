@@ -19,11 +19,7 @@ from xfreqbench.report.drawing.markdown import (
 )
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
-from xfreqbench.report.leaderboard.columns import (
-    ONE_SPLIT,
-    RANKING,
-    leaderboard_columns,
-)
+from xfreqbench.report.leaderboard.columns import ONE_SPLIT, RANKING, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
 from xfreqbench.report.leaderboard.learning_curves import (
     LearningCurve,
@@ -41,7 +37,9 @@ from xfreqbench.units import format_ghz
 def ranking_tables(board: Board, resampling: Resampling) -> list[str]:
     """For every set of splits that rows share: the ranking, and a table of which row beats which."""
     comparisons = [Comparison(board, splits, resampling) for splits in board.split_sets()]
-    return [part for each in comparisons for part in (ranking_table(each), *_pair_table(each))]
+    return [
+        part for comparison in comparisons for part in (ranking_table(comparison), *_pair_table(comparison))
+    ]
 
 
 def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> str:
@@ -50,19 +48,10 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
     `columns` are names that `leaderboard_columns` knows, such as `BRIEF`.
     """
     num_splits = len(comparison.splits)
-    where = (
-        f"Median SSIM on {num_splits} splits, best average first"
-        if num_splits > 1
-        else "Median SSIM, best first"
-    )
-    caption = f"{where}; order within overlapping ranks means nothing:"
-    return "\n\n".join(
-        [
-            caption,
-            _leaderboard(comparison, columns),
-            *map(paragraph, notes(comparison.board, comparison.rows)),
-        ]
-    )
+    where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
+    caption = f"Median SSIM{where}; order within overlapping ranks means nothing:"
+    below = map(paragraph, notes(comparison.board, comparison.rows))
+    return "\n\n".join([caption, _leaderboard(comparison, columns), *below])
 
 
 def split_tables(board: Board, resampling: Resampling) -> list[str]:
@@ -141,8 +130,13 @@ def _carrier_table(board: Board, split: str) -> list[str]:
 
 
 def _pair_table(comparison: Comparison) -> list[str]:
-    """Which ranked row beats which. Below the diagonal the cells are empty, for they would say the same."""
-    rows = _paired_rows(comparison.ranked_rows)
+    """Which ranked row beats which. Below the diagonal the cells are empty, for they would say the same.
+
+    Trivial predictors behind the best one are left out, unless all rows are trivial.
+    """
+    ranked = comparison.ranked_rows
+    trivial = [row for row in ranked if row.is_trivial]
+    rows = [row for row in ranked if len(trivial) == len(ranked) or row not in trivial[1:]]
     if len(rows) < 2:
         return []
     header = ["row beats column", *(f"{place}" for place in range(2, len(rows) + 1))]
@@ -158,17 +152,11 @@ def _pair_table(comparison: Comparison) -> list[str]:
     return [f"{caption}\n\n{table(header, body)}"]
 
 
-def _paired_rows(ranked: Sequence[BoardRow]) -> list[BoardRow]:
-    """The rows to compare in pairs: all but the trivial predictors behind the best one, unless all are trivial."""
-    trivial = [row for row in ranked if row.is_trivial]
-    return [row for row in ranked if len(trivial) == len(ranked) or row not in trivial[1:]]
-
-
 def _pair_cell(comparison: Comparison, row: BoardRow, other: BoardRow) -> str:
     low, high = comparison.difference(row, other)
     if low <= 0 <= high:
         return "="
-    better, worse = (each.average(comparison.splits, median_ssim) for each in (row, other))
+    better, worse = (compared.average(comparison.splits, median_ssim) for compared in (row, other))
     return f"{1000 * (better - worse):+.2f} [{1000 * low:.2f}, {1000 * high:.2f}]"
 
 

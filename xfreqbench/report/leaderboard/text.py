@@ -36,7 +36,7 @@ class Leaderboard:
 
     def _repr_html_(self) -> str:
         """The tables of `str`, for notebooks."""
-        shown = [(each, leaderboard_columns(each, BRIEF)) for each in self._comparisons()]
+        shown = [(comparison, leaderboard_columns(comparison, BRIEF)) for comparison in self._comparisons()]
         return render("leaderboard/notebook.html", shown=shown, leak_statement=leak_statement, notes=notes)
 
     def to_pandas(self) -> Any:
@@ -53,10 +53,10 @@ class Leaderboard:
             raise XFreqBenchError(
                 'A data frame needs the extra "notebooks". Run: pip install "xfreqbench[notebooks]"'
             ) from error
-        return pandas.DataFrame([row for each in self._comparisons() for row in _rows(each)])
+        return pandas.DataFrame([row for comparison in self._comparisons() for row in _rows(comparison)])
 
     def _comparisons(self) -> list[Comparison]:
-        return [each for board in boards(self.records) for each in comparisons_of(board)]
+        return [comparison for board in boards(self.records) for comparison in comparisons_of(board)]
 
 
 @checked
@@ -71,8 +71,8 @@ def leaderboard(
     given = [results] if isinstance(results, str | Path) else results
     if not given:
         raise DataError("A leaderboard has records, but none are given.")
-    records = [each for each in given if isinstance(each, RunRecord)]
-    paths = [Path(each) for each in given if not isinstance(each, RunRecord)]
+    records = [item for item in given if isinstance(item, RunRecord)]
+    paths = [Path(item) for item in given if not isinstance(item, RunRecord)]
     return Leaderboard(tuple(records) or read_results(paths).records)
 
 

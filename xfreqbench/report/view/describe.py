@@ -41,7 +41,7 @@ def describe(path: Path) -> str:
 
 def _in_words(setting: Any) -> str:
     """A setting as text: names of a list as in `specular+refraction`, `none` for an empty one."""
-    if isinstance(setting, list | tuple) and all(isinstance(each, str) for each in setting):
+    if isinstance(setting, list | tuple) and all(isinstance(item, str) for item in setting):
         return "+".join(setting) or "none"
     return str(setting)
 

@@ -64,7 +64,10 @@ def plot_room(room: ShownRoom, path: Path) -> None:
         figure.colorbar(
             scale, ax=[axis for axis, _ in views], label="power of a ray (dB below the strongest)", shrink=0.6
         )
-    handles = [*_place_handles(room), *_material_handles(room)]
+    handles = _place_handles(room) + [
+        Line2D([], [], color=material_hex(name), label=name.replace("_", " "))
+        for name in sorted({str(mesh.material) for mesh in room.meshes})
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize="small")
     save_figure(figure, path, "png")
 
@@ -102,7 +105,7 @@ def plot_overview(
 
 
 def plot_carriers(summary: CarrierSummary, path: Path) -> None:
-    """Draw as SVG how similar maps are between carriers, and power, paths and silence, as far as these are known.
+    """Draw, as SVG, how similar maps are between carriers, and power, paths and silence if these are known.
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
@@ -147,7 +150,11 @@ def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
         colour = material_hex(str(room.meshes[facet.surface].material))
         axis.plot(*outline.T, color=colour, linewidth=1.2)
-    _draw_receiver(axis, room, shown)
+    start, along = room.receiver_m[shown], room.boresight[shown] * BORESIGHT_M
+    if np.linalg.norm(along) > 0.1 * BORESIGHT_M:
+        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
+        axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
+    axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)
 
 
 def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
@@ -167,20 +174,11 @@ def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
     numbered = list(zip(lines, colours, strict=True))[:_NUMBERED_RAYS]
     for number, (line, colour) in enumerate(numbered, start=1):
         reached = np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
-        share = number / (
-            len(numbered) + 1
-        )  # of its length: labels of rays that begin and end alike stand apart
+        # at another share of its length each: labels of rays that begin and end alike stand apart
+        share = number / (len(numbered) + 1)
         place = np.array([np.interp(share * reached[-1], reached, part) for part in line.T])
         style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": colour}
         axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
-
-
-def _draw_receiver(axis: Any, room: ShownRoom, shown: list[int]) -> None:
-    start, along = room.receiver_m[shown], room.boresight[shown] * BORESIGHT_M
-    if np.linalg.norm(along) > 0.1 * BORESIGHT_M:
-        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": "#d55e00", "linewidth": 1.6}
-        axis.annotate("", start + along, start, arrowprops=arrow, zorder=6)
-    axis.plot(*start, "^", color="#d55e00", markersize=9, markeredgecolor="white", zorder=7)
 
 
 def _place_handles(room: ShownRoom) -> list[Line2D]:
@@ -193,44 +191,37 @@ def _place_handles(room: ShownRoom) -> list[Line2D]:
     ]
 
 
-def _material_handles(room: ShownRoom) -> list[Line2D]:
-    return [
-        Line2D([], [], color=material_hex(name), label=name.replace("_", " "))
-        for name in sorted({str(mesh.material) for mesh in room.meshes})
-    ]
-
-
 def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     found: Similarity = summary.similarity
-    image = axis.pcolormesh(found.median_ssim, vmin=_least(found), vmax=1, cmap=_SSIM_COLOURS)
+    # the scale begins a tenth, rounded down, below all values
+    least = float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
+    middle = (1 + least) / 2
+    image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap=_SSIM_COLOURS)
     names = [f"{carrier / 1e9:g}" for carrier in found.carrier_hz]
     places = np.arange(len(names)) + 0.5
     axis.set_xticks(places, names, fontsize=8)
     axis.set_yticks(places, names, fontsize=8)
     for (row, column), value in np.ndenumerate(found.median_ssim):
-        _write_value(axis, row, column, float(value), _least(found))
+        if not np.isnan(value):
+            place = {"x": column + 0.5, "y": row + 0.5, "ha": "center", "va": "center"}
+            axis.text(
+                **place, s=f"{value:.2f}", fontsize=7, color="white" if float(value) < middle else "black"
+            )
     axis.set(xlabel="carrier (GHz)", ylabel="carrier (GHz)", aspect="equal")
     axis.set_title(f"median SSIM between carriers, {found.num_tx} transmitters", fontsize="medium")
     axis.figure.colorbar(image, ax=axis, shrink=0.8)
-
-
-def _least(found: Similarity) -> float:
-    """Lower end of the colour scale: a tenth, rounded down, below all values."""
-    return float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
-
-
-def _write_value(axis: Any, row: int, column: int, value: float, least: float) -> None:
-    if np.isnan(value):
-        return
-    colour = "white" if value < (1 + least) / 2 else "black"
-    axis.text(column + 0.5, row + 0.5, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
 
 
 def _draw_power(axis: Any, summary: CarrierSummary) -> None:
     assert summary.peak_db is not None, "drawn where it is known"
     carrier_ghz = summary.carrier_hz / 1e9
     for name, members in summary.groups().items():
-        low, middle, high = _percentiles(summary.peak_db[members])
+        peak_db = summary.peak_db[members]
+        levels = np.full((3, peak_db.shape[1]), np.nan)  # nan where no transmitter is heard
+        for carrier, column in enumerate(peak_db.T):
+            if not np.isnan(column).all():
+                levels[:, carrier] = np.nanpercentile(column, (10, 50, 90))
+        low, middle, high = levels
         axis.fill_between(carrier_ghz, low, high, color=_GROUP_COLOURS[name], alpha=0.2, linewidth=0)
         axis.plot(carrier_ghz, middle, "o-", color=_GROUP_COLOURS[name], markersize=4, label=name)
     axis.set(xscale="log", xlabel="carrier (GHz)", ylabel="peak of the map (dB)")
@@ -238,15 +229,6 @@ def _draw_power(axis: Any, summary: CarrierSummary) -> None:
     axis.set_title("power: median, and what 80 % lie within", fontsize="medium")
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small")
-
-
-def _percentiles(peak_db: Float[FloatArray, "n F"]) -> Float[FloatArray, "3 F"]:
-    """10th, 50th and 90th percentile over the transmitters heard at each carrier; nan where none is heard."""
-    levels = np.full((3, peak_db.shape[1]), np.nan)
-    for carrier, column in enumerate(peak_db.T):
-        if not np.isnan(column).all():
-            levels[:, carrier] = np.nanpercentile(column, (10, 50, 90))
-    return levels
 
 
 def _draw_path_counts(axis: Any, summary: CarrierSummary) -> None:

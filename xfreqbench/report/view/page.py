@@ -11,11 +11,12 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
-from xfreqbench.report.drawing.orbit import packed
+from xfreqbench.report.drawing.materials import material_hex
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
-from xfreqbench.report.view.orbit import orbit_scene
+from xfreqbench.report.view.figures import Rgba, group_colour, ray_colour
 from xfreqbench.report.view.plan import ViewPlan
-from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB
+from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
@@ -68,6 +69,36 @@ def view_page(
     )
 
 
+def orbit_scene(room: ShownRoom) -> dict[str, Any]:
+    """What is drawn of a room, for `orbit.packed`.
+
+    `surfaces` are one a material, `groups` the transmitters in sight and in shadow, and `rays` lines from the
+    transmitter to the array centre, the weakest first, so that strong ones are drawn over them.
+    """
+    ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
+    groups = room.groups().items()
+    rays = sorted(room.rays, key=lambda ray: ray.level_db)
+    return {
+        "surfaces": [
+            one_surface(meshes, material_hex(material))
+            for material, meshes in by_material(room.meshes).items()
+        ],
+        "groups": [
+            {"colour": _hex(group_colour(name)), "points": millimetres(points)} for name, points in groups
+        ],
+        "rays": [
+            {"colour": _hex(ray_colour(ray.level_db)), "points": millimetres(ray.points_m)} for ray in rays
+        ],
+        "transmitter": millimetres(room.tx_m),
+        "receiver": millimetres(room.receiver_m),
+        "boresight": millimetres(np.stack([room.receiver_m, ahead_m])),
+    }
+
+
+def _hex(colour: Rgba) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
 def _lead(view: ViewPlan) -> str:
     num_tx, num_carriers = view.header.num_tx, len(view.header.carrier_hz)
     what = (
@@ -80,15 +111,25 @@ def _lead(view: ViewPlan) -> str:
 
 def _facts(view: ViewPlan) -> dict[str, str]:
     header, dataset = view.header, view.dataset
-    facts = {"Receiver": _receiver(view), "Transmitters": _transmitters(view)}
+    in_sight = view.room.in_sight
+    facts = {
+        "Receiver": _receiver(view),
+        "Transmitters": f"{header.num_tx:,}, sight of the receiver not published"
+        if in_sight is None
+        else f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow",
+    }
     if header.rejected:
         left_out = [f"{count} {why}" for why, count in header.rejected.items() if count]
         facts["Left out"] = ", ".join(left_out) or "nothing"
     if dataset:
-        facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": _maps(dataset)}
+        rows, columns = dataset.grid.shape
+        kept = "stored" if header.maps else "derived from the channels when read"
+        channels = "with channels" if header.channels else "without channels"
+        maps = f"{header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
+        facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": maps}
     if view.settings:
         facts["Rays"] = (
-            f"{view.settings.solver} solver, {', '.join(view.settings.interactions)}, depth "
+            f"{view.settings.solver} solver, {', '.join(view.settings.named_interactions)}, depth "
             f"{view.settings.max_depth}, {view.settings.rays:,} rays, seed {view.settings.seed}"
         )
     if dataset:
@@ -103,20 +144,6 @@ def _receiver(view: ViewPlan) -> str:
         f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.pattern} pattern, "
         f"polarization {receiver.polarization}, in plane {receiver.plane} of its frame"
     )
-
-
-def _transmitters(view: ViewPlan) -> str:
-    in_sight = view.room.in_sight
-    if in_sight is None:
-        return f"{view.header.num_tx:,}, sight of the receiver not published"
-    return f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow"
-
-
-def _maps(dataset: PasDataset) -> str:
-    rows, columns = dataset.grid.shape
-    kept = "stored" if dataset.header.maps else "derived from the channels when read"
-    channels = "with channels" if dataset.header.channels else "without channels"
-    return f"{dataset.header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
 
 
 def _ray_table(view: ViewPlan) -> PageTable:
@@ -226,7 +253,7 @@ def _split_row(split: Split) -> tuple[str, ...]:
 def _origin_rows(view: ViewPlan) -> Iterator[tuple[str, str]]:
     for name, value in view.header.settings.items():
         if isinstance(value, dict):
-            yield from ((f"{name}: {key}", _words(each)) for key, each in value.items())
+            yield from ((f"{name}: {key}", _words(inner)) for key, inner in value.items())
         else:
             yield name, _words(value)
     yield from ((f"version of {name}", version) for name, version in view.header.software.items())

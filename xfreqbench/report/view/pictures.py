@@ -48,7 +48,11 @@ def draw_maps(
     samples = dataset.subset([tx * len(known_hz) + known_hz.index(carrier) for carrier in chosen_hz])
     titles = [format_ghz(carrier) for carrier in chosen_hz]
     maps = power_of(samples.pas(), dataset.header.pas_kind)
-    plot_pas_maps(maps, dataset.grid, titles, output, _title(dataset, tx), range_db)
+    place = ", ".join(f"{metres:.2f}" for metres in dataset.tables["tx_position_m"][tx])
+    in_sight = known_line_of_sight(dataset)
+    sight = "" if in_sight is None else (", in sight" if in_sight[tx] else ", in shadow")
+    title = f"{_name(dataset)}\ntransmitter {tx} at ({place}) m{sight}"
+    plot_pas_maps(maps, dataset.grid, titles, output, title, range_db)
 
 
 def draw_power(file: Path, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
@@ -74,13 +78,6 @@ def _chosen_hz(dataset: PasDataset, carriers_hz: Sequence[float] | None) -> list
         if carrier not in known_hz:
             raise UnknownNameError("carrier", format_ghz(carrier), map(format_ghz, known_hz))
     return chosen_hz
-
-
-def _title(dataset: PasDataset, tx: int) -> str:
-    place = ", ".join(f"{metres:.2f}" for metres in dataset.tables["tx_position_m"][tx])
-    in_sight = known_line_of_sight(dataset)
-    sight = "" if in_sight is None else (", in sight" if in_sight[tx] else ", in shadow")
-    return f"{_name(dataset)}\ntransmitter {tx} at ({place}) m{sight}"
 
 
 def _name(dataset: PasDataset) -> str:
@@ -110,7 +107,9 @@ def plot_power(
     strongest is. Of transmitters above each other the mean is shown; no square is drawn where no path arrives. The
     suffix of `path` says which kind of figure is written. Raises `StorageError`.
     """
-    place_m, which = _places(room.tx_position_m[:, :2])
+    in_plan = np.round(room.tx_position_m[:, :2] / _SAME_PLACE_M)
+    places, which = np.unique(in_plan, axis=0, return_inverse=True)
+    which, place_m = which.ravel(), places * _SAME_PLACE_M
     number = np.bincount(which)
     columns = min(_MAX_COLUMNS, len(power))
     rows = -(-len(power) // columns)
@@ -133,12 +132,6 @@ def plot_power(
     if title:
         figure.suptitle(title, fontsize="medium")
     save_figure(figure, path, figure_kind(path))
-
-
-def _places(plan_m: Float[FloatArray, "T 2"]) -> tuple[Float[FloatArray, "P 2"], Any]:
-    """The P different places in the plan, and for each transmitter the number of its place, (T,)."""
-    places, which = np.unique(np.round(plan_m / _SAME_PLACE_M), axis=0, return_inverse=True)
-    return places * _SAME_PLACE_M, which.ravel()
 
 
 def _draw_squares(

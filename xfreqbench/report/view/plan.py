@@ -15,11 +15,11 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.report.view.room import ShownRoom, strongest_rays
 from xfreqbench.report.view.summary import known_line_of_sight
-from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
-from xfreqbench.tracing.solvers import make_tracer, with_interactions
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
@@ -57,7 +57,7 @@ class ViewPlan:
             return self
         room = self.room
         carriers_hz = self.header.carrier_hz.tolist() if self.dataset else [self.carrier_hz]
-        paths = make_tracer(self.scene, carriers_hz, self.settings).paths(room.tx_m)
+        paths = tracer_of(PreparedScene.of(self.scene), carriers_hz, self.settings).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
         rays = strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
         return replace(self, room=replace(room, rays=rays))
@@ -83,9 +83,7 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
     """What `generate` would trace at the paper's carriers; materials are extrapolated beyond their P.2040 bands."""
     paper_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
     carrier_hz = _middle(paper_hz) if carrier_ghz is None else _parsed_hz(carrier_ghz)
-    geometry = Geometry(surface_meshes(scene))
-    settings = with_interactions(scene, TraceSettings(materials="extrapolate"), geometry=geometry)
-    plan = plan_generation(scene, paper_hz, settings, maps=False, geometry=geometry)
+    plan = plan_generation(scene, paper_hz, TraceSettings(materials="extrapolate"), maps=False)
     room = ShownRoom(
         receiver=scene.receiver,
         lowest_hz=min(paper_hz),

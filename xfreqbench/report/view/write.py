@@ -8,20 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
-from xfreqbench.report.view.figures import (
-    group_colour,
-    plot_carriers,
-    plot_overview,
-    plot_room,
-    ray_colour,
-)
+from xfreqbench.report.view.figures import group_colour, plot_carriers, plot_overview, plot_room, ray_colour
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
@@ -93,16 +86,12 @@ def room_model(room: ShownRoom) -> GlbModel:
         name = f"ray {number}: {ray.level_db:.1f} dB, {ray.label}"
         model.add_tube(name, ray.points_m, _RAY_M, ray_colour(ray.level_db))
     model.add_ball(f"transmitter {room.tx}", room.tx_m, _BALL_M, _BLACK)
-    _add_receiver(model, room)
-    return model
-
-
-def _add_receiver(model: GlbModel, room: ShownRoom) -> None:
     elements_m = room.receiver.element_position_m(SPEED_OF_LIGHT_M_S / room.lowest_hz)
     ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
     model.add_ball("receiver", room.receiver_m, _ELEMENT_M, _ORANGE)
     model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, _ELEMENT_M, _ORANGE)
     model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), _RAY_M, _ORANGE)
+    return model
 
 
 def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Iterator[tuple[str, bytes]]:
@@ -110,19 +99,16 @@ def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Ite
     room_model(view.room).write(scratch / MODEL)
     plot_room(view.room, scratch / ROOM)
     if view.dataset and summary:
-        _plot_maps(view.dataset, view.room, scratch)
+        dataset = view.dataset
+        rows = np.flatnonzero(dataset.tx_index == view.room.tx)
+        titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
+        maps = power_of(dataset.pas(rows), dataset.header.pas_kind)
+        plot_pas_maps(maps, dataset.grid, titles, scratch / MAPS)
+        plot_overview(view.room, maps, dataset.grid, titles, scratch / OVERVIEW)
         plot_carriers(summary, scratch / CARRIERS)
     for name in FILES:
         if (scratch / name).exists():
             yield name, (scratch / name).read_bytes()
-
-
-def _plot_maps(dataset: PasDataset, room: ShownRoom, folder: Path) -> None:
-    rows = np.flatnonzero(dataset.tx_index == room.tx)
-    titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows]]
-    maps = power_of(dataset.pas(rows), dataset.header.pas_kind)
-    plot_pas_maps(maps, dataset.grid, titles, folder / MAPS)
-    plot_overview(room, maps, dataset.grid, titles, folder / OVERVIEW)
 
 
 def _is_ours(page: Path, subject: str) -> bool:

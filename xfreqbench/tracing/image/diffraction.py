@@ -75,9 +75,7 @@ def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArr
     return Wedges(start_m, along, tangent, normal, normal_n, length_m, angle_rad, slab, is_opaque)
 
 
-def _reflectors(
-    num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media
-) -> Reflectors:
+def _reflectors(num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media) -> Reflectors:
     """The facets of each plane that mirrors, and bounds of what the planes reflect at each carrier."""
     facet = np.argsort(facets.plane, kind="stable")
     first = np.searchsorted(facets.plane[facet], np.arange(num_planes + 1))

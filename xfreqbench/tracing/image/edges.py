@@ -118,9 +118,7 @@ def _distance_m(
     return np.asarray(np.linalg.norm(np.cross(points_m - origin_m, along), axis=1))
 
 
-def _wedge(
-    flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float
-) -> Edge | None:
+def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float) -> Edge | None:
     """The wedge around a piece of a line, or None where its facets leave no more than half of the space free."""
     middle_m = start_m + length_m / 2 * along
     facets = np.flatnonzero(((flat.low_m < middle_m) & (middle_m < flat.high_m)).all(axis=1))

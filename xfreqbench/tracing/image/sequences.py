@@ -28,7 +28,7 @@ def sequences_of(
     sequences of so many.
     """
     most = min(settings.max_depth, settings.max_depth if max_reflections is None else max_reflections)
-    if not num_planes or not most or "specular" not in settings.interactions:
+    if not num_planes or not most or "specular" not in settings.named_interactions:
         return np.array([-1]), np.array([-1])
     if most < settings.max_depth and num_planes**most <= settings.rays:
         return _all_sequences(num_planes, most)

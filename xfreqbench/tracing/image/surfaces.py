@@ -40,12 +40,11 @@ class MirrorPlanes:
         along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         self.axis = np.stack([along, np.cross(normal, along), normal], axis=1)
-        low_m, high_m = np.full((len(normal), 2), np.inf), np.full((len(normal), 2), -np.inf)
+        self.low_m, self.high_m = np.full((len(normal), 2), np.inf), np.full((len(normal), 2), -np.inf)
         for facet, number in zip(self.facets, self.plane, strict=True):
             place_m = facet.corners_m @ self.axis[number, :2].T
-            low_m[number] = np.minimum(low_m[number], place_m.min(axis=0))
-            high_m[number] = np.maximum(high_m[number], place_m.max(axis=0))
-        self.low_m, self.high_m = low_m, high_m
+            self.low_m[number] = np.minimum(self.low_m[number], place_m.min(axis=0))
+            self.high_m[number] = np.maximum(self.high_m[number], place_m.max(axis=0))
 
 
 def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
@@ -83,10 +82,7 @@ def _in_planes_of_the_largest(facets: list[PlanarFacet]) -> tuple[Int[IntArray, 
 
 
 def facets_of(
-    geometry: Geometry,
-    mirrors: MirrorPlanes,
-    kind: Int[IntArray, "S"],
-    is_opaque: Bool[NDArray[np.bool_], "K"],
+    geometry: Geometry, mirrors: MirrorPlanes, kind: Int[IntArray, "S"], is_opaque: Bool[NDArray[np.bool_], "K"]
 ) -> tuple[Facets, Int[IntArray, "Q"], Float[FloatArray, "Q 4 3"]]:
     """The facets of a scene as the kernels take them, the mesh of each, and its corners, a triangle's last twice.
 
@@ -102,9 +98,7 @@ def facets_of(
     offset_m = np.concatenate([mirrors.planes[:, 3], np.einsum("kc,kc->k", normal, blocks[:, 0])])
     plane = np.concatenate([mirrors.plane, len(mirrors.planes) + np.arange(len(blocks))])
     corners_m = np.concatenate([mirrors.corners_m, blocks[:, [0, 1, 2, 2]]])
-    is_triangle = np.array(
-        [len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool
-    )
+    is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool)
     surface = np.array([facet.surface for facet in mirrors.facets], np.int64)
     surface = np.concatenate([surface, mesh[~geometry.mirrors]])
     order, box, child, first, last = grow(corners_m.min(axis=1), corners_m.max(axis=1))

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
+from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
 from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
 from xfreqbench.tracing.image.kernels.arrays import LANES, Aperture, Media
@@ -70,7 +71,7 @@ class ImageSavings:
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
     """Whether this solver takes the interactions that are asked for, and a smooth scene of as many mirrors."""
-    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.interactions)
+    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.named_interactions)
     return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
 
 
@@ -81,8 +82,8 @@ def require_solvable(scene: Scene, geometry: Geometry, settings: TraceSettings) 
             f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
             f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
             f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
-            f"{', '.join(settings.interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', or "
-            "a larger least_patch_area_m2, in the scene's TOML."
+            f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
+            "or a larger least_patch_area_m2, in the scene's TOML."
         )
 
 
@@ -94,13 +95,14 @@ class ImageTracer:
 
     def __init__(
         self,
-        scene: Scene,
-        carrier_hz: Sequence[float],
+        scene: Scene | PreparedScene,
+        carrier_hz: Sequence[float] | Float[FloatArray, "F"],
         settings: TraceSettings,
         savings: ImageSavings = ImageSavings(),
-        geometry: Geometry | None = None,
     ) -> None:
-        geometry = geometry or Geometry(surface_meshes(scene))
+        prepared = PreparedScene.of(scene)
+        scene, geometry = prepared.scene, prepared.geometry
+        settings = settings.by("image")
         require_solvable(scene, geometry, settings)
         self.settings = settings
         self.savings = savings
@@ -110,7 +112,7 @@ class ImageTracer:
         aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         media = self._media_at_centre.in_lanes(*aperture.weight.shape)
-        is_opaque = are_opaque(media) | ("refraction" not in settings.interactions)
+        is_opaque = are_opaque(media) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
         quads = _quads(scene.receiver.rows, scene.receiver.cols)
@@ -124,8 +126,8 @@ class ImageTracer:
         )
         self._trie = trie_of(*sequences, mirrors, receiver_m, aperture)
         self.diffraction = None
-        if "diffraction" in settings.interactions:
-            can_reflect = "specular" in settings.interactions
+        if "diffraction" in settings.named_interactions:
+            can_reflect = "specular" in settings.named_interactions
             max_planes = min(savings.diffraction_planes, settings.max_depth - 1) if can_reflect else 0
             share, floor = savings.share_visibility, savings.diffraction_floor
             limits = Limits(settings.max_depth, max_planes, share, floor)
@@ -183,15 +185,9 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
 
 
 def media_of(
-    meshes: Sequence[SurfaceMesh],
-    carrier_hz: Float[FloatArray, "F"],
-    policy: MaterialPolicy,
-    receiver: ReceiverArray,
+    meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, receiver: ReceiverArray
 ) -> tuple[Media, Int[IntArray, "S"]]:
-    """Slabs of every material and thickness, with the antenna, and which slab each mesh is made of.
-
-    Each carrier has one lane.
-    """
+    """Slabs of every material and thickness, one lane a carrier, with the antenna; and the slab of each mesh."""
     kinds = slabs_of(meshes)
     eta = [[complex_permittivity(name, float(f), policy) for name, *_ in kinds] for f in carrier_hz]
     permittivity = np.array(eta, dtype=np.complex128).reshape(len(carrier_hz), len(kinds))
@@ -213,9 +209,7 @@ def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
     return np.max(transmission, axis=0, initial=0.0) < OPAQUE_TRANSMISSION
 
 
-def aperture_of(
-    receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings
-) -> Aperture:
+def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:
     """The array at each wavelength as the kernels take it, offsets from its centre in world axes."""
     element = receiver.element_position_wavelengths
     half = np.abs(element).max(axis=0)
@@ -237,16 +231,10 @@ def aperture_of(
     )
 
 
-def _nodes(
-    position: Float[FloatArray, "n"], num_nodes: int
-) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
-    """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements.
-
-    Arrays wider than the interpolation was measured for have a node at every element.
-    """
-    span_wavelengths = position[-1] - position[0]
-    if num_nodes >= len(position) or span_wavelengths > MAX_INTERPOLATED_WAVELENGTHS:
-        return position, np.eye(len(position))
+def _nodes(position: Float[FloatArray, "n"], num_nodes: int) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
+    """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements."""
+    if num_nodes >= len(position) or position[-1] - position[0] > MAX_INTERPOLATED_WAVELENGTHS:
+        return position, np.eye(len(position))  # wider arrays have a node at every element
     nodes = np.linspace(position[0], position[-1], num_nodes) if num_nodes > 1 else np.zeros(1)
     weight = np.ones((num_nodes, len(position)))
     for k, node in enumerate(nodes):

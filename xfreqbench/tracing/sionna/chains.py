@@ -32,13 +32,9 @@ from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 REFLECTION_PROBABILITY = 0.5  # of a ray at a slab, whatever the carrier, because chains serve all carriers
-OPAQUE_DB = (
-    100.0  # a slab that absorbs more than this at every carrier only reflects; the image solver waits for
-)
+OPAQUE_DB = 100.0  # a slab that absorbs more than this at every carrier only reflects; the image solver waits for
 # 120 dB, because its rays branch, and none is lost to a slab that passes nothing
-MAX_HITS_PER_CHAIN = (
-    256  # last points kept: in a furnished office as good as all of them, at a quarter of the cost
-)
+MAX_HITS_PER_CHAIN = 256  # last points kept: in a furnished office as good as all of them, at a quarter of the cost
 
 
 @dataclass(frozen=True)
@@ -52,9 +48,7 @@ class Planes:
     offset_m: Float[FloatArray, "K"]
     index: Int[IntArray, "K"]
 
-    def mirrored(
-        self, triangle: Int[IntArray, "C"], point_m: Float[FloatArray, "C 3"]
-    ) -> Float[FloatArray, "C 3"]:
+    def mirrored(self, triangle: Int[IntArray, "C"], point_m: Float[FloatArray, "C 3"]) -> Float[FloatArray, "C 3"]:
         """Mirror image of each point in the plane of its triangle."""
         normal = self.normal[triangle]
         height_m = np.einsum("ca,ca->c", normal, point_m) - self.offset_m[triangle]
@@ -146,7 +140,7 @@ def shoot(
     """
     first_triangle = np.cumsum([0, *(len(mesh.triangles) for mesh in radio_scene.meshes)])[:-1]
     tree = _ChainTree(planes, settings.rays, settings.max_depth, first_triangle)
-    if {"specular", "refraction"} & set(settings.interactions) and radio_scene.meshes:
+    if {"specular", "refraction"} & set(settings.named_interactions) and radio_scene.meshes:
         _run_rays(radio_scene, origins_m, opaque, mirrors, settings, tree)
     return tree.chains()
 
@@ -168,9 +162,7 @@ def _run_rays(
     ray = mi.Ray3f(point3f(start_m), mi.Vector3f(point3f(fibonacci_sphere(settings.rays))))
     active = dr.full(mi.Bool, True, settings.rays)
     for _ in range(settings.max_depth):
-        hit = radio_scene.mitsuba.ray_intersect(
-            ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=active
-        )
+        hit = radio_scene.mitsuba.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=active)
         active &= hit.is_valid()
         mesh = mesh_of_pointer[dr.reinterpret_array(mi.UInt, hit.shape).numpy() * active.numpy()]
         triangle = tree.first_triangle[mesh] + hit.prim_index.numpy() * active.numpy()
@@ -188,16 +180,16 @@ def _choose_reflection(
     rng: np.random.Generator, opaque: NDArray[np.bool_], settings: TraceSettings
 ) -> NDArray[np.bool_]:
     """Whether each ray is reflected, by chance, or transmitted."""
-    if "refraction" not in settings.interactions:
+    if "refraction" not in settings.named_interactions:
         return np.ones(len(opaque), dtype=bool)
-    if "specular" not in settings.interactions:
+    if "specular" not in settings.named_interactions:
         return np.zeros(len(opaque), dtype=bool)
     return (rng.random(len(opaque)) < REFLECTION_PROBABILITY) | opaque
 
 
 def _must_reflect(opaque: NDArray[np.bool_], settings: TraceSettings) -> NDArray[np.bool_]:
     """Whether nothing passes what each ray met."""
-    return opaque if "refraction" in settings.interactions else np.ones(len(opaque), dtype=bool)
+    return opaque if "refraction" in settings.named_interactions else np.ones(len(opaque), dtype=bool)
 
 
 class _ChainTree:
@@ -232,11 +224,7 @@ class _ChainTree:
         self.hits.append((hit_m[ray], side[ray], self.chain_of_ray[ray].astype(np.uint32)))
 
     def _add(
-        self,
-        parent: IntArray,
-        reflected: NDArray[np.bool_],
-        triangle: IntArray,
-        vertex_m: NDArray[np.float32],
+        self, parent: IntArray, reflected: NDArray[np.bool_], triangle: IntArray, vertex_m: NDArray[np.float32]
     ) -> None:
         """Add a chain to the tree for each given parent, with one interaction more."""
         interaction, triangles = self.interaction[parent], self.triangle[parent]

@@ -61,9 +61,7 @@ class Field:
         first_triangle = np.zeros(int(pointer.max()) + 1, dtype=np.int64)
         first_triangle[pointer] = np.cumsum([0, *(len(mesh.triangles) for mesh in meshes)])[:-1]
         is_specular = buffer.interaction_types.numpy() == SPECULAR
-        shape, primitive = (
-            np.where(is_specular, column.numpy(), 0) for column in (buffer.shapes, buffer.primitives)
-        )
+        shape, primitive = (np.where(is_specular, column.numpy(), 0) for column in (buffer.shapes, buffer.primitives))
         mirrors = self.radio_scene.mirrors[first_triangle[shape] + primitive]
         return (mirrors | ~is_specular).reshape(buffer.buffer_size, -1).all(axis=1)
 
@@ -128,9 +126,7 @@ def with_travel_phase(
     return turned
 
 
-def path_interactions(
-    buffer: Any, max_depth: int
-) -> tuple[Int[NDArray[np.int64], "P D"], Float[FloatArray, "P D 3"]]:
+def path_interactions(buffer: Any, max_depth: int) -> tuple[Int[NDArray[np.int64], "P D"], Float[FloatArray, "P D 3"]]:
     """Interactions along each path from its transmitter, and where they happen, padded with NaN."""
     interactions = buffer.interaction_types.numpy().reshape(-1, max_depth).astype(np.int64)
     columns = (buffer.vertices_x, buffer.vertices_y, buffer.vertices_z)

@@ -47,8 +47,8 @@ class ForwardRays:
         self.carrier_hz = carrier_hz
         self.settings = settings
         self._field = Field(radio_scene, receiver)
-        self._diffraction = "diffraction" in settings.interactions
-        self._diffuse = "diffuse" in settings.interactions
+        self._diffraction = "diffraction" in settings.named_interactions
+        self._diffuse = "diffuse" in settings.named_interactions
 
     def channel(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
         """Channel (T, F, M) at every element's own position, and the number of paths (T, F)."""
@@ -111,7 +111,7 @@ class ForwardRays:
         return buffer
 
     def _candidates(self, tx: Float[FloatArray, "1 3"], target_m: FloatArray) -> Any:
-        interactions = self.settings.interactions
+        interactions = self.settings.named_interactions
         buffer = Generator()(
             mi_scene=self.radio_scene.mitsuba,
             src_positions=point3f(tx),

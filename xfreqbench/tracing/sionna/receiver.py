@@ -77,8 +77,7 @@ class ReceiverRays:
             self.planes,
             PlaneBoxes.of(self.planes, triangle_corners_m(radio_scene.meshes)),
             np.asarray(receiver.position_m),
-            radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max())
-            * wavelength_m,
+            radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()) * wavelength_m,
         )
         self._field = Field(radio_scene, receiver)
         self._buffer = _forward_buffer(self.chains, radio_scene)
@@ -223,17 +222,11 @@ def _forward_buffer(chains: Chains, radio_scene: RadioScene) -> Any:
         shape, primitive = _shape_and_primitive(radio_scene, triangle)
         buffer._shapes, buffer._primitives = mi.TensorXu(shape), mi.TensorXu(primitive)
     x, y, z = np.moveaxis(vertex_m, -1, 0)
-    buffer._vertices_x, buffer._vertices_y, buffer._vertices_z = (
-        mi.TensorXf(x),
-        mi.TensorXf(y),
-        mi.TensorXf(z),
-    )
+    buffer._vertices_x, buffer._vertices_y, buffer._vertices_z = (mi.TensorXf(x), mi.TensorXf(y), mi.TensorXf(z))
     return buffer
 
 
-def _shape_and_primitive(
-    radio_scene: RadioScene, triangle: IntArray
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+def _shape_and_primitive(radio_scene: RadioScene, triangle: IntArray) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Dr.Jit's shape pointer of each triangle, and its index within the shape."""
     num_triangles = [len(mesh.triangles) for mesh in radio_scene.meshes]
     shape = np.repeat(radio_scene.shape_pointer, num_triangles)

@@ -14,12 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 from numpy.typing import NDArray
 
-from xfreqbench.scene.materials import (
-    MaterialPolicy,
-    ScatteringPattern,
-    complex_permittivity,
-    conductivity_s_m,
-)
+from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.patches import mirror_patches
@@ -47,9 +42,7 @@ _PATTERNS: dict[ScatteringPattern, Any] = {
 __all__ = ["RadioScene", "antenna_array", "dr", "mi", "point3f", "roomy_hash_table", "rt"]
 
 
-HASH_TABLE_SIZE = (
-    2**25
-)  # Sionna's table of a million loses 9 % of the candidates of 1e5 rays, and 22 % of 5e5
+HASH_TABLE_SIZE = 2**25  # Sionna's table of a million loses 9 % of the candidates of 1e5 rays, and 22 % of 5e5
 
 
 @contextmanager
@@ -74,9 +67,7 @@ def point3f(positions_m: Float[NDArray[Any], "N 3"]) -> Any:
 
 def antenna_array(receiver: ReceiverArray, positions_wavelengths: Float[FloatArray, "M 3"]) -> Any:
     """Sionna's array of the scene's antennas at the given positions, in wavelengths, in world axes."""
-    array = rt.PlanarArray(
-        num_rows=1, num_cols=1, pattern=receiver.pattern, polarization=receiver.polarization
-    )
+    array = rt.PlanarArray(num_rows=1, num_cols=1, pattern=receiver.pattern, polarization=receiver.polarization)
     array.normalized_positions = point3f(positions_wavelengths)
     return array
 

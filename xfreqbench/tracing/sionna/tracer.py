@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import check_dispersion
-from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
+from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.forward import ForwardRays
@@ -31,22 +30,22 @@ class SionnaTracer:
 
     Every element of the array is solved at its own position. On one machine with the same libraries, the same
     seed gives the same channel to the last bit, whichever other transmitters are asked for with it.
-    `geometry` is that of the scene where it is known already. Raises `MaterialBandError` before any ray is
+    Raises `MaterialBandError` before any ray is
     shot; the import of this module raises `MissingLLVMError` where there is no LLVM library.
     """
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | PreparedScene,
         carrier_hz: Sequence[float] | Float[FloatArray, "F"],
         settings: TraceSettings,
-        geometry: Geometry | None = None,
     ) -> None:
-        carriers = np.asarray(carrier_hz, dtype=np.float64)
-        meshes = geometry.meshes if geometry else surface_meshes(scene)
+        carriers, settings = np.asarray(carrier_hz, dtype=np.float64), settings.by("sionna")
+        prepared = PreparedScene.of(scene)
+        meshes = prepared.geometry.meshes
         check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
-        shooting = ForwardRays if ONE_WAY & set(settings.interactions) else ReceiverRays
-        self._rays = shooting(RadioScene(meshes, settings.materials), scene.receiver, carriers, settings)
+        shooting = ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
+        self._rays = shooting(RadioScene(meshes, settings.materials), prepared.scene.receiver, carriers, settings)
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:

@@ -239,7 +239,7 @@ def test_predictions_of_another_split_are_refused(dataset: PasDataset, tmp_path:
 def test_data_that_no_image_method_can_have_traced_are_refused(
     tmp_path: Path, settings: dict[str, object], message: str
 ) -> None:
-    told = {**asdict(TraceSettings()), **settings}
+    told = {**asdict(TraceSettings(interactions=("specular", "refraction"))), **settings}
     header = replace(make_header(3), scene_json=SCENE.canonical_json, settings=told)
     path = tmp_path / "other.h5"
     with PasWriter(path, header) as writer:

@@ -246,7 +246,7 @@ def test_a_scenes_name_of_any_letters_is_written_to_the_room(dataset: PasDataset
     scene_json = json.dumps({**json.loads(dataset.header.scene_json), "name": name})
     named = replace(dataset, header=replace(dataset.header, scene_json=scene_json))
     told = ComparedFindings.of(record_of(named, found_room()), named)
-    write_room(told, ScoredRoom(refinement_of(told).found, (), []), tmp_path)
+    write_room(told, ScoredRoom(refinement_of(told).found, []), tmp_path)
     assert load_scene(tmp_path / "room.toml").name == f"{name}-learned"
 
 

@@ -43,9 +43,7 @@ class Facets(NamedTuple):
 
     normal: F64  # (3, P)
     offset: F64  # (P,): normal · x = offset
-    face: (
-        F64  # (Q, 12): its plane's normal and offset, u* and its offset, v* and its offset: u = x·u* − offset
-    )
+    face: F64  # (Q, 12): its plane's normal and offset, u* and its offset, v* and its offset: u = x·u* − offset
     is_triangle: Bools  # (Q,): u + v ≤ 1 holds too, beside 0 ≤ u, v ≤ 1
     plane: I64  # (Q,)
     slab: I64  # (Q,): its kind, an index into Media

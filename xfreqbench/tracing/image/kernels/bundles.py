@@ -284,9 +284,7 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
             crossed = _crosses(facets, q, s, bundle, vertex)
             if crossed == MIXED:
                 verdict = MIXED
-            elif crossed == EVERYWHERE and _counts(
-                facets, q, s, walk.crossed, walk.num_crossed[s], path, walk
-            ):
+            elif crossed == EVERYWHERE and _counts(facets, q, s, walk.crossed, walk.num_crossed[s], path, walk):
                 if not _cross(facets, q, s, _where(facets.face, q, s, 0, vertex), num_left, walk):
                     return NOWHERE
                 num_left -= 1
@@ -300,9 +298,7 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
 
 
 @bare
-def follow(
-    facets: Facets, path: Path, offset_m: F64, are_mirrors_gathered: bool, bundle: Bundle, walk: Walk
-) -> int:
+def follow(facets: Facets, path: Path, offset_m: F64, are_mirrors_gathered: bool, bundle: Bundle, walk: Walk) -> int:
     """Whether paths reach the elements at `offset_m` (K, 3), for which no slabs were gathered, nor perhaps mirrors."""
     verdict = fold(facets, path, offset_m, bundle, walk)
     if verdict == EVERYWHERE and not are_mirrors_gathered:

@@ -25,10 +25,8 @@ from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
 
-# Of the field over the array, roughly: the change up to which it is computed at the centre alone, and up to which it
-# is interpolated.
-MAX_CENTRED_CHANGE = 0.01
-MAX_INTERPOLATED_CHANGE = 0.15
+MAX_CENTRED_CHANGE = 0.01  # of the field over the array, roughly, up to which it is computed at its centre alone
+MAX_INTERPOLATED_CHANGE = 0.15  # and up to which it is interpolated
 
 
 class Room(NamedTuple):
@@ -172,9 +170,7 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
     for c in range(3):
         wave[c * BLOCK] = mirror[0, c] * way[0] + mirror[1, c] * way[1] + mirror[2, c] * way[2]
         wave[(6 + c) * BLOCK] = 0.0
-    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = antenna_field(
-        media, wave[0], wave[BLOCK], wave[2 * BLOCK]
-    )
+    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = antenna_field(media, wave[0], wave[BLOCK], wave[2 * BLOCK])
     for s in range(side.length, -1, -1):
         for i in range(walk.num_crossed[s] - 1, -1, -1):
             q = walk.crossed[s, i]
@@ -238,9 +234,7 @@ def _gains(room: Room, path: EdgePath, f: int, shift: float, work: Work) -> None
             gains[m] = 0.0
         for node in range(num_nodes):
             i = f * num_nodes + node
-            _end_at(
-                path.far, aperture.node_m[0, i], aperture.node_m[1, i], aperture.node_m[2, i], work.end[1]
-            )
+            _end_at(path.far, aperture.node_m[0, i], aperture.node_m[1, i], aperture.node_m[2, i], work.end[1])
             at_node = _gain(room, path, f, work)
             for m in range(num_elements):
                 gains[m] += aperture.weight[node, m] * at_node
@@ -335,9 +329,7 @@ def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> EdgePath:
 
 
 @bare
-def _add_all(
-    room: Room, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32
-) -> None:
+def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
     """Add all paths over edges to `sums` (F, M) each."""
     aperture, angle, most = room.scene.aperture, room.wedges.angle, work.most
     for e in range(angle.shape[0]):

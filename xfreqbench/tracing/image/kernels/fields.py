@@ -93,9 +93,7 @@ def spread(gain: F64, image: Image, element_m: F64, wavelength_m: float) -> None
     distance2, toward_x, toward_y, toward_z = image
     for e in range(element_m.shape[1]):
         x, y, z = element_m[0, e], element_m[1, e], element_m[2, e]
-        distance = math.sqrt(
-            distance2 - 2.0 * (toward_x * x + toward_y * y + toward_z * z) + (x * x + y * y + z * z)
-        )
+        distance = math.sqrt(distance2 - 2.0 * (toward_x * x + toward_y * y + toward_z * z) + (x * x + y * y + z * z))
         cosine, sine = cosine_and_sine(distance / wavelength_m)
         scale, real, imag = wavelength_m / (4.0 * math.pi * distance), gain[0, e], gain[1, e]
         gain[0, e] = scale * (real * cosine + imag * sine)

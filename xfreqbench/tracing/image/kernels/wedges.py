@@ -131,9 +131,7 @@ def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field:
 
 
 @bare
-def _through(
-    wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k: F64, field: Pair, work: F64
-) -> Pair:
+def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k: F64, field: Pair, work: F64) -> Pair:
     """What all faces of a wedge pass of a wave that goes straight on beside the edge."""
     for face in range(2):
         is_zero = (face == 0) == is_from_zero
