@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 from xfreqbench.scene.facets import PLANE_TOLERANCE, PlanarFacet
 from xfreqbench.types import FloatArray, IntArray
 
-# How far beside an edge a facet must reach to count as one of its faces; shorter edges are none.
-BESIDE_M = 1e-3
+BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 

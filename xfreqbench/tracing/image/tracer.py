@@ -75,23 +75,8 @@ def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
     return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
 
 
-def require_solvable(scene: Scene, geometry: Geometry, settings: TraceSettings) -> None:
-    """Raise `SceneError` for interactions or scenes that `can_solve` declines."""
-    if not can_solve(geometry, settings):
-        raise SceneError(
-            f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
-            f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
-            f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
-            f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
-            "or a larger least_patch_area_m2, in the scene's TOML."
-        )
-
-
 class ImageTracer:
-    """The image method on one scene, ready for any transmitter: a `Tracer`.
-
-    Raises `SceneError` for interactions or scenes that `can_solve` declines.
-    """
+    """The image method on one scene, ready for any transmitter; raises `SceneError` for what `can_solve` declines."""
 
     def __init__(
         self,
@@ -103,9 +88,15 @@ class ImageTracer:
         prepared = PreparedScene.of(scene)
         scene, geometry = prepared.scene, prepared.geometry
         settings = settings.by("image")
-        require_solvable(scene, geometry, settings)
-        self.settings = settings
-        self.savings = savings
+        if not can_solve(geometry, settings):
+            raise SceneError(
+                f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
+                f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
+                f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
+                f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
+                "or a larger least_patch_area_m2, in the scene's TOML."
+            )
+        self.settings, self.savings = settings, savings
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]

@@ -19,7 +19,7 @@ from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, Scene, Sums, W
 from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions
 from .compiled import bare, entry, lane, whole
-from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, find_sides
+from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
 from .fields import antenna_field
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
@@ -357,7 +357,7 @@ def add_over_edges(room: Room, far: Sides, limits: Limits, tx: F64, sums: Sums, 
     The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges.
     """
     (real, imag), wavelength_m = sums, room.scene.aperture.wavelength_m
-    near = find_sides(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
+    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
     work = _new_work(real.shape[1], len(wavelength_m))
     for f in range(len(wavelength_m)):
         for m in range(real.shape[1]):
@@ -374,7 +374,7 @@ def paths_over_edges(
 
     `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge.
     """
-    near = find_sides(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
+    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
     num_carriers, depth = room.scene.aperture.wavelength_m.shape[0], limits.max_depth
     work, centre, reached = _new_work(1, num_carriers), np.zeros((1, 3)), []
     for e in range(room.wedges.length.shape[0]):

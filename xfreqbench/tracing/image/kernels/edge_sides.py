@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arrays import F64, I16, I64, Facets
-from .compiled import bare, entry, part, whole
+from .compiled import bare, entry, part, whole, within
 from .sequences import mirrored_offsets
 from .tree import beyond_edges
 from .wedges import Wedges, polar
@@ -303,3 +303,6 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
         found.span[order],
         found.most[order],
     )
+
+
+sides_of = within(find_sides)

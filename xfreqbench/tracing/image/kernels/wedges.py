@@ -15,7 +15,7 @@ import numpy as np
 
 from .arrays import C128, F64, I64, Bools, Media
 from .compiled import bare, part
-from .slabs import slab_coefficients
+from .slabs import coefficients
 
 Pair = tuple[complex, complex]
 Polar = tuple[float, float, float]
@@ -124,7 +124,7 @@ def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field:
         cosine = _dot(work[1], work[0]) / (norm * across)
         _cross(work[1], work[0], work[2])
         sine = _dot(k, work[2]) / (norm * across)
-    _, _, t_te, t_tm = slab_coefficients(abs(_dot(k, normal)), slab[0], slab[1])
+    _, _, t_te, t_tm = coefficients(abs(_dot(k, normal)), slab[0], slab[1])
     te = t_te * (cosine * field[0] + sine * field[1])
     tm = t_tm * (cosine * field[1] - sine * field[0])
     return cosine * te - sine * tm, sine * te + cosine * tm
@@ -148,7 +148,7 @@ def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k
 def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
     """Reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
     cosine = math.sqrt(abs(_dot(k, normal) * _dot(out, normal)))
-    r_te, r_tm, _, _ = slab_coefficients(cosine, media.permittivity[f, kind], media.phase_thickness[f, kind])
+    r_te, r_tm, _, _ = coefficients(cosine, media.permittivity[f, kind], media.phase_thickness[f, kind])
     return r_te, r_tm
 
 
