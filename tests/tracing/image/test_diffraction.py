@@ -91,7 +91,7 @@ def test_a_plane_wave_at_a_metal_half_plane_gives_sommerfelds_solution(is_soft: 
     sheet = Surface("sheet", "metal", 0.01, (0.0, -9.0, -9.0), (0.0, 9.0, 1.0))
     found = tracer(scene_of(sheet), [1e9, 10e9]).diffraction
     assert found is not None
-    wedges, media = found.room.wedges, found.room.media
+    wedges, media = found.room.wedges, found.room.scene.media
     media.permittivity[:] = -1e20j  # metal of P.2040 is no perfect conductor at grazing incidence
     (e,) = np.flatnonzero(np.isclose(wedges.start[:, 2] + wedges.length / 2 * wedges.along[:, 2], 1.0))
     along, work, distance_m = wedges.along[e], np.zeros((6, 3)), 3.0

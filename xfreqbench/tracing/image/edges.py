@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.facets import PLANE_TOLERANCE, PlanarFacet
 from xfreqbench.types import FloatArray, IntArray
 
-# How far beside an edge a facet must reach to count as one of its faces; shorter edges are none.
-BESIDE_M = 1e-3
+BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 
@@ -39,16 +37,23 @@ class Edge(NamedTuple):
     surfaces: tuple[int, int]  # indices of the meshes that faces 0 and n are of
 
 
-class _Flat(NamedTuple):
-    """Facets as arrays (Q, ...): unit normal, a corner, two edges' dual vectors, bounding box, and mesh."""
+class _Flat:
+    """Facets as arrays (Q, ...): unit normal, a corner, two sides' dual vectors, bounding box in metres, and mesh."""
 
-    normal: Float[FloatArray, "Q 3"]
-    corner_m: Float[FloatArray, "Q 3"]
-    dual: Float[FloatArray, "Q 2 3"]
-    is_triangle: NDArray[np.bool_]
-    low_m: Float[FloatArray, "Q 3"]
-    high_m: Float[FloatArray, "Q 3"]
-    surface: Int[IntArray, "Q"]
+    def __init__(
+        self, mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: IntArray
+    ) -> None:
+        mirrors_m = [facet.corners_m[[0, 1, 2, -1]] for facet in mirrors]
+        corners_m = np.concatenate([mirrors_m, triangles_m[:, [0, 1, 2, 2]]])
+        sides_m = corners_m[:, [1, 3]] - corners_m[:, :1]
+        normal = np.cross(sides_m[:, 0], sides_m[:, 1])
+        self.normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+        self.corner_m = corners_m[:, 0]
+        self.dual = np.linalg.pinv(sides_m).transpose(0, 2, 1)
+        is_triangle = [len(facet.corners_m) == 3 for facet in mirrors]
+        self.is_triangle = np.array(is_triangle + [True] * len(triangles_m))
+        self.low_m, self.high_m = corners_m.min(axis=1) - 2 * BESIDE_M, corners_m.max(axis=1) + 2 * BESIDE_M
+        self.surface = np.concatenate([[facet.surface for facet in mirrors], surface])
 
 
 def find_edges(
@@ -61,7 +66,7 @@ def find_edges(
     """
     if not mirrors:
         return []
-    flat = _flat(mirrors, triangles_m, surface)
+    flat = _Flat(mirrors, triangles_m, surface)
     edges: list[Edge] = []
     for start_m, along, length_m in _pieces(mirrors):
         edge = _wedge(flat, start_m, along, length_m)
@@ -82,21 +87,6 @@ def _goes_on(before: Edge, after: Edge) -> bool:
         and before.along @ after.along > 1 - PLANE_TOLERANCE
         and before.tangent @ after.tangent > 1 - PLANE_TOLERANCE
     )
-
-
-def _flat(
-    mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: Int[IntArray, "K"]
-) -> _Flat:
-    corners_m = np.concatenate([[facet.corners_m[[0, 1, 2, -1]] for facet in mirrors], triangles_m[:, [0, 1, 2, 2]]])
-    sides_m = corners_m[:, [1, 3]] - corners_m[:, :1]
-    normal = np.cross(sides_m[:, 0], sides_m[:, 1])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    dual = np.linalg.pinv(sides_m).transpose(0, 2, 1)
-    is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors] + [True] * len(triangles_m))
-    beside_m = 2 * BESIDE_M
-    low_m, high_m = corners_m.min(axis=1) - beside_m, corners_m.max(axis=1) + beside_m
-    surface = np.concatenate([[facet.surface for facet in mirrors], surface])
-    return _Flat(normal, corners_m[:, 0], dual, is_triangle, low_m, high_m, surface)
 
 
 def _pieces(mirrors: Sequence[PlanarFacet]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
@@ -135,7 +125,12 @@ def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray
     is_along = np.abs(flat.normal[facets] @ along) < PLANE_TOLERANCE
     facets = facets[(np.abs(gap_m) < PLANE_TOLERANCE) & is_along]
     beside = np.cross(flat.normal[facets], along)
-    face, towards = _faces(flat, np.tile(facets, 2), np.concatenate([beside, -beside]), middle_m)
+    facets, towards = np.tile(facets, 2), np.concatenate([beside, -beside])
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    point_m = middle_m + BESIDE_M * towards - flat.corner_m[facets]
+    u, v = np.einsum("nci,ni->cn", flat.dual[facets], point_m)
+    is_face = (u > 0) & (v > 0) & np.where(flat.is_triangle[facets], u + v < 1, (u < 1) & (v < 1))
+    face, towards = facets[is_face], towards[is_face]
     if len(face) == 0:
         return None
     across = np.cross(along, towards[0])
@@ -150,14 +145,3 @@ def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray
     normal = np.cross(along, towards[zero])
     surfaces = int(flat.surface[face[zero]]), int(flat.surface[face[n]])
     return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), surfaces)
-
-
-def _faces(
-    flat: _Flat, facets: Int[IntArray, "n"], towards: Float[FloatArray, "n 3"], middle_m: Float[FloatArray, "3"]
-) -> tuple[Int[IntArray, "k"], Float[FloatArray, "k 3"]]:
-    """Of pairs of a facet and a direction from an edge, those where the facet lies in that direction."""
-    towards = towards / np.linalg.norm(towards, axis=1)[:, None]
-    point_m = middle_m + BESIDE_M * towards - flat.corner_m[facets]
-    u, v = np.einsum("nci,ni->cn", flat.dual[facets], point_m)
-    is_inside = (u > 0) & (v > 0) & np.where(flat.is_triangle[facets], u + v < 1, (u < 1) & (v < 1))
-    return facets[is_inside], towards[is_inside]

@@ -37,9 +37,9 @@ def sequences_of(
     num_rays = max(1, settings.rays // len(origins_m))
     shots = Shots(origins_m, turn_rad, num_rays, settings.max_depth, num_planes)
     found = side_by_side(lambda chunk: shot(facets, shots, chunk), NUM_CHUNKS * len(origins_m))
-    parent, plane = np.divmod(joined(np.concatenate(found), num_planes), num_planes)
+    parent, plane = np.divmod(joined(np.concatenate(found), num_planes, most), num_planes)
     parent[0] = plane[0] = -1
-    return _shortened(parent, plane, most) if most < settings.max_depth else (parent, plane)
+    return parent, plane
 
 
 def _all_sequences(num_planes: int, most: int) -> tuple[Int[IntArray, "N"], Int[IntArray, "N"]]:
@@ -54,19 +54,6 @@ def _all_sequences(num_planes: int, most: int) -> tuple[Int[IntArray, "N"], Int[
         parents.append(parent[is_other])
         planes.append(plane[is_other])
     return np.concatenate(parents), np.concatenate(planes)
-
-
-def _shortened(
-    parent: Int[IntArray, "N"], plane: Int[IntArray, "N"], most: int
-) -> tuple[Int[IntArray, "n"], Int[IntArray, "n"]]:
-    """The sequences of at most so many planes; parents come before their children."""
-    length = np.zeros(len(parent), np.int64)
-    for node in range(1, len(parent)):
-        length[node] = length[parent[node]] + 1
-    is_kept = length <= most
-    number = np.cumsum(is_kept) - 1
-    parent = parent[is_kept]
-    return np.where(parent < 0, -1, number[parent]), plane[is_kept]
 
 
 def trie_of(
@@ -93,9 +80,8 @@ def trie_of(
         along_normal = np.einsum("nkc,nc->nk", corner_m[parent[rows]], normal)
         corner_m[rows] = corner_m[parent[rows]] - 2 * along_normal[:, :, None] * normal[:, None]
         place_m[rows, 7] = np.abs(along_normal).max(axis=1) + 1e-9 if radius_m < UNPRUNED_M else UNPRUNED_M
-        place_m[rows, 3:7] = _shone_on(
-            place_m, parent[rows], plane[parent[rows]], plane[rows], apex_m, mirrors, radius_m
-        )
+        before = parent[rows]
+        place_m[rows, 3:7] = _shone_on(place_m[before], plane[before], plane[rows], apex_m, mirrors, radius_m)
         is_parent = np.zeros(len(parent), dtype=bool)
         is_parent[rows] = True
         rows = np.flatnonzero((parent > 0) & is_parent[parent])
@@ -115,8 +101,7 @@ def trie_of(
 
 
 def _shone_on(
-    place_m: Float[FloatArray, "N 8"],
-    parent: Int[IntArray, "n"],
+    parent_m: Float[FloatArray, "n 8"],
     parent_plane: Int[IntArray, "n"],
     plane: Int[IntArray, "n"],
     apex_m: Float[FloatArray, "n 3"],
@@ -129,9 +114,9 @@ def _shone_on(
     the whole rectangle of mirrors. Images of elements within `radius_m` of the array centre are allowed for.
     """
     whole = np.stack([mirrors.low_m[plane], mirrors.high_m[plane]], axis=2).reshape(-1, 4)
-    if not len(parent) or parent[0] == 0 or radius_m > 1e6:
+    if not len(plane) or parent_plane[0] < 0 or radius_m > 1e6:
         return whole
-    window = place_m[parent][:, [[3, 5], [4, 5], [3, 6], [4, 6]]]
+    window = parent_m[:, [[3, 5], [4, 5], [3, 6], [4, 6]]]
     axis = mirrors.axis[parent_plane]
     corner_m = np.einsum("nka,nac->nkc", window, axis[:, :2])
     corner_m += (mirrors.planes[parent_plane, 3, None] * axis[:, 2])[:, None]
@@ -146,7 +131,8 @@ def _shone_on(
         point_m = apex_m[:, None] + stretch[:, :, None] * (corner_m - apex_m[:, None])
         way_m = np.linalg.norm(corner_m - apex_m[:, None], axis=2)
         along_m = np.sqrt(np.clip(way_m**2 - apart_m**2, 0, None))
-        most = below_m / (apart_m - radius_m)  # of stretch − 1, for an element whose image is lower by the radius
+        # of stretch − 1, for an element whose image is lower by the radius
+        most = below_m / (apart_m - radius_m)
         margin_m = ((most - below_m / apart_m) * along_m + most * radius_m).max(axis=1) + 1e-6
         spot_m = np.einsum("nkc,nac->nka", point_m, mirrors.axis[plane][:, :2])
         low_m = np.maximum(whole[:, [0, 2]], spot_m.min(axis=1) - margin_m[:, None])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry, PlanarFacet, group_by_plane, planar_facets
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.kernels.arrays import Facets
-from xfreqbench.tracing.image.kernels.growing import divide
+from xfreqbench.tracing.image.kernels.tree import divide
 from xfreqbench.types import FloatArray, IntArray
 
 
@@ -40,12 +40,11 @@ class MirrorPlanes:
         along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         self.axis = np.stack([along, np.cross(normal, along), normal], axis=1)
-        low_m, high_m = np.full((len(normal), 2), np.inf), np.full((len(normal), 2), -np.inf)
+        self.low_m, self.high_m = np.full((len(normal), 2), np.inf), np.full((len(normal), 2), -np.inf)
         for facet, number in zip(self.facets, self.plane, strict=True):
             place_m = facet.corners_m @ self.axis[number, :2].T
-            low_m[number] = np.minimum(low_m[number], place_m.min(axis=0))
-            high_m[number] = np.maximum(high_m[number], place_m.max(axis=0))
-        self.low_m, self.high_m = low_m, high_m
+            self.low_m[number] = np.minimum(self.low_m[number], place_m.min(axis=0))
+            self.high_m[number] = np.maximum(self.high_m[number], place_m.max(axis=0))
 
 
 def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
@@ -55,13 +54,12 @@ def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
     order = np.argsort(geometry.mirror_patch, kind="stable")
     order = order[np.searchsorted(geometry.mirror_patch[order], 0) :]
     for rows in np.split(order, np.flatnonzero(np.diff(geometry.mirror_patch[order])) + 1):
-        yield [
-            PlanarFacet(facet.corners_m, int(m))
-            for m in np.unique(mesh[rows])
-            for facet in planar_facets(
-                [replace(geometry.meshes[m], triangles=geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]])]
-            )
-        ]
+        patch: list[PlanarFacet] = []
+        for m in np.unique(mesh[rows]):
+            triangles = geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]]
+            piece = replace(geometry.meshes[m], triangles=triangles)
+            patch += [PlanarFacet(facet.corners_m, int(m)) for facet in planar_facets([piece])]
+        yield patch
 
 
 def _in_planes_of_the_largest(facets: list[PlanarFacet]) -> tuple[Int[IntArray, "n"], list[PlanarFacet]]:
@@ -106,19 +104,9 @@ def facets_of(
     order, box, child, first, last = grow(corners_m.min(axis=1), corners_m.max(axis=1))
     plane, surface, corners_m = plane[order], surface[order], corners_m[order]
     slab = kind[surface]
-    facets = Facets(
-        np.ascontiguousarray(normals.T),
-        offset_m,
-        np.hstack([normals[plane], offset_m[plane, None], *_duals(corners_m)]),
-        is_triangle[order],
-        plane,
-        slab,
-        is_opaque[slab],
-        box,
-        child,
-        first,
-        last,
-    )
+    face = np.hstack([normals[plane], offset_m[plane, None], _duals(corners_m)])
+    triangle, opaque, normal = is_triangle[order], is_opaque[slab], np.ascontiguousarray(normals.T)
+    facets = Facets(normal, offset_m, face, triangle, plane, slab, opaque, box, child, first, last)
     return facets, surface, corners_m
 
 
@@ -132,7 +120,7 @@ def grow(
     return divide(np.hstack([low_m, high_m]))
 
 
-def _duals(corners_m: Float[FloatArray, "Q 4 3"]) -> tuple[Float[FloatArray, "Q 4"], Float[FloatArray, "Q 4"]]:
+def _duals(corners_m: Float[FloatArray, "Q 4 3"]) -> Float[FloatArray, "Q 8"]:
     """Vectors u* and v*, each with its offset: u = x·u* − offset runs 0…1 from corner 0 to 1, v from 0 to 2."""
     origin_m = corners_m[:, 0]
     edge_u, edge_v = corners_m[:, 1] - origin_m, corners_m[:, 2] - origin_m
@@ -140,4 +128,4 @@ def _duals(corners_m: Float[FloatArray, "Q 4 3"]) -> tuple[Float[FloatArray, "Q 
     normal /= np.einsum("qc,qc->q", normal, normal)[:, None]
     dual_u, dual_v = np.cross(edge_v, normal), np.cross(normal, edge_u)
     offset_u, offset_v = (np.einsum("qc,qc->q", origin_m, dual)[:, None] for dual in (dual_u, dual_v))
-    return np.hstack([dual_u, offset_u]), np.hstack([dual_v, offset_v])
+    return np.hstack([dual_u, offset_u, dual_v, offset_v])

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,14 +28,16 @@ from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
-from xfreqbench.tracing.image.diffraction import Diffraction, PathsToCentre
-from xfreqbench.tracing.image.kernels import channels
-from xfreqbench.tracing.image.kernels.arrays import BLOCK, LANES, Aperture, Media, Walk
+from xfreqbench.tracing.image.diffraction import Diffraction
+from xfreqbench.tracing.image.kernels.arrays import LANES, Aperture, Media
+from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
+from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import side_by_side
+from xfreqbench.tracing.image.kernels.edge_paths import Limits
 from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.sequences import UNPRUNED_M, sequences_of, trie_of
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, facets_of
-from xfreqbench.tracing.paths import REFRACTION, SPECULAR, Paths
+from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -44,8 +47,6 @@ MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single r
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence, at every carrier
 # Of a 4×4 array: maps of 68 dB or better at the 5th percentile; 8×8: 40 dB.
 MAX_INTERPOLATED_WAVELENGTHS = 1.5
-
-Along = tuple[Int[NDArray[np.int64], "D"], Int[NDArray[np.int64], "D"], Float[FloatArray, "D 3"]]
 
 
 @dataclass(frozen=True)
@@ -74,23 +75,8 @@ def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
     return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
 
 
-def require_solvable(scene: Scene, geometry: Geometry, settings: TraceSettings) -> None:
-    """Raise `SceneError` for interactions or scenes that `can_solve` declines."""
-    if not can_solve(geometry, settings):
-        raise SceneError(
-            f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
-            f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
-            f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
-            f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
-            "or a larger least_patch_area_m2, in the scene's TOML."
-        )
-
-
 class ImageTracer:
-    """The image method on one scene, ready for any transmitter: a `Tracer`.
-
-    Raises `SceneError` for interactions or scenes that `can_solve` declines.
-    """
+    """The image method on one scene, ready for any transmitter; raises `SceneError` for what `can_solve` declines."""
 
     def __init__(
         self,
@@ -102,56 +88,56 @@ class ImageTracer:
         prepared = PreparedScene.of(scene)
         scene, geometry = prepared.scene, prepared.geometry
         settings = settings.by("image")
-        require_solvable(scene, geometry, settings)
-        self.settings = settings
-        self.savings = savings
+        if not can_solve(geometry, settings):
+            raise SceneError(
+                f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
+                f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
+                f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
+                f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
+                "or a larger least_patch_area_m2, in the scene's TOML."
+            )
+        self.settings, self.savings = settings, savings
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
-        self._aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
+        aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
-        self._media = self._media_at_centre.in_lanes(*self._aperture.weight.shape)
-        is_opaque = are_opaque(self._media) | ("refraction" not in settings.named_interactions)
+        media = self._media_at_centre.in_lanes(*aperture.weight.shape)
+        is_opaque = are_opaque(media) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
         quads = _quads(scene.receiver.rows, scene.receiver.cols)
-        alone = np.repeat(np.unique(quads)[:, None], 4, axis=1)
-        self._quads = quads if savings.share_visibility else alone
+        if not savings.share_visibility:
+            quads = np.repeat(np.unique(quads)[:, None], 4, axis=1)
+        self._scene = KernelScene(self.facets, media, aperture, quads)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
-        points_m = np.vstack([receiver_m, receiver_m + self._aperture.corner_m[0]])  # of the widest aperture
+        points_m = np.vstack([receiver_m, receiver_m + aperture.corner_m[0]])  # of the widest aperture
         sequences = sequences_of(
             self.facets, len(mirrors.planes), np.unique(points_m, axis=0), settings, savings.max_reflections
         )
-        self._trie = trie_of(*sequences, mirrors, receiver_m, self._aperture)
+        self._trie = trie_of(*sequences, mirrors, receiver_m, aperture)
         self.diffraction = None
         if "diffraction" in settings.named_interactions:
+            can_reflect = "specular" in settings.named_interactions
+            max_planes = min(savings.diffraction_planes, settings.max_depth - 1) if can_reflect else 0
+            share, floor = savings.share_visibility, savings.diffraction_floor
+            limits = Limits(settings.max_depth, max_planes, share, floor)
             self.diffraction = Diffraction(
-                geometry,
-                mirrors,
-                kind,
-                self.facets,
-                self._surface,
-                corners_m,
-                self._media,
-                self._aperture,
-                points_m,
-                settings,
-                (savings.diffraction_planes, savings.share_visibility, savings.diffraction_floor),
+                geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
             )
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
         tx = np.ascontiguousarray(tx_position_m, dtype=np.float64)
-        shape = len(tx), len(self.carrier_hz), self._aperture.element_m.shape[2]
+        shape = len(tx), len(self.carrier_hz), self._scene.aperture.element_m.shape[2]
         real, imag, num_paths = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int32)
 
         def add(i: int) -> None:
-            scene = self.facets, self._media, self._trie, self._aperture, self._quads
-            limits = self.settings.max_depth, self.savings.share_visibility
-            channels.add_channel(*scene, tx[i], *limits, (real[i], imag[i]), num_paths[i])
+            limits, sums = (self.settings.max_depth, self.savings.share_visibility), (real[i], imag[i])
+            add_channel(self._scene, self._trie, tx[i], *limits, sums, num_paths[i])
             if self.diffraction is not None:
-                self.diffraction.add_channel(tx[i], (real[i], imag[i]), num_paths[i])
+                self.diffraction.add_channel(tx[i], sums, num_paths[i])
 
         side_by_side(add, len(tx))
         cfr, original = real + 1j * imag, np.argsort(self._order)
@@ -161,31 +147,24 @@ class ImageTracer:
     def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
         tx, depth = np.asarray(tx_position_m, dtype=np.float64), self.settings.max_depth
-        reached = channels.reaching(self.facets, self._media_at_centre, self._trie, tx, depth)
-        node = np.array([node for node, *_ in reached], dtype=np.int64)
-        along = [
-            _interactions_along(walk, int(self._trie.length[node]), depth, self._surface) for node, _, walk in reached
-        ]
-        distance_m = np.linalg.norm(tx - self._trie.image_m[node], axis=1)
-        paths = PathsToCentre(
-            gain=np.array([gain for _, gain, _ in reached], np.complex128).reshape(-1, len(self.carrier_hz)),
-            distance_m=distance_m,
-            arrival=-np.array([walk.wave[: 3 * BLOCK : BLOCK] for *_, walk in reached]).reshape(-1, 3),
-            interactions=np.array([codes for codes, *_ in along], np.int64).reshape(len(along), depth),
-            surfaces=np.array([met for _, met, _ in along], np.int64).reshape(len(along), depth),
-            vertices_m=np.array([points for *_, points in along]).reshape(len(along), depth, 3),
-        )
-        diffracted = [] if self.diffraction is None else [self.diffraction.paths(tx)]
-        paths = paths.merged(*diffracted)
-        spreading = SPEED_OF_LIGHT_M_S / self.carrier_hz[:, None] / (4 * np.pi * paths.distance_m)
+        found = paths_to_centre(self.facets, self._media_at_centre, self._trie, self._surface, tx, depth)
+        if self.diffraction is not None:
+            found += self.diffraction.paths(tx)
+        found.sort(key=lambda path: path[1])
+
+        def column(i: int, dtype: type, *shape: int) -> Any:
+            return np.array([path[i] for path in found], dtype).reshape(len(found), *shape)
+
+        distance_m = column(1, float)
+        spreading = SPEED_OF_LIGHT_M_S / self.carrier_hz[:, None] / (4 * np.pi * distance_m)
         return Paths(
             carrier_hz=self.carrier_hz,
-            gain=paths.gain.T[np.argsort(self._order)] * spreading,
-            delay_s=paths.distance_m / SPEED_OF_LIGHT_M_S,
-            arrival=paths.arrival,
-            interactions=paths.interactions,
-            surfaces=paths.surfaces,
-            vertices_m=paths.vertices_m,
+            gain=column(0, complex, len(self.carrier_hz)).T[np.argsort(self._order)] * spreading,
+            delay_s=distance_m / SPEED_OF_LIGHT_M_S,
+            arrival=column(2, float, 3),
+            interactions=column(3, int, depth),
+            surfaces=column(4, int, depth),
+            vertices_m=column(5, float, depth, 3),
         )
 
 
@@ -196,45 +175,19 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
     return (row[:, None] * cols + col[None]).reshape(-1, 4)
 
 
-def _interactions_along(walk: Walk, num_reflections: int, depth: int, surface: Int[IntArray, "Q"]) -> Along:
-    """What a traced path meets from the transmitter on; `surface` is the mesh of each of the kernels' facets.
-
-    Codes of the interactions, the surfaces met, padded with −1, and where, padded with NaN.
-    """
-    codes, met, points = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
-    at = 0
-    for segment in range(num_reflections + 1):
-        start, end = walk.vertex[0, segment], walk.vertex[0, segment + 1]
-        for i in range(walk.num_crossed[segment]):
-            codes[at], met[at] = REFRACTION, surface[walk.crossed[segment, i]]
-            points[at] = start + walk.crossed_at[segment, i] * (end - start)
-            at += 1
-        if segment < num_reflections:
-            codes[at], met[at], points[at] = SPECULAR, surface[walk.hit[segment]], end
-            at += 1
-    return codes, met, points
-
-
 def media_of(
     meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, receiver: ReceiverArray
 ) -> tuple[Media, Int[IntArray, "S"]]:
-    """Slabs of every material and thickness, with the antenna, and which slab each mesh is made of.
-
-    Each carrier has one lane.
-    """
+    """Slabs of every material and thickness, one lane a carrier, with the antenna; and the slab of each mesh."""
     kinds = slabs_of(meshes)
     eta = [[complex_permittivity(name, float(f), policy) for name, *_ in kinds] for f in carrier_hz]
     permittivity = np.array(eta, dtype=np.complex128).reshape(len(carrier_hz), len(kinds))
     thickness_m = np.array([slab.thickness_m for slab in kinds])
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
-    media = Media(
-        permittivity,
-        phase_thickness,
-        np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge"),
-        is_horizontal=receiver.polarization == "H",
-        is_dipole=receiver.pattern == "dipole",
-    )
+    lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
+    is_horizontal, is_dipole = receiver.polarization == "H", receiver.pattern == "dipole"
+    media = Media(permittivity, phase_thickness, lanes, is_horizontal, is_dipole)
     return media, np.array([kinds.index(mesh.slab) for mesh in meshes], dtype=np.int64)
 
 
@@ -270,17 +223,12 @@ def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], s
 
 
 def _nodes(position: Float[FloatArray, "n"], num_nodes: int) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
-    """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements.
-
-    Arrays wider than the interpolation was measured for have a node at every element.
-    """
-    span_wavelengths = position[-1] - position[0]
-    if num_nodes >= len(position) or span_wavelengths > MAX_INTERPOLATED_WAVELENGTHS:
-        return position, np.eye(len(position))
+    """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements."""
+    if num_nodes >= len(position) or position[-1] - position[0] > MAX_INTERPOLATED_WAVELENGTHS:
+        return position, np.eye(len(position))  # wider arrays have a node at every element
     nodes = np.linspace(position[0], position[-1], num_nodes) if num_nodes > 1 else np.zeros(1)
     weight = np.ones((num_nodes, len(position)))
-    for k in range(num_nodes):
-        for other in range(num_nodes):
-            if other != k:
-                weight[k] *= (position - nodes[other]) / (nodes[k] - nodes[other])
+    for k, node in enumerate(nodes):
+        for other in np.delete(nodes, k):
+            weight[k] *= (position - other) / (node - other)
     return nodes, weight

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xfreqbench.tracing.image.kernels.compiled import whole
+from .compiled import whole
 
 F64 = NDArray[np.float64]
 I16 = NDArray[np.int16]
@@ -18,8 +18,11 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 C128 = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
-Bundle = tuple[int, ...]
 Sums = tuple[F64, F64]  # real and imaginary
+# A path to the array centre at F carriers: gain (F,) without spreading and travel phase, length in metres, unit vector
+# to where it comes from (3,), and its D interactions from the transmitter on: codes (D,), the mesh that is met at each
+# (D,), padded with −1, and where they happen (D, 3), padded with NaN.
+CentrePath = tuple[C128, float, F64, I64, I64, F64]
 
 MIN_SEGMENT_M = 0.01  # Sionna RT's MIN_SEGMENT_LENGTH: a path with a shorter segment is dropped
 COPLANAR_M = 1e-4  # as in `scene.facets`: facets of one plane that lie on each other count once
@@ -31,11 +34,6 @@ BLOCK = 64  # lanes that waves are carried in at once, a multiple of `LANES`
 LANES = 8  # of a vector register of AVX-512: with fewer, the compiled loops work in single numbers
 NUM_CHUNKS = 64  # that the rays are divided into, for the threads
 
-NOWHERE, MIXED, EVERYWHERE = 0, -1, 1  # at which elements a path arrives
-# Paths that are followed side by side: one; those to the array's corners, which stand for all between them; and four
-# with none between them. Numba compiles the loops for each length.
-LONE, CORNERS, QUAD = (0,), (0, 1, 2, 3), (1, 1, 1, 1)
-
 
 class Facets(NamedTuple):
     """Planes, and convex planar facets in the order of a tree's leaves. (P planes, Q facets, N boxes)
@@ -45,7 +43,7 @@ class Facets(NamedTuple):
 
     normal: F64  # (3, P)
     offset: F64  # (P,): normal · x = offset
-    face: F64  # (Q, 12): its plane's normal and offset; u* and its offset, v* and its offset: u = x·u* − offset
+    face: F64  # (Q, 12): its plane's normal and offset, u* and its offset, v* and its offset: u = x·u* − offset
     is_triangle: Bools  # (Q,): u + v ≤ 1 holds too, beside 0 ≤ u, v ≤ 1
     plane: I64  # (Q,)
     slab: I64  # (Q,): its kind, an index into Media
@@ -71,8 +69,8 @@ class Media(NamedTuple):
 
     def in_lanes(self, num_nodes: int, num_elements: int) -> Media:
         """The media of an array of so many nodes and elements, from those with one lane for each carrier."""
-        one = self.lanes[:, :, :-LANES]
-        lanes = np.concatenate([np.repeat(one, num_nodes, axis=2), np.repeat(one, num_elements, axis=2)], axis=2)
+        of_carrier = self.lanes[:, :, :-LANES]
+        lanes = np.concatenate([np.repeat(of_carrier, n, axis=2) for n in (num_nodes, num_elements)], axis=2)
         return self._replace(lanes=np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge"))
 
 
@@ -85,6 +83,15 @@ class Aperture(NamedTuple):
     node_m: F64  # (3, F·N)
     weight: F64  # (N, M): field at the elements from the field at the nodes
     radius_m: float  # of the widest aperture; 1e30 lets every candidate pass the first rough test
+
+
+class Scene(NamedTuple):
+    """What is the same for all paths."""
+
+    facets: Facets
+    media: Media
+    aperture: Aperture
+    quads: I64  # (B, 4): neighbours for which is decided at once; one element four times is decided by itself
 
 
 class Path(NamedTuple):

@@ -8,34 +8,18 @@ from __future__ import annotations
 
 import math
 
-from xfreqbench.tracing.image.kernels.arrays import (
-    COPLANAR_M,
-    EVERYWHERE,
-    F64,
-    FAR,
-    LONE,
-    MAX_CROSSED,
-    MAX_NEAR,
-    MIN_SEGMENT_M,
-    MIXED,
-    NOWHERE,
-    Bundle,
-    Facets,
-    Path,
-    Walk,
-)
-from xfreqbench.tracing.image.kernels.compiled import bare, part
-from xfreqbench.tracing.image.kernels.tree import beyond_edges, next_leaf, side_of, tube_about, tube_along
+from .arrays import COPLANAR_M, F64, FAR, MAX_CROSSED, MAX_NEAR, MIN_SEGMENT_M, Facets, Path, Walk
+from .compiled import bare, part
+from .tree import SLACK_M, Bundle, beyond_edges, next_leaf, side_of, tube_between
+
+NOWHERE, MIXED, EVERYWHERE = 0, -1, 1  # at which elements paths arrive
 
 
 @part
 def holds_edge(facets: Facets, q: int, edge: F64) -> bool:
     """Whether the edge at which paths begin lies in the plane of facet q: they leave that plane at their start."""
-    face = facets.face
-    here, there = (
-        side_of(face, q, edge[0, 0], edge[0, 1], edge[0, 2]),
-        side_of(face, q, edge[1, 0], edge[1, 1], edge[1, 2]),
-    )
+    here = side_of(facets.face, q, edge[0, 0], edge[0, 1], edge[0, 2])
+    there = side_of(facets.face, q, edge[1, 0], edge[1, 1], edge[1, 2])
     return abs(here) < COPLANAR_M and abs(there) < COPLANAR_M
 
 
@@ -81,6 +65,24 @@ def fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) 
 
 
 @part
+def _beyond(facets: Facets, q: int, v: int, bundle: Bundle, vertex: F64) -> tuple[int, int]:
+    """Edges of facet q that vertex v lies beyond on all paths, a bit set, and on how many paths it is inside."""
+    beyond_all, num_inside = 31, 0
+    for k in range(len(bundle)):
+        beyond = beyond_edges(facets, q, vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2])
+        beyond_all &= beyond
+        num_inside += beyond == 0
+    return beyond_all, num_inside
+
+
+@part
+def _where(face: F64, q: int, s: int, k: int, vertex: F64) -> float:
+    """At which share of segment s path k meets the plane of facet q."""
+    here = side_of(face, q, vertex[k, s, 0], vertex[k, s, 1], vertex[k, s, 2])
+    return here / (here - side_of(face, q, vertex[k, s + 1, 0], vertex[k, s + 1, 1], vertex[k, s + 1, 2]))
+
+
+@part
 def _crosses(facets: Facets, q: int, s: int, bundle: Bundle, vertex: F64) -> int:
     """Whether all, none or some of the segments s of the paths cross facet q, those between `CORNERS` among them."""
     has_between = len(bundle) > 1 and bundle[0] == 0
@@ -104,10 +106,7 @@ def _crosses(facets: Facets, q: int, s: int, bundle: Bundle, vertex: F64) -> int
     if lowest > 0.0 or highest < 0.0:
         return NOWHERE
     if num_crossing < len(bundle):  # others may end on it: all ends must lie beyond a common edge
-        beyond_all = 31
-        for k in range(len(bundle)):
-            for v in range(s, s + 2):
-                beyond_all &= beyond_edges(facets, q, vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2])
+        beyond_all = _beyond(facets, q, s, bundle, vertex)[0] & _beyond(facets, q, s + 1, bundle, vertex)[0]
     return NOWHERE if beyond_all != 0 else MIXED
 
 
@@ -117,7 +116,7 @@ def gather_mirrors(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> in
     vertex, n = walk.vertex, path.length
     for j in range(n):
         p, v, number = path.plane[n - 1 - j], j + 1, 0
-        tube, top = tube_about(vertex, v, COPLANAR_M, bundle), -1
+        tube, top = tube_between(vertex, v, v, COPLANAR_M, bundle), -1
         while True:
             top, leaf = next_leaf(facets, tube, 0.0, walk, top)
             if leaf < 0:
@@ -125,10 +124,7 @@ def gather_mirrors(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> in
             for q in range(facets.first[leaf], facets.last[leaf]):
                 if facets.plane[q] != p or (j == 0 and holds_edge(facets, q, walk.edge)):
                     continue
-                beyond_all = 31
-                for k in range(len(bundle)):
-                    beyond_all &= beyond_edges(facets, q, vertex[k, v, 0], vertex[k, v, 1], vertex[k, v, 2])
-                if beyond_all != 0:
+                if _beyond(facets, q, v, bundle, vertex)[0] != 0:
                     continue
                 if len(bundle) == 1 and number == 1:  # of those that lie on each other the first mirrors
                     walk.mirrors[j, 0] = min(walk.mirrors[j, 0], q)
@@ -165,8 +161,7 @@ def _counts(facets: Facets, q: int, s: int, met: F64, number: int, path: Path, w
         return False
     if s < n and _lies_on(facets, q, path.plane[n - 1 - s], bx, by, bz):
         return False
-    here, there = side_of(facets.face, q, ax, ay, az), side_of(facets.face, q, bx, by, bz)
-    t = here / (here - there)
+    t = _where(facets.face, q, s, 0, vertex)
     x, y, z = ax + t * (bx - ax), ay + t * (by - ay), az + t * (bz - az)
     num_under = 0
     for i in range(0 if facets.is_opaque[q] else number):  # metal blocks on whatever it lies
@@ -184,7 +179,7 @@ def gather_slabs(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
     vertex, n, num_left, is_at_edge = walk.vertex, path.length, walk.limit[0], walk.edge[0, 0] < FAR
     for s in range(n + 1):
         before, after = path.plane[n - s] if s > 0 else -1, path.plane[n - 1 - s] if s < n else -1
-        tube, number, top = tube_along(vertex, s, bundle), 0, -1
+        tube, number, top = tube_between(vertex, s, s + 1, SLACK_M, bundle), 0, -1
         while True:
             top, leaf = next_leaf(facets, tube, 1.0, walk, top)
             if leaf < 0:
@@ -217,11 +212,8 @@ def _hit(facets: Facets, j: int, bundle: Bundle, walk: Walk) -> int:
     """The facet at which all paths turn at their vertex j + 1, or else −1; −2 where only some of them turn at one."""
     vertex, found, is_mixed = walk.vertex, -1, False
     for i in range(walk.num_mirrors[j]):
-        q, beyond_all, num_inside = walk.mirrors[j, i], 31, 0
-        for k in range(len(bundle)):
-            beyond = beyond_edges(facets, q, vertex[k, j + 1, 0], vertex[k, j + 1, 1], vertex[k, j + 1, 2])
-            beyond_all &= beyond
-            num_inside += beyond == 0
+        q = walk.mirrors[j, i]
+        beyond_all, num_inside = _beyond(facets, q, j + 1, bundle, vertex)
         if num_inside == len(bundle):
             found = q if found < 0 else min(found, q)
         elif num_inside > 0 or (bundle[0] == 0 and beyond_all == 0):
@@ -259,9 +251,7 @@ def _shortest_stretch(facets: Facets, n: int, k: int, walk: Walk) -> float:
         span = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2)
         last = 0.0
         for i in range(walk.num_crossed[s]):
-            q = walk.crossed[s, i]
-            here, there = side_of(face, q, ax, ay, az), side_of(face, q, bx, by, bz)
-            t = here / (here - there)
+            t = _where(face, walk.crossed[s, i], s, k, vertex)
             shortest = min(shortest, (t - last) * span)
             last = t
         shortest = min(shortest, (1.0 - last) * span)
@@ -278,8 +268,7 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
     the shortest that a path may have. What the paths may meet was gathered: for them, or for a bundle that they lie
     in. What they meet is left in `walk`.
     """
-    n, verdict, num_left = path.length, EVERYWHERE, walk.limit[0]
-    vertex, face = walk.vertex, facets.face
+    n, verdict, num_left, vertex = path.length, EVERYWHERE, walk.limit[0], walk.vertex
     for j in range(n):
         found = _hit(facets, j, bundle, walk)
         if found == -1:
@@ -296,9 +285,7 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
             if crossed == MIXED:
                 verdict = MIXED
             elif crossed == EVERYWHERE and _counts(facets, q, s, walk.crossed, walk.num_crossed[s], path, walk):
-                here = side_of(face, q, vertex[0, s, 0], vertex[0, s, 1], vertex[0, s, 2])
-                there = side_of(face, q, vertex[0, s + 1, 0], vertex[0, s + 1, 1], vertex[0, s + 1, 2])
-                if not _cross(facets, q, s, here / (here - there), num_left, walk):
+                if not _cross(facets, q, s, _where(facets.face, q, s, 0, vertex), num_left, walk):
                     return NOWHERE
                 num_left -= 1
     if verdict != EVERYWHERE:
@@ -311,21 +298,15 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
 
 
 @bare
-def _turns(facets: Facets, path: Path, walk: Walk) -> bool:
-    """Whether a folded path turns at some facet of every plane, of those that were gathered."""
-    num_missed = 0
+def follow(facets: Facets, path: Path, offset_m: F64, are_mirrors_gathered: bool, bundle: Bundle, walk: Walk) -> int:
+    """Whether paths reach the elements at `offset_m` (K, 3), for which no slabs were gathered, nor perhaps mirrors."""
+    verdict = fold(facets, path, offset_m, bundle, walk)
+    if verdict == EVERYWHERE and not are_mirrors_gathered:
+        verdict = gather_mirrors(facets, path, bundle, walk)
+    if verdict != EVERYWHERE:
+        return verdict
     for j in range(path.length):
-        num_missed += _hit(facets, j, LONE, walk) == -1
-    return num_missed == 0
-
-
-@bare
-def reaches(facets: Facets, path: Path, offset_m: F64, are_mirrors_gathered: bool, walk: Walk) -> bool:
-    """Whether a path reaches an element at `offset_m` (1, 3), for which no slabs were gathered, nor perhaps mirrors."""
-    if fold(facets, path, offset_m, LONE, walk) != EVERYWHERE:
-        return False
-    if not are_mirrors_gathered and gather_mirrors(facets, path, LONE, walk) != EVERYWHERE:
-        return False
-    if not _turns(facets, path, walk) or gather_slabs(facets, path, LONE, walk) != EVERYWHERE:
-        return False
-    return decide(facets, path, LONE, walk) == EVERYWHERE
+        if _hit(facets, j, bundle, walk) == -1:
+            return NOWHERE
+    verdict = gather_slabs(facets, path, bundle, walk)
+    return decide(facets, path, bundle, walk) if verdict == EVERYWHERE else verdict

@@ -4,29 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import (
-    C128,
-    CORNERS,
-    EVERYWHERE,
-    F64,
-    I32,
-    I64,
-    LONE,
-    MIXED,
-    NOWHERE,
-    QUAD,
-    Aperture,
-    Facets,
-    Media,
-    Path,
-    Sums,
-    Walk,
-    new_walk,
-)
-from xfreqbench.tracing.image.kernels.bundles import decide, fold, gather_mirrors, gather_slabs, reaches
-from xfreqbench.tracing.image.kernels.compiled import bare, entry, part
-from xfreqbench.tracing.image.kernels.fields import Image, gains, interpolate, spread
-from xfreqbench.tracing.image.kernels.sequences import Trie, candidates_of, line_of
+from xfreqbench.tracing.paths import REFRACTION, SPECULAR
+
+from .arrays import BLOCK, F64, I32, I64, CentrePath, Facets, Media, Path, Scene, Sums, Walk, new_walk
+from .bundles import EVERYWHERE, MIXED, NOWHERE, decide, fold, follow, gather_mirrors, gather_slabs
+from .compiled import bare, entry, part, whole
+from .fields import Image, gains, interpolate, spread
+from .sequences import Trie, candidates_of, line_of
+from .tree import CORNERS, LONE, QUAD
 
 
 @part
@@ -42,22 +27,14 @@ def _met(length: int, walk: Walk) -> int:
 
 @bare
 def _add_to_some(
-    facets: Facets,
-    media: Media,
-    aperture: Aperture,
-    quads: I64,
-    path: Path,
-    f: int,
-    image: Image,
-    are_gathered: tuple[bool, bool],
-    walk: Walk,
-    sums: Sums,
+    scene: Scene, path: Path, f: int, image: Image, are_gathered: tuple[bool, bool], walk: Walk, sums: Sums
 ) -> bool:
     """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
 
-    It is decided for each of the `quads` (B, 4) of neighbours at once, where they agree. `are_gathered` says whether
+    It is decided for each quad of neighbours at once, where they agree. `are_gathered` says whether
     the mirrors and the slabs that the path may meet on its way to any of the elements were gathered.
     """
+    facets, media, aperture, quads = scene
     (has_mirrors, has_slabs), (real, imag), own = are_gathered, sums, walk.own
     element_m, wavelength_m, num_elements = aperture.element_m[f], aperture.wavelength_m[f], real.shape[0]
     first = aperture.node_m.shape[1] + f * num_elements
@@ -85,12 +62,13 @@ def _add_to_some(
             if e <= last:  # there again, at the rim of an odd number of elements
                 continue
             last = e
+            lone = four[k : k + 1]
             if reach == MIXED and is_gathered:
-                if fold(facets, path, four[k : k + 1], LONE, walk) != EVERYWHERE:
+                if fold(facets, path, lone, LONE, walk) != EVERYWHERE:
                     continue
                 if decide(facets, path, LONE, walk) != EVERYWHERE:
                     continue
-            elif reach == MIXED and not reaches(facets, path, four[k : k + 1], has_mirrors, walk):
+            elif reach == MIXED and follow(facets, path, lone, has_mirrors, LONE, walk) != EVERYWHERE:
                 continue
             met = _met(path.length, walk)
             if met != known:  # else the waves at all elements are known, which meet the same
@@ -104,21 +82,12 @@ def _add_to_some(
 
 
 @bare
-def _add_path(
-    facets: Facets,
-    media: Media,
-    aperture: Aperture,
-    quads: I64,
-    path: Path,
-    share: bool,
-    walk: Walk,
-    sums: Sums,
-    num_paths: I32,
-) -> None:
+def _add_path(scene: Scene, path: Path, share: bool, walk: Walk, sums: Sums, num_paths: I32) -> None:
     """Add a path to `sums` (F, M) each. A carrier at which the corners agree decides for all narrower apertures."""
+    facets, media, aperture, _ = scene
     (real, imag), reach, num_carriers, num_nodes = sums, MIXED, num_paths.shape[0], aperture.weight.shape[0]
-    x, y, z = (walk.start[0, 0] - path.image[0], walk.start[0, 1] - path.image[1], walk.start[0, 2] - path.image[2])
-    mirror = path.mirror
+    start, end, mirror = walk.start, path.image, path.mirror
+    x, y, z = start[0, 0] - end[0], start[0, 1] - end[1], start[0, 2] - end[2]
     image = (  # the way from the image of the array centre to the transmitter, in the elements' axes
         x * x + y * y + z * z,
         x * mirror[0, 0] + y * mirror[1, 0] + z * mirror[2, 0],
@@ -155,68 +124,67 @@ def _add_path(
             num_paths[f] += size > 0.0
         else:
             are_gathered = has_mirrors, has_slabs
-            num_paths[f] += _add_to_some(facets, media, aperture, quads, path, f, image, are_gathered, walk, own_sums)
-
-
-@bare
-def _add_paths(
-    facets: Facets,
-    media: Media,
-    trie: Trie,
-    aperture: Aperture,
-    quads: I64,
-    share: bool,
-    found: I64,
-    number: int,
-    walk: Walk,
-    sums: Sums,
-    num_paths: I32,
-) -> None:
-    """Add the paths of the first so many nodes `found` to `sums` (F, M) each."""
-    for c in range(number):
-        length = line_of(facets, trie, found[c], walk)
-        path = Path(length, walk.plane, walk.image, walk.mirror)
-        _add_path(facets, media, aperture, quads, path, share, walk, sums, num_paths)
+            num_paths[f] += _add_to_some(scene, path, f, image, are_gathered, walk, own_sums)
 
 
 @entry
-def add_channel(
-    facets: Facets,
-    media: Media,
-    trie: Trie,
-    aperture: Aperture,
-    quads: I64,
-    tx: F64,
-    max_depth: int,
-    share: bool,
-    sums: Sums,
-    num_paths: I32,
-) -> None:
+def add_channel(scene: Scene, trie: Trie, tx: F64, max_depth: int, share: bool, sums: Sums, num_paths: I32) -> None:
     """Add the channel (F, M) of the transmitter at `tx` (3,) to `sums`, and the number of its paths (F,).
 
     A path counts where its field reaches at least one element and has not vanished on the way. With `share` the
     corners of the aperture decide for the elements between them, which changes the answer by rounding only.
     """
-    walk = new_walk(max_depth, aperture.node_m.shape[1], aperture.weight.shape[1], tx)
+    walk = new_walk(max_depth, scene.aperture.node_m.shape[1], scene.aperture.weight.shape[1], tx)
     found = np.empty(len(trie.parent), np.int64)
-    number = candidates_of(trie, tx, found)
-    _add_paths(facets, media, trie, aperture, quads, share, found, number, walk, sums, num_paths)
+    for c in range(candidates_of(trie, tx, found)):
+        length = line_of(scene.facets, trie, found[c], walk)
+        path = Path(length, walk.plane, walk.image, walk.mirror)
+        _add_path(scene, path, share, walk, sums, num_paths)
+
+
+@whole
+def list_interactions(
+    walk: Walk, length: int, backward: bool, at: int, surface: I64, code: I64, met: I64, point: F64
+) -> int:
+    """Write the interactions of the path traced last, as `CentrePath` has them, to rows `at` and after; the next row.
+
+    `surface` is the mesh of each facet.
+    """
+    for step in range(length + 1):
+        s = length - step if backward else step
+        start, end = walk.vertex[0, s], walk.vertex[0, s + 1]
+        for i in range(walk.num_crossed[s]):
+            which = walk.num_crossed[s] - 1 - i if backward else i
+            code[at], met[at] = REFRACTION, surface[walk.crossed[s, which]]
+            point[at] = start + walk.crossed_at[s, which] * (end - start)
+            at += 1
+        if step < length:
+            turn = s if backward else s + 1
+            code[at], met[at], point[at] = SPECULAR, surface[walk.hit[turn - 1]], walk.vertex[0, turn]
+            at += 1
+    return at
 
 
 @entry
-def reaching(facets: Facets, media: Media, trie: Trie, tx: F64, max_depth: int) -> list[tuple[int, C128, Walk]]:
-    """Nodes whose path reaches the array centre from `tx` (3,), with its gain (F,), and how it runs.
+def paths_to_centre(
+    facets: Facets, media: Media, trie: Trie, surface: I64, tx: F64, max_depth: int
+) -> list[CentrePath]:
+    """Paths from `tx` (3,) to the array centre; `surface` is the mesh of each facet.
 
     The lanes of `media` are its carriers.
     """
     num_carriers = media.permittivity.shape[0]
     centre, centres = np.zeros((1, 3)), np.zeros((3, num_carriers))
     found, reached = np.empty(len(trie.parent), np.int64), []
+    walk = new_walk(max_depth, num_carriers, 1, tx)
     for c in range(candidates_of(trie, tx, found)):
-        walk = new_walk(max_depth, num_carriers, 1, tx)
         length = line_of(facets, trie, found[c], walk)
         path = Path(length, walk.plane, walk.image, walk.mirror)
-        if reaches(facets, path, centre, False, walk):
+        if follow(facets, path, centre, False, LONE, walk) == EVERYWHERE:
             gains(facets, media, path, centres, 0, num_carriers, walk, walk.gain)
-            reached.append((found[c], walk.gain[0] + 1j * walk.gain[1], walk))
+            code, met, point = (np.zeros(max_depth, np.int64), np.full(max_depth, -1), np.full((max_depth, 3), np.nan))
+            list_interactions(walk, length, False, 0, surface, code, met, point)
+            arrival, gain = -walk.wave[: 3 * BLOCK : BLOCK], walk.gain[0] + 1j * walk.gain[1]
+            length_m = float(np.linalg.norm(tx - walk.image))
+            reached.append((gain, length_m, arrival, code, met, point))
     return reached

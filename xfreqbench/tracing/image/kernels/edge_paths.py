@@ -1,4 +1,4 @@
-"""Kernels of the way of a path over one edge, with planes that reflect it before and after, and of its field.
+"""Kernels of paths over one edge, with planes that reflect them before and after: their way, field and sum.
 
 Each end of a path sees the edge directly or over some planes: that is a side, the image of the end mirrored in one
 plane after another. Unfolded, a path is the shortest way from one image over the edge to the other. Turned about the
@@ -13,46 +13,47 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import (
-    BLOCK,
-    C128,
-    EVERYWHERE,
-    F64,
-    I64,
-    MIXED,
-    NOWHERE,
-    Aperture,
-    Bundle,
-    Facets,
-    Media,
-    Path,
-    Walk,
-    new_walk,
-)
-from xfreqbench.tracing.image.kernels.bundles import decide, fold, gather_mirrors, gather_slabs, reaches
-from xfreqbench.tracing.image.kernels.compiled import bare, whole
-from xfreqbench.tracing.image.kernels.edge_sides import MAX_SIDE_PLANES, Reflectors
-from xfreqbench.tracing.image.kernels.fields import antenna_field
-from xfreqbench.tracing.image.kernels.slabs import reflect, transmit
-from xfreqbench.tracing.image.kernels.wedges import Polar, Wedges, diffract, edge_point, place, polar
-from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR
+from xfreqbench.tracing.paths import DIFFRACTION
 
-Pair = tuple[Path, Path]  # how the two ends see an edge: the planes of a path are those of its end's side
+from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, Scene, Sums, Walk, new_walk
+from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
+from .channels import list_interactions
+from .compiled import bare, entry, lane, whole
+from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
+from .fields import antenna_field
+from .slabs import cosine_and_sine, reflect, transmit
+from .tree import CORNERS, LONE, Bundle
+from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
 
-# Of the field over the array, roughly: the change up to which it is computed at the centre alone, and up to which it
-# is interpolated.
-MAX_CENTRED_CHANGE = 0.01
-MAX_INTERPOLATED_CHANGE = 0.15
+MAX_CENTRED_CHANGE = 0.01  # of the field over the array, roughly, up to which it is computed at its centre alone
+MAX_INTERPOLATED_CHANGE = 0.15  # and up to which it is interpolated
 
 
 class Room(NamedTuple):
     """What is the same for all paths."""
 
-    facets: Facets
-    media: Media
+    scene: Scene
     wedges: Wedges
     mirrors: Reflectors
-    aperture: Aperture
+
+
+class EdgePath(NamedTuple):
+    """A path over an edge, by how its two ends see it: the planes of either half are those of its end's side."""
+
+    edge: int
+    near: Path  # the half on the transmitter's side
+    far: Path
+    near_polar: Polar  # where the image of the transmitter is from the edge
+    far_polar: Polar  # where that of the array centre is
+
+
+class Limits(NamedTuple):
+    """Which paths are sought, and which of them are skipped."""
+
+    max_depth: int  # interactions in all
+    max_planes: int  # reflections on either side of the edge
+    share: bool  # decide at the array's corners which paths reach its elements
+    floor: float  # paths weaker than this, relative to the strongest element without edges, are skipped
 
 
 class Work(NamedTuple):
@@ -60,8 +61,7 @@ class Work(NamedTuple):
 
     near: Walk
     far: Walk
-    near_end: F64  # (3,) image of the transmitter
-    far_end: F64  # (3,) image of an element
+    end: F64  # (2, 3) images of the transmitter and of an element
     point: F64  # (3,) of the edge
     waves: F64  # (2, 3): unit vectors from the ends to the point
     fields: C128  # (2, 3): that they bring there
@@ -69,16 +69,16 @@ class Work(NamedTuple):
     vectors: F64  # (6, 3)
     zeros: F64  # (4, 3)
     own: F64  # (1, 3): an element
+    most: F64  # (F,): bounds of a path's amplitude over its wavelength, in 1/m
+    floor: F64  # (F,): the least with which it is added
 
 
 @whole
-def new_work(num_elements: int) -> Work:
-    """Work space for paths to an array."""
+def _new_work(num_elements: int, num_carriers: int) -> Work:
     return Work(
         new_walk(MAX_SIDE_PLANES, 1, 1, np.zeros(3)),
         new_walk(MAX_SIDE_PLANES, 1, 1, np.zeros(3)),
-        np.zeros(3),
-        np.zeros(3),
+        np.zeros((2, 3)),
         np.zeros(3),
         np.zeros((2, 3)),
         np.zeros((2, 3), np.complex128),
@@ -86,19 +86,22 @@ def new_work(num_elements: int) -> Work:
         np.zeros((6, 3)),
         np.zeros((4, 3)),
         np.zeros((1, 3)),
+        np.zeros(num_carriers),
+        np.zeros(num_carriers),
     )
 
 
 @bare
-def begin_at(wedges: Wedges, e: int, work: Work) -> None:
+def _begin_at(wedges: Wedges, e: int, work: Work) -> None:
     """Let the halves of paths begin at edge e."""
     for c in range(3):
-        work.near.edge[0, c] = work.far.edge[0, c] = wedges.start[e, c]
-        work.near.edge[1, c] = work.far.edge[1, c] = wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
+        start, along = wedges.start[e, c], wedges.along[e, c]
+        work.near.edge[0, c] = work.far.edge[0, c] = start
+        work.near.edge[1, c] = work.far.edge[1, c] = start + wedges.length[e] * along
 
 
 @bare
-def end_at(side: Path, x: float, y: float, z: float, out: F64) -> None:
+def _end_at(side: Path, x: float, y: float, z: float, out: F64) -> None:
     """Image of an end's point at an offset from its centre."""
     for c in range(3):
         out[c] = side.image[c] + side.mirror[c, 0] * x + side.mirror[c, 1] * y + side.mirror[c, 2] * z
@@ -120,64 +123,43 @@ def _meets(wedges: Wedges, e: int, near: Polar, far_end: F64) -> tuple[int, floa
 
 
 @bare
-def _follow(facets: Facets, side: Path, offset_m: F64, bundle: Bundle, walk: Walk) -> int:
-    """Whether halves of paths from `walk.start` on reach all, none or some of the ends at `offset_m` (K, 3)."""
-    if len(bundle) == 1:
-        return EVERYWHERE if reaches(facets, side, offset_m, False, walk) else NOWHERE
-    verdict = fold(facets, side, offset_m, bundle, walk)
-    if verdict == EVERYWHERE:
-        verdict = gather_mirrors(facets, side, bundle, walk)
-    if verdict == EVERYWHERE:
-        verdict = gather_slabs(facets, side, bundle, walk)
-    return decide(facets, side, bundle, walk) if verdict == EVERYWHERE else verdict
+def _reach(room: Room, path: EdgePath, offset_m: F64, max_depth: int, bundle: Bundle, work: Work) -> int:
+    """Whether paths of at most `max_depth` interactions reach EVERYWHERE, NOWHERE or, MIXED, only some ends.
 
-
-@bare
-def reach(
-    facets: Facets,
-    wedges: Wedges,
-    e: int,
-    pair: Pair,
-    near: Polar,
-    offset_m: F64,
-    most: int,
-    bundle: Bundle,
-    work: Work,
-) -> int:
-    """Whether paths of at most `most` interactions besides edge e reach EVERYWHERE, NOWHERE or, MIXED, only some ends.
-
-    `near` is where the image of the transmitter is, `offset_m` (K, 3) are offsets of the elements. `begin_at` was
-    called for the edge. What the paths meet is left in `work`.
+    `offset_m` (K, 3) are offsets of the elements. `_begin_at` was called for the edge. What the paths meet is left in
+    `work`.
     """
+    facets, wedges, e, near = room.scene.facets, room.wedges, path.edge, path.near_polar
     if near[0] <= 1e-9 or near[2] <= 0.0 or near[2] >= wedges.angle[e]:
         return NOWHERE
     num_met, common = 0, 7
     for k in range(len(bundle)):
-        end_at(pair[1], offset_m[k, 0], offset_m[k, 1], offset_m[k, 2], work.far_end)
-        reason, z = _meets(wedges, e, near, work.far_end)
+        _end_at(path.far, offset_m[k, 0], offset_m[k, 1], offset_m[k, 2], work.end[1])
+        reason, z = _meets(wedges, e, near, work.end[1])
         num_met += reason == 0
         common &= reason
         for c in range(3):
             work.near.start[k, c] = work.far.start[k, c] = wedges.start[e, c] + z * wedges.along[e, c]
     if num_met < len(bundle):
         return NOWHERE if common != 0 else MIXED
-    work.near.limit[0] = most - pair[0].length - pair[1].length
-    verdict = _follow(facets, pair[0], work.zeros, bundle, work.near)
+    work.near.limit[0] = max_depth - 1 - path.near.length - path.far.length
+    verdict = follow(facets, path.near, work.zeros, False, bundle, work.near)
     if verdict != EVERYWHERE:
         return verdict
     num_crossed = 0
-    for s in range(pair[0].length + 1):
+    for s in range(path.near.length + 1):
         num_crossed += work.near.num_crossed[s]
     work.far.limit[0] = work.near.limit[0] - num_crossed
-    return _follow(facets, pair[1], offset_m, bundle, work.far)
+    return follow(facets, path.far, offset_m, False, bundle, work.far)
 
 
 @bare
-def _carry(facets: Facets, media: Media, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work) -> None:
+def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work) -> None:
     """Carry the field of the antenna at one end to the point of the edge, backwards over a half that was traced.
 
     `end` is the image of that end. The wave's direction at the edge is left in `work.waves`.
     """
+    facets, media, _, _ = scene
     wave, way, mirror, field = walk.wave, work.waves[half], side.mirror, work.fields[half]
     norm = 0.0
     for c in range(3):
@@ -201,50 +183,50 @@ def _carry(facets: Facets, media: Media, side: Path, walk: Walk, end: F64, lane:
 
 
 @bare
-def gain(room: Room, e: int, pair: Pair, near: Polar, f: int, work: Work) -> complex:
-    """Gain at carrier f of the path that was traced last, to the end in `work.far_end`.
+def _gain(room: Room, path: EdgePath, f: int, work: Work) -> complex:
+    """Gain at carrier f of the path that was traced last, to the end in `work.end[1]`.
 
     Spreading and travel phase are left out, as if the path were straight.
     """
-    wedges, media, lane = room.wedges, room.media, f * room.aperture.weight.shape[0]
-    far = polar(wedges, e, work.far_end)
+    wedges, media, lane = room.wedges, room.scene.media, f * room.scene.aperture.weight.shape[0]
+    e, near, far = path.edge, path.near_polar, polar(wedges, path.edge, work.end[1])
     z = edge_point(near, far)
     before, after = math.hypot(near[0], z - near[1]), math.hypot(far[0], z - far[1])
     for c in range(3):
         work.point[c] = wedges.start[e, c] + z * wedges.along[e, c]
-    _carry(room.facets, media, pair[0], work.near, work.near_end, lane, 0, work)
-    _carry(room.facets, media, pair[1], work.far, work.far_end, lane, 1, work)
-    size = 4.0 * math.pi / room.aperture.wavelength_m[f] * before * after / (before + after)
+    _carry(room.scene, path.near, work.near, work.end[0], lane, 0, work)
+    _carry(room.scene, path.far, work.far, work.end[1], lane, 1, work)
+    size = 4.0 * math.pi / room.scene.aperture.wavelength_m[f] * before * after / (before + after)
     waves, fields = (work.waves[0], work.waves[1]), (work.fields[0], work.fields[1])
     root = math.sqrt(size) * near[0] / before
     return diffract(wedges, media, e, f, waves, fields, (near[2], far[2]), root, work.vectors)
 
 
 @bare
-def length_over(wedges: Wedges, e: int, near: Polar, x: F64) -> float:
+def _length_over(wedges: Wedges, e: int, near: Polar, x: F64) -> float:
     """Length of the shortest way over the edge from a point in polar coordinates to another."""
     a, b, z = place(wedges, e, x)
     return math.sqrt((near[0] + math.sqrt(a * a + b * b)) ** 2 + (near[1] - z) ** 2)
 
 
 @bare
-def gains(room: Room, e: int, pair: Pair, near: Polar, f: int, shift: float, work: Work) -> None:
+def _gains(room: Room, path: EdgePath, f: int, shift: float, work: Work) -> None:
     """Gains at carrier f at all elements, of a path that reaches all of them, to work.gains (M,).
 
     Where the field hardly changes over the array it is computed at its centre, where it changes a little at the
     nodes between which it is interpolated, else at every element. `shift` is its change by the metre.
     """
-    aperture, gains, corner = room.aperture, work.gains, room.aperture.corner_m[f, 0]
+    aperture, gains, corner = room.scene.aperture, work.gains, room.scene.aperture.corner_m[f, 0]
     changes = shift * math.sqrt(corner[0] ** 2 + corner[1] ** 2 + corner[2] ** 2)
     num_nodes, num_elements = aperture.weight.shape
     if num_nodes == num_elements or changes > MAX_INTERPOLATED_CHANGE:
         for m in range(num_elements):
             x, y, z = aperture.element_m[f, 0, m], aperture.element_m[f, 1, m], aperture.element_m[f, 2, m]
-            end_at(pair[1], x, y, z, work.far_end)
-            gains[m] = gain(room, e, pair, near, f, work)
+            _end_at(path.far, x, y, z, work.end[1])
+            gains[m] = _gain(room, path, f, work)
     elif changes < MAX_CENTRED_CHANGE:
-        end_at(pair[1], 0.0, 0.0, 0.0, work.far_end)
-        at_centre = gain(room, e, pair, near, f, work)
+        _end_at(path.far, 0.0, 0.0, 0.0, work.end[1])
+        at_centre = _gain(room, path, f, work)
         for m in range(num_elements):
             gains[m] = at_centre
     else:
@@ -252,21 +234,14 @@ def gains(room: Room, e: int, pair: Pair, near: Polar, f: int, shift: float, wor
             gains[m] = 0.0
         for node in range(num_nodes):
             i = f * num_nodes + node
-            end_at(pair[1], aperture.node_m[0, i], aperture.node_m[1, i], aperture.node_m[2, i], work.far_end)
-            at_node = gain(room, e, pair, near, f, work)
+            _end_at(path.far, aperture.node_m[0, i], aperture.node_m[1, i], aperture.node_m[2, i], work.end[1])
+            at_node = _gain(room, path, f, work)
             for m in range(num_elements):
                 gains[m] += aperture.weight[node, m] * at_node
 
 
 @bare
-def _off_boundary(turn: float, n: float) -> float:
-    """How far off its boundary, in half turns over n, the term that belongs to an angle is."""
-    off = turn / (2.0 * n)
-    return off - math.pi * math.floor(off / math.pi + 0.5)
-
-
-@bare
-def bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
+def _bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
     """Write bounds (F,) of a diffracted path's amplitude over its wavelength, in 1/m, reflections left out.
 
     Each of the four terms is at most 1, and at most its value by geometrical optics far off its boundary.
@@ -277,8 +252,7 @@ def bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -
     for f in range(out.shape[0]):
         out[f] = 0.0
     for i in range(4):
-        apart = far[2] - near[2] if i < 2 else far[2] + near[2]
-        off = _off_boundary(math.pi + (apart if i % 2 == 0 else -apart), n)
+        off = off_boundary(i, n, far[2], near[2])
         sine = abs(math.sin(n * off))
         share = min(1.0, sine / (n * abs(math.tan(off)) + 1e-30)) / (8.0 * math.pi * length_m)
         share *= 1.0 if i > 1 else 2.0  # straight on, up to 1 − T, where faces let T through
@@ -288,36 +262,139 @@ def bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -
 
 
 @bare
-def change(angle: float, near: Polar, far: Polar) -> float:
+def _change(angle: float, near: Polar, far: Polar) -> float:
     """By how much, relative to its size, the field changes where the far end moves by a metre; roughly."""
     n, least = angle / math.pi, 1.0
     for i in range(4):
-        apart = far[2] - near[2] if i < 2 else far[2] + near[2]
-        least = min(least, 2.0 * n * abs(_off_boundary(math.pi + (apart if i % 2 == 0 else -apart), n)))
+        least = min(least, 2.0 * n * abs(off_boundary(i, n, far[2], near[2])))
     return 1.0 / (far[0] * least + 1e-30)
 
 
-@whole
-def list_interactions(work: Work, pair: Pair, e: int, code: I64, met: I64, point: F64) -> None:
-    """Write the interactions (D,) of the path traced last over edge e, from the first end on, and where they happen.
+@bare
+def _add_path(room: Room, path: EdgePath, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
+    """Add a path to `sums` (F, M) each at the carriers where it may be as strong as the floor.
 
-    `met` (D,) gets the facet of each, and −1 − e at the edge; `point` is (D, 3).
+    A carrier at which the corners agree decides for all narrower apertures.
     """
-    at = 0
-    for half in range(2):
-        walk, n = (work.near, pair[0].length) if half == 0 else (work.far, pair[1].length)
-        for step in range(n + 1):
-            s = n - step if half == 0 else step
-            for i in range(walk.num_crossed[s]):
-                which = walk.num_crossed[s] - 1 - i if half == 0 else i
-                code[at], met[at] = REFRACTION, walk.crossed[s, which]
-                start, end = walk.vertex[0, s], walk.vertex[0, s + 1]
-                point[at] = start + walk.crossed_at[s, which] * (end - start)
-                at += 1
-            turn = s if half == 0 else s + 1
-            if step < n:
-                code[at], met[at], point[at] = SPECULAR, walk.hit[turn - 1], walk.vertex[0, turn]
-                at += 1
-        if half == 0:
-            code[at], met[at], point[at] = DIFFRACTION, -1 - e, walk.vertex[0, 0]
-            at += 1
+    (real, imag), aperture, wedges, reached, own = sums, room.scene.aperture, room.wedges, MIXED, work.own
+    shift = _change(wedges.angle[path.edge], path.near_polar, path.far_polar)
+    for f in range(num_paths.shape[0]):
+        if work.most[f] < work.floor[f]:
+            continue
+        if limits.share and reached == MIXED:
+            reached = _reach(room, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
+        if reached == NOWHERE:
+            break
+        is_heard, wavelength_m = False, aperture.wavelength_m[f]
+        if reached == EVERYWHERE:
+            _gains(room, path, f, shift, work)
+        for m in range(real.shape[1]):
+            for c in range(3):
+                own[0, c] = aperture.element_m[f, c, m]
+            if reached == MIXED:
+                if _reach(room, path, own, limits.max_depth, LONE, work) != EVERYWHERE:
+                    continue
+                work.gains[m] = _gain(room, path, f, work)
+            _end_at(path.far, own[0, 0], own[0, 1], own[0, 2], work.end[1])
+            length_m = _length_over(wedges, path.edge, path.near_polar, work.end[1])
+            cosine, sine = cosine_and_sine(length_m / wavelength_m)
+            factor = wavelength_m / (4.0 * math.pi * length_m) * complex(cosine, -sine) * work.gains[m]
+            real[f, m] += factor.real
+            imag[f, m] += factor.imag
+            is_heard |= factor != 0
+        num_paths[f] += is_heard
+
+
+@bare
+def _meet(near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
+    """Whether the path over two sides meets the edge in the parts that they see, for ends within a radius."""
+    near_m, far_m = near.polar[a, 0], far.polar[b, 0]
+    z_m = edge_point((near_m, near.polar[a, 1], 0.0), (far_m, far.polar[b, 1], 0.0))
+    lean = abs(far.polar[b, 1] - near.polar[a, 1]) / (near_m + far_m)
+    slack_m = 1.2 * radius_m * (1.0 + lean) + 1e-9
+    low_m = max(near.span[a, 0], far.span[b, 0]) - slack_m
+    return low_m <= z_m <= min(near.span[a, 1], far.span[b, 1]) + slack_m
+
+
+@lane
+def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> EdgePath:
+    """The path over edge e that two of its sides make."""
+    return EdgePath(
+        e,
+        Path(near.length[a], near.plane[a], near.image[a], near.mirror[a]),
+        Path(far.length[b], far.plane[b], far.image[b], far.mirror[b]),
+        (near.polar[a, 0], near.polar[a, 1], near.polar[a, 2]),
+        (far.polar[b, 0], far.polar[b, 1], far.polar[b, 2]),
+    )
+
+
+@bare
+def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
+    """Add all paths over edges to `sums` (F, M) each."""
+    aperture, angle, most = room.scene.aperture, room.wedges.angle, work.most
+    for e in range(angle.shape[0]):
+        _begin_at(room.wedges, e, work)
+        for a in range(near.first[e], near.first[e + 1]):
+            for c in range(3):
+                work.end[0, c] = near.image[a, c]
+            for b in range(far.first[e], far.first[e + 1]):
+                is_deep = near.length[a] + far.length[b] >= limits.max_depth
+                if is_deep or not _meet(near, a, far, b, aperture.radius_m):
+                    continue
+                path, is_any = _path_over(e, near, a, far, b), False
+                _bounds(angle[e], path.near_polar, path.far_polar, aperture.wavelength_m, most)
+                for f in range(most.shape[0]):
+                    most[f] *= near.most[a, f] * far.most[b, f]
+                    is_any |= most[f] >= work.floor[f]
+                if is_any:
+                    _add_path(room, path, limits, work, sums, num_paths)
+
+
+@entry
+def add_over_edges(room: Room, far: Sides, limits: Limits, tx: F64, sums: Sums, num_paths: I32) -> None:
+    """Add the channel (F, M) over edges of the transmitter at `tx` (1, 3) to `sums`, which hold that of other paths.
+
+    The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges.
+    """
+    (real, imag), wavelength_m = sums, room.scene.aperture.wavelength_m
+    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
+    work = _new_work(real.shape[1], len(wavelength_m))
+    for f in range(len(wavelength_m)):
+        for m in range(real.shape[1]):
+            least = limits.floor * math.hypot(real[f, m], imag[f, m]) / wavelength_m[f]
+            work.floor[f] = max(work.floor[f], least)
+    _add_all(room, near, far, limits, work, sums, num_paths)
+
+
+@entry
+def paths_over_edges(
+    room: Room, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64
+) -> list[CentrePath]:
+    """Paths over edges from the transmitter at `tx` (1, 3) to the array centre, none of them skipped.
+
+    `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge.
+    """
+    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
+    num_carriers, depth = room.scene.aperture.wavelength_m.shape[0], limits.max_depth
+    work, centre, reached = _new_work(1, num_carriers), np.zeros((1, 3)), []
+    for e in range(room.wedges.length.shape[0]):
+        _begin_at(room.wedges, e, work)
+        for a in range(near.first[e], near.first[e + 1]):
+            work.end[0] = near.image[a]
+            for b in range(far.first[e], far.first[e + 1]):
+                if near.length[a] + far.length[b] >= depth or not _meet(near, a, far, b, 0.0):
+                    continue
+                path = _path_over(e, near, a, far, b)
+                if _reach(room, path, centre, depth, LONE, work) != EVERYWHERE:
+                    continue
+                code, met, point = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
+                at = list_interactions(work.near, path.near.length, True, 0, surface, code, met, point)
+                code[at], met[at], point[at] = DIFFRACTION, edge_surface[e], work.near.vertex[0, 0]
+                list_interactions(work.far, path.far.length, False, at + 1, surface, code, met, point)
+                gain = np.empty(num_carriers, np.complex128)
+                for f in range(num_carriers):
+                    gain[f] = _gain(room, path, f, work)
+                length_m = _length_over(room.wedges, e, path.near_polar, work.end[1])
+                way = work.far.vertex[0, path.far.length] - work.far.vertex[0, path.far.length + 1]
+                reached.append((gain, length_m, way / np.linalg.norm(way), code, met, point))
+    return reached

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import F64, I16, I64, Facets
-from xfreqbench.tracing.image.kernels.compiled import bare, entry, part, whole
-from xfreqbench.tracing.image.kernels.tree import beyond_edges
-from xfreqbench.tracing.image.kernels.wedges import Wedges, polar
+from .arrays import F64, I16, I64, Facets
+from .compiled import bare, entry, part, whole, within
+from .sequences import mirrored_offsets
+from .tree import beyond_edges
+from .wedges import Wedges, polar
 
 Span = tuple[float, float]
 
@@ -37,6 +38,7 @@ class Sides(NamedTuple):
     """How points at one end of a path see all edges, sorted by edge. (S sides, E edges)"""
 
     first: I64  # (E + 1,): sides of edge e are first[e]:first[e + 1], those that can weigh most first
+    edge: I64  # (S,)
     length: I64  # (S,) number of planes
     plane: I16  # (S, MAX_SIDE_PLANES) in the order in which a wave from the end meets them
     image: F64  # (S, 3) of the end
@@ -46,14 +48,16 @@ class Sides(NamedTuple):
     most: F64  # (S, F): bound of the factor of the field that the reflections make at each carrier
 
 
-class Found(NamedTuple):
-    """Sides as they are found, in arrays that are longer than needed."""
+class Search(NamedTuple):
+    """Where to look for sides, what is found, and work space. (O points, S sides that there is room for)"""
 
-    edge: I64
-    length: I64
-    plane: I16
-    span: F64
-    most: F64
+    facets: Facets
+    mirrors: Reflectors
+    wedges: Wedges
+    found: Sides
+    images: F64  # (O, MAX_SIDE_PLANES + 1, 3) of the points over the first planes of the sequence
+    sequence: I64  # (MAX_SIDE_PLANES + 1,) planes
+    work: F64  # (7, 3)
 
 
 @part
@@ -67,6 +71,19 @@ def _clip(span: Span, first: float, last: float) -> Span:
     return (max(span[0], root), span[1]) if first < 0.0 else (span[0], min(span[1], root))
 
 
+@part
+def _height(facets: Facets, p: int, x: F64, weight: float) -> float:
+    """Height of a point above plane p times its weight; of weight 0 is a direction, which has a slope."""
+    normal = facets.normal
+    return normal[0, p] * x[0] + normal[1, p] * x[1] + normal[2, p] * x[2] - facets.offset[p] * weight
+
+
+@part
+def _share(dual: F64, x: F64, weight: float) -> float:
+    """How far along a side of its facet a point is, in lengths of the side, times its weight."""
+    return dual[0] * x[0] + dual[1] * x[1] + dual[2] * x[2] - dual[3] * weight
+
+
 @bare
 def _seen_through(facets: Facets, mirrors: Reflectors, p: int, span: Span, point: F64, weight: F64) -> Span:
     """The part of a span whose points, in homogeneous coordinates at 0 and 1, lie in the facets of plane p."""
@@ -74,13 +91,9 @@ def _seen_through(facets: Facets, mirrors: Reflectors, p: int, span: Span, point
     face, slack0, slack1 = facets.face, ROUNDING * weight[0], ROUNDING * weight[1]
     for i in range(mirrors.first[p], mirrors.first[p + 1]):
         q = mirrors.facet[i]
-        u0, u1 = -face[q, 7] * weight[0], -face[q, 7] * weight[1]
-        v0, v1 = -face[q, 11] * weight[0], -face[q, 11] * weight[1]
-        for c in range(3):
-            u0 += point[0, c] * face[q, 4 + c]
-            u1 += point[1, c] * face[q, 4 + c]
-            v0 += point[0, c] * face[q, 8 + c]
-            v1 += point[1, c] * face[q, 8 + c]
+        dual_u, dual_v = face[q, 4:8], face[q, 8:12]
+        u0, u1 = _share(dual_u, point[0], weight[0]), _share(dual_u, point[1], weight[1])
+        v0, v1 = _share(dual_v, point[0], weight[0]), _share(dual_v, point[1], weight[1])
         seen = _clip(_clip(span, u0 + slack0, u1 + slack1), v0 + slack0, v1 + slack1)
         if facets.is_triangle[q]:
             seen = _clip(seen, weight[0] - u0 - v0 + slack0, weight[1] - u1 - v1 + slack1)
@@ -104,14 +117,8 @@ def _seen(
         point[1, c] = wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
     for j in range(n - 1, -1, -1):
         p, image = sequence[j], images[j + 1]
-        there = here0 = here1 = 0.0
-        for c in range(3):
-            there += facets.normal[c, p] * image[c]
-            here0 += facets.normal[c, p] * point[0, c]
-            here1 += facets.normal[c, p] * point[1, c]
-        there -= facets.offset[p]
-        here0 -= facets.offset[p] * weight[0]
-        here1 -= facets.offset[p] * weight[1]
+        there = _height(facets, p, image, 1.0)
+        here0, here1 = _height(facets, p, point[0], weight[0]), _height(facets, p, point[1], weight[1])
         if there > 0.0:
             here0, here1 = -here0, -here1
         there = abs(there)
@@ -150,9 +157,7 @@ def _most(
     for j in range(n - 1, -1, -1):
         p, least = sequence[j], 1.0
         for i in range(2):
-            slope = 0.0
-            for c in range(3):
-                slope += facets.normal[c, p] * way[i, c]
+            slope = _height(facets, p, way[i], 0.0)
             least = min(least, abs(slope))
             for c in range(3):
                 way[i, c] -= 2.0 * slope * facets.normal[c, p]
@@ -163,16 +168,13 @@ def _most(
 @bare
 def _can_follow(facets: Facets, mirrors: Reflectors, last: int, p: int, image: F64) -> bool:
     """Whether a wave that plane `last` reflects, as if from `image` behind it, could meet a facet of plane p."""
-    there = -facets.offset[last]
-    for c in range(3):
-        there += facets.normal[c, last] * image[c]
+    there = _height(facets, last, image, 1.0)
     for q in range(mirrors.first[p], mirrors.first[p + 1]):
         for through in range(mirrors.first[last], mirrors.first[last + 1]):
             num_behind, beyond_all = 0, 31
             for i in range(4):
-                x, gap = mirrors.corner[q, i], -facets.offset[last]
-                for c in range(3):
-                    gap += facets.normal[c, last] * x[c]
+                x = mirrors.corner[q, i]
+                gap = _height(facets, last, x, 1.0)
                 if gap * there >= 0.0:
                     num_behind += 1
                     continue
@@ -188,33 +190,21 @@ def _can_follow(facets: Facets, mirrors: Reflectors, last: int, p: int, image: F
 @bare
 def _mirrored(facets: Facets, p: int, x: F64, out: F64) -> None:
     """The image of a point behind plane p."""
-    gap = -facets.offset[p]
-    for c in range(3):
-        gap += facets.normal[c, p] * x[c]
+    gap = _height(facets, p, x, 1.0)
     for c in range(3):
         out[c] = x[c] - 2.0 * gap * facets.normal[c, p]
 
 
 @bare
-def _look(
-    facets: Facets,
-    mirrors: Reflectors,
-    wedges: Wedges,
-    sequence: I64,
-    n: int,
-    images: F64,
-    work: F64,
-    most: F64,
-    found: Found,
-    num: int,
-) -> int:
-    """Add to `found`, which holds `num`, the edges that points see over n planes; images (O, n + 1, 3) are theirs.
+def _look(search: Search, n: int, num: int) -> int:
+    """Add the edges that the points see over n planes to those found, `num` until now; how many there are then.
 
-    Bounds are those of the first point that sees an edge. `work` (7, 3) and `most` (F,) are work space.
+    Bounds are those of the first point that sees an edge. Those for which there is no room overwrite the last.
     """
+    facets, mirrors, wedges, found, images, sequence, work = search
     ends, way = work[3:5], work[5:7]
     for e in range(wedges.length.shape[0]):
-        low, high = 2.0, -1.0
+        low, high, row = 2.0, -1.0, min(num, found.edge.shape[0] - 1)
         for o in range(images.shape[0]):
             image = images[o, n]
             seen = _seen(facets, mirrors, wedges, e, sequence, n, images[o], work)
@@ -224,40 +214,30 @@ def _look(
                 for c in range(3):
                     for i in range(2):
                         ends[i, c] = wedges.start[e, c] + seen[i] * wedges.length[e] * wedges.along[e, c]
-                _most(facets, mirrors, ends, sequence, n, image, way, most)
+                _most(facets, mirrors, ends, sequence, n, image, way, found.most[row])
             low, high = min(low, seen[0]), max(high, seen[1])
         if low > high:
             continue
-        if num < found.edge.shape[0]:
-            found.edge[num], found.length[num] = e, n
-            for f in range(most.shape[0]):
-                found.most[num, f] = most[f]
-            found.span[num, 0], found.span[num, 1] = low * wedges.length[e], high * wedges.length[e]
-            for j in range(MAX_SIDE_PLANES):
-                found.plane[num, j] = sequence[j] if j < n else -1
         num += 1
+        found.edge[row], found.length[row] = e, n
+        found.span[row, 0], found.span[row, 1] = low * wedges.length[e], high * wedges.length[e]
+        for j in range(MAX_SIDE_PLANES):
+            found.plane[row, j] = sequence[j] if j < n else -1
+        for c in range(3):
+            found.image[row, c] = images[0, n, c]
+        distance, along, angle = polar(wedges, e, images[0, n])
+        found.polar[row, 0], found.polar[row, 1], found.polar[row, 2] = distance, along, angle
+        mirrored_offsets(facets, found.plane[row], n, found.mirror[row])
     return num
 
 
 @bare
-def _search(
-    facets: Facets,
-    mirrors: Reflectors,
-    wedges: Wedges,
-    max_planes: int,
-    images: F64,
-    sequence: I64,
-    work: F64,
-    most: F64,
-    found: Found,
-) -> int:
-    """Find all sides of the points images[:, 0] over at most `max_planes` planes; how many there are, kept or not.
-
-    `images` (O, MAX_SIDE_PLANES + 1, 3) and `sequence` (MAX_SIDE_PLANES + 1,) are otherwise work space.
-    """
+def _search(search: Search, max_planes: int) -> int:
+    """Find all sides of the points over at most `max_planes` planes; how many there are, with room for them or not."""
+    facets, mirrors, _, _, images, sequence, _ = search
     level, num_points = 0, images.shape[0]
     none: Any = np.int64(0)  # no literal, as in later calls, so that it is compiled for one type
-    num = _look(facets, mirrors, wedges, sequence, none, images, work, most, found, none)
+    num = _look(search, none, none)
     sequence[0] = -1
     while level >= 0 and max_planes > 0:
         sequence[level] += 1
@@ -274,7 +254,7 @@ def _search(
                 continue
         for o in range(num_points):
             _mirrored(facets, p, images[o, level], images[o, level + 1])
-        num = _look(facets, mirrors, wedges, sequence, level + 1, images, work, most, found, num)
+        num = _look(search, level + 1, num)
         if level + 1 < max_planes:
             level += 1
             sequence[level] = -1
@@ -282,36 +262,18 @@ def _search(
 
 
 @whole
-def _new_found(capacity: int, num_carriers: int) -> Found:
-    return Found(
-        np.empty(capacity, np.int64),
-        np.empty(capacity, np.int64),
-        np.empty((capacity, MAX_SIDE_PLANES), np.int16),
-        np.empty((capacity, 2)),
-        np.empty((capacity, num_carriers)),
+def _new_sides(num: int, num_carriers: int) -> Sides:
+    return Sides(
+        np.empty(0, np.int64),
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        np.empty((num, MAX_SIDE_PLANES), np.int16),
+        np.empty((num, 3)),
+        np.empty((num, 3)),
+        np.empty((num, 3, 3)),
+        np.empty((num, 2)),
+        np.empty((num, num_carriers)),
     )
-
-
-@bare
-def _order(found: Found, num: int, first: I64, end: I64, order: I64) -> None:
-    """Write rows of `found` by edge to `order`, those that can weigh most at the lowest carrier first.
-
-    `first` (E + 1,) of zeros gets where edges begin; `end` (E,) is work space.
-    """
-    for i in range(num):
-        first[found.edge[i] + 1] += 1
-    for e in range(len(first) - 1):
-        first[e + 1] += first[e]
-    for e in range(len(first) - 1):
-        end[e] = first[e]
-    for i in range(num):
-        e = found.edge[i]
-        at = end[e]
-        while at > first[e] and found.most[order[at - 1], 0] < found.most[i, 0]:
-            order[at] = order[at - 1]
-            at -= 1
-        order[at] = i
-        end[e] += 1
 
 
 @entry
@@ -320,42 +282,27 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
 
     Images are those of the first point; a part of an edge counts as seen where one of the points sees it.
     """
-    num_carriers, num_edges = mirrors.most.shape[0], len(wedges.length)
     images, sequence = np.empty((len(points), MAX_SIDE_PLANES + 1, 3)), np.full(MAX_SIDE_PLANES + 1, -1)
     images[:, 0] = points
-    work, most, found = np.empty((7, 3)), np.empty(num_carriers), _new_found(4096, num_carriers)
-    num = _search(facets, mirrors, wedges, max_planes, images, sequence, work, most, found)
-    if num > len(found.edge):
-        found = _new_found(num, num_carriers)
-        _search(facets, mirrors, wedges, max_planes, images, sequence, work, most, found)
-    sides = Sides(
-        np.zeros(num_edges + 1, np.int64),
-        np.empty(num, np.int64),
-        np.empty((num, MAX_SIDE_PLANES), np.int16),
-        np.empty((num, 3)),
-        np.empty((num, 3)),
-        np.zeros((num, 3, 3)),
-        np.empty((num, 2)),
-        np.empty((num, num_carriers)),
+    num, room = 4096, 0
+    while num > room:  # the first time, and once more where there are more
+        room = num
+        found = _new_sides(room, mirrors.most.shape[0])
+        num = _search(Search(facets, mirrors, wedges, found, images, sequence, np.empty((7, 3))), max_planes)
+    order = np.argsort(-found.most[:num, 0], kind="mergesort")
+    order = order[np.argsort(found.edge[order], kind="mergesort")]
+    edge = found.edge[order]
+    return Sides(
+        np.searchsorted(edge, np.arange(len(wedges.length) + 1)),
+        edge,
+        found.length[order],
+        found.plane[order],
+        found.image[order],
+        found.polar[order],
+        found.mirror[order],
+        found.span[order],
+        found.most[order],
     )
-    order = np.empty(num, np.int64)
-    _order(found, num, sides.first, np.empty(num_edges, np.int64), order)
-    for i in range(num):
-        s = order[i]
-        sides.length[i] = found.length[s]
-        sides.most[i] = found.most[s]
-        sides.span[i, 0], sides.span[i, 1] = found.span[s, 0], found.span[s, 1]
-        image, mirror = sides.image[i], sides.mirror[i]
-        for c in range(3):
-            sides.plane[i, c], image[c], mirror[c, c] = found.plane[s, c], points[0, c], 1.0
-        for j in range(found.length[s]):
-            p = found.plane[s, j]
-            _mirrored(facets, p, image, image)
-            for b in range(3):
-                slope = 0.0
-                for c in range(3):
-                    slope += facets.normal[c, p] * mirror[c, b]
-                for c in range(3):
-                    mirror[c, b] -= 2.0 * slope * facets.normal[c, p]
-        sides.polar[i, 0], sides.polar[i, 1], sides.polar[i, 2] = polar(wedges, found.edge[s], image)
-    return sides
+
+
+sides_of = within(find_sides)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from xfreqbench.tracing.image.kernels.arrays import BLOCK, F64, LANES, Facets, Media, Path, Walk
-from xfreqbench.tracing.image.kernels.compiled import bare, lane
-from xfreqbench.tracing.image.kernels.slabs import cosine_and_sine, reflect, transmit
+from .arrays import BLOCK, F64, LANES, Facets, Media, Path, Walk
+from .compiled import bare, lane
+from .slabs import cosine_and_sine, reflect, transmit
 
 Image = tuple[float, float, float, float]  # squared distance, and the way from the image to the transmitter
 

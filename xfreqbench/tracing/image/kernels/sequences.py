@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import F64, FAR, I64, NUM_CHUNKS, Facets, Walk, new_walk
-from xfreqbench.tracing.image.kernels.compiled import bare, entry, part, whole
-from xfreqbench.tracing.image.kernels.tree import first_hit
+from .arrays import F64, FAR, I16, I64, NUM_CHUNKS, Facets, Walk, new_walk
+from .compiled import bare, entry, part, whole
+from .tree import first_hit
 
 
 class Shots(NamedTuple):
@@ -42,12 +42,11 @@ class Trie(NamedTuple):
     radius_m: float  # of the widest aperture
 
 
-# --- which sequences of mirrors matter: rays that branch into a reflected and a transmitted one ---
-
-
 @whole
 def _follow(facets: Facets, shots: Shots, ray: F64, state: I64, walk: Walk, trie: Any) -> None:
     """Follow the ray on the bottom of the stack, and all that branch off it, and put its sequences in `trie`.
+
+    A ray that meets a facet branches into a reflected and a transmitted one.
 
     The stack holds origin and direction of each `ray` (S, 2, 3), and as its `state` (S, 2) a node of the trie and
     the number of interactions. `trie` maps parent · P + plane to a node's number.
@@ -112,18 +111,23 @@ def shot(facets: Facets, shots: Shots, chunk: int) -> I64:
     return keys_of(trie)
 
 
-# --- which candidates a transmitter may have ---
-
-
 @entry
-def joined(keys: I64, num_planes: int) -> I64:
-    """Keys of the nodes of several tries as one: theirs one after another, each beginning with its root, −1."""
+def joined(keys: I64, num_planes: int, most: int) -> I64:
+    """Keys of the nodes of several tries as one: theirs one after another, each beginning with its root, −1.
+
+    Sequences of more than `most` planes are left out.
+    """
     trie, node, first = {np.int64(-1): np.int64(0)}, np.zeros(len(keys), np.int64), 0
+    length = np.zeros(len(keys), np.int64)
     for k in range(len(keys)):
         if keys[k] < 0:
             first = k
             continue
-        key = node[first + keys[k] // num_planes] * num_planes + keys[k] % num_planes
+        parent = first + keys[k] // num_planes
+        length[k] = length[parent] + 1
+        if length[k] > most:
+            continue
+        key = node[parent] * num_planes + keys[k] % num_planes
         node[k] = trie.get(key, np.int64(len(trie)))
         trie[key] = node[k]
     return keys_of(trie)
@@ -154,12 +158,9 @@ def _passes(
     most = (1.0 - rest) * away / (away - rest * extent)
     along = math.sqrt(max(0.0, whole * whole - (away / rest) ** 2))
     margin = (most - 1.0 + rest) * along + most * radius_m + 1e-6
-    if (
-        u < place[node, 3] - margin
-        or u > place[node, 4] + margin
-        or v < place[node, 5] - margin
-        or v > place[node, 6] + margin
-    ):
+    if u < place[node, 3] - margin or u > place[node, 4] + margin:
+        return u, v, -1.0
+    if v < place[node, 5] - margin or v > place[node, 6] + margin:
         return u, v, -1.0
     return u, v, margin
 
@@ -183,12 +184,10 @@ def _passes_roughly(
     if low > high:
         return u, v, -1.0
     du, dv, margin = place[node, 0] - u, place[node, 1] - v, max(margin, radius_m) + 1e-6
-    if (
-        u + max(low * du, high * du) < place[node, 3] - margin
-        or u + min(low * du, high * du) > place[node, 4] + margin
-        or v + max(low * dv, high * dv) < place[node, 5] - margin
-        or v + min(low * dv, high * dv) > place[node, 6] + margin
-    ):
+    low_u, high_u, low_v, high_v = low * du, high * du, low * dv, high * dv
+    if u + max(low_u, high_u) < place[node, 3] - margin or u + min(low_u, high_u) > place[node, 4] + margin:
+        return u, v, -1.0
+    if v + max(low_v, high_v) < place[node, 5] - margin or v + min(low_v, high_v) > place[node, 6] + margin:
         return u, v, -1.0
     middle = 0.5 * (low + high)
     margin += 0.5 * (high - low) * math.sqrt(du * du + dv * dv)
@@ -242,24 +241,31 @@ def candidates_of(trie: Trie, tx: F64, found: I64) -> int:
 
 
 @bare
+def mirrored_offsets(facets: Facets, plane: I16, length: int, mirror: F64) -> None:
+    """Write to `mirror` (3, 3) what so many planes, one after another, make of an offset."""
+    normal = facets.normal
+    for a in range(3):
+        for b in range(3):
+            mirror[a, b] = 1.0 if a == b else 0.0
+    for step in range(length):
+        p = plane[step]
+        for b in range(3):
+            along = normal[0, p] * mirror[0, b] + normal[1, p] * mirror[1, b] + normal[2, p] * mirror[2, b]
+            for a in range(3):
+                mirror[a, b] -= 2.0 * along * normal[a, p]
+
+
+@bare
 def line_of(facets: Facets, trie: Trie, node: int, walk: Walk) -> int:
     """Write the path of a node to `walk`: its planes from the receiver on, its image, what they make of an offset.
 
     Returned is the number of planes. The path may cross as many slabs as it may have interactions besides.
     """
-    length, mirror, normal = trie.length[node], walk.mirror, facets.normal
-    at = node
+    length, at = trie.length[node], node
     for step in range(length - 1, -1, -1):
         walk.plane[step], at = trie.plane[at], trie.parent[at]
     for a in range(3):
         walk.image[a] = trie.image_m[node, a]
-        for b in range(3):
-            mirror[a, b] = 1.0 if a == b else 0.0
-    for step in range(length):
-        p = walk.plane[step]
-        for b in range(3):
-            along = normal[0, p] * mirror[0, b] + normal[1, p] * mirror[1, b] + normal[2, p] * mirror[2, b]
-            for a in range(3):
-                mirror[a, b] -= 2.0 * along * normal[a, p]
+    mirrored_offsets(facets, walk.plane, length, walk.mirror)
     walk.limit[0] = len(walk.hit) - 1 - length
     return length

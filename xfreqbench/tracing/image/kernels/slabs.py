@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import BLOCK, F64
-from xfreqbench.tracing.image.kernels.compiled import bare, entry, lane
+from .arrays import BLOCK, F64
+from .compiled import bare, entry, lane, within
 
+Four = tuple[complex, complex, complex, complex]
 Pair = tuple[float, float]  # real and imaginary part
 
 OPAQUE_NEPERS = 40.0  # of loss through a slab: nothing comes back from its far face, and nothing comes out
@@ -36,14 +37,10 @@ def _decay(nepers: float) -> float:
     x = -min(nepers, OPAQUE_NEPERS) / 256.0
     e = 1.0 + x / 6.0 * (1.0 + x / 7.0 * (1.0 + x / 8.0 * (1.0 + x / 9.0)))
     e = 1.0 + x * (1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0 * (1.0 + x / 5.0 * e))))
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
+    e = (e * e) * (e * e)
+    e = (e * e) * (e * e)
+    e = (e * e) * (e * e)
+    e = (e * e) * (e * e)
     return e if nepers < OPAQUE_NEPERS else 0.0
 
 
@@ -96,9 +93,7 @@ def _slab(cosine: float, eta_real: float, eta_imag: float, phase_thickness: floa
 
 
 @entry
-def slab_coefficients(
-    cosine: float, permittivity: complex, phase_thickness: float
-) -> tuple[complex, complex, complex, complex]:
+def slab_coefficients(cosine: float, permittivity: complex, phase_thickness: float) -> Four:
     """Reflection TE, TM and transmission TE, TM of a slab (ITU-R P.2040, Eqs. 37, 38, 43, 44).
 
     `cosine` is that of the angle of incidence, `permittivity` relative, with an imaginary part that is not positive,
@@ -106,6 +101,9 @@ def slab_coefficients(
     """
     r_te, r_tm, t_te, t_tm = _slab(cosine, permittivity.real, permittivity.imag, phase_thickness)
     return complex(*r_te), complex(*r_tm), complex(*t_te), complex(*t_tm)
+
+
+coefficients = within(slab_coefficients)
 
 
 @bare

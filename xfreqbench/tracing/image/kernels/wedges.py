@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xfreqbench.tracing.image.kernels.arrays import C128, F64, I64, Bools, Media
-from xfreqbench.tracing.image.kernels.compiled import bare
-from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
+from .arrays import C128, F64, I64, Bools, Media
+from .compiled import bare, part
+from .slabs import coefficients
 
 Pair = tuple[complex, complex]
 Polar = tuple[float, float, float]
@@ -63,31 +63,26 @@ def transition(y: float) -> complex:
     return inverse * (2.0 * total * inverse + 1.0 / math.sqrt(math.pi))
 
 
+@part
+def off_boundary(term: int, n: float, phi: float, source_phi: float) -> float:
+    """How far off the boundary of one of the four terms the two ends are, in half turns over n."""
+    apart = phi - source_phi if term < 2 else phi + source_phi
+    off = (math.pi + (apart if term % 2 == 0 else -apart)) / (2.0 * n)
+    return off - math.pi * math.floor(off / math.pi + 0.5)
+
+
 @bare
-def _term(turn: float, n: float, root: float, on_boundary: float) -> complex:
-    """One of the four terms, cot(turn/2n)·F over its value beside the boundary, ±1; `root` is √(2kL)."""
-    off = turn / (2.0 * n)
-    off -= math.pi * math.floor(off / math.pi + 0.5)
+def _term(term: int, n: float, root: float, phi: float, source_phi: float) -> complex:
+    """One of the four terms of Kouyoumjian and Pathak (1974), Eq. 25: cot(turn/2n)·F, ∓1 on the sides of its boundary.
+
+    Terms 0 and 1 belong to the fields that go straight on beside face n and beside face 0, 2 and 3 to those that face
+    n and face 0 reflect. `root` is √(2kL) with L = s·s'/(s + s')·sin²β; angles are those of `Edge`.
+    """
+    off = off_boundary(term, n, phi, source_phi)
     if abs(off) < ON_BOUNDARY_RAD:
-        return complex(on_boundary, 0.0)
+        return complex(-1.0 if term < 2 else 1.0, 0.0)
     sine = abs(math.sin(n * off))
     return sine / (n * math.tan(off)) * transition(root * sine)
-
-
-@bare
-def terms(n: float, root: float, phi: float, source_phi: float) -> tuple[complex, complex, complex, complex]:
-    """The four terms of Kouyoumjian and Pathak (1974), Eq. 25, each ∓1 on the two sides of its boundary.
-
-    They belong to the fields that go straight on beside face n and beside face 0, and to those that face n and
-    face 0 reflect. `root` is √(2kL) with L = s·s'/(s + s')·sin²β; angles are those of `Edge`.
-    """
-    apart, together = phi - source_phi, phi + source_phi
-    return (
-        _term(math.pi + apart, n, root, -1.0),
-        _term(math.pi - apart, n, root, -1.0),
-        _term(math.pi + together, n, root, 1.0),
-        _term(math.pi - together, n, root, 1.0),
-    )
 
 
 @bare
@@ -129,7 +124,7 @@ def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field:
         cosine = _dot(work[1], work[0]) / (norm * across)
         _cross(work[1], work[0], work[2])
         sine = _dot(k, work[2]) / (norm * across)
-    _, _, t_te, t_tm = slab_coefficients(abs(_dot(k, normal)), slab[0], slab[1])
+    _, _, t_te, t_tm = coefficients(abs(_dot(k, normal)), slab[0], slab[1])
     te = t_te * (cosine * field[0] + sine * field[1])
     tm = t_tm * (cosine * field[1] - sine * field[0])
     return cosine * te - sine * tm, sine * te + cosine * tm
@@ -153,7 +148,7 @@ def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k
 def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
     """Reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
     cosine = math.sqrt(abs(_dot(k, normal) * _dot(out, normal)))
-    r_te, r_tm, _, _ = slab_coefficients(cosine, media.permittivity[f, kind], media.phase_thickness[f, kind])
+    r_te, r_tm, _, _ = coefficients(cosine, media.permittivity[f, kind], media.phase_thickness[f, kind])
     return r_te, r_tm
 
 
@@ -179,10 +174,12 @@ def diffract(
     k, out, along, n = waves[0], work[3], wedges.along[e], wedges.angle[e] / math.pi
     for c in range(3):
         out[c] = -waves[1][c]
-    beside_n, beside_0, from_n, from_0 = terms(n, root, angles[1], angles[0])
+    source_phi, phi = angles
+    beside_n, beside_0 = _term(0, n, root, phi, source_phi), _term(1, n, root, phi, source_phi)
+    from_n, from_0 = _term(2, n, root, phi, source_phi), _term(3, n, root, phi, source_phi)
     hard, soft = _axes(fields[0], k, along, along, work)
     far_hard, far_soft = _axes(fields[1], out, along, along, work)
-    middle = (angles[0] + angles[1]) / 2.0
+    middle = (source_phi + phi) / 2.0
     cosine, sine, mirror_normal = math.cos(middle), math.sin(middle), work[4]
     for c in range(3):
         mirror_normal[c] = cosine * wedges.tangent[e, c] + sine * wedges.normal[e, c]
@@ -206,9 +203,6 @@ def diffract(
         r_te, r_tm = _reflection(media, wedges.slab[e, 1], f, wedges.normal_n[e], k, out)
     total += from_n * (r_te * te * far_te + r_tm * tm * far_tm)
     return -0.5 * total
-
-
-# --- where points are from an edge ---
 
 
 @bare
