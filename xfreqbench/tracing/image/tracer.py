@@ -93,8 +93,8 @@ class ImageTracer:
                 f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
                 f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
                 f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
-                f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: mirrors = 'patches', "
-                "or a larger least_patch_area_m2, in the scene's TOML."
+                f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: "
+                "mirrors = 'patches', or a larger least_patch_area_m2, in the scene's TOML."
             )
         self.settings, self.savings = settings, savings
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
