@@ -26,14 +26,14 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.files import atomic_path, require_own, require_regular, storage_errors
 from xfreqbench.tracing.solvers import tracer_of
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, ProgressCallback
 
 REFERENCE_CARRIERS_HZ = (1e9, 10e9, 94e9)
 REFERENCE_TRANSMITTERS = 24
 REFERENCE_SETTINGS = TraceSettings(
-    interactions=("specular", "refraction"),
+    interactions=WITHOUT_DIFFRACTION,
     solver="sionna",
     rays=8 * TraceSettings().rays,
     max_depth=TraceSettings().max_depth + 1,

@@ -26,7 +26,7 @@ from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.solvers import tracer_of
-from xfreqbench.tracing.tracer import SolverName, TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -100,7 +100,7 @@ def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     scene = load_scene("office")
     tx_position_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), num_tx, seed=1)
     carriers = tuple(ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ)
-    return Workload(scene, tx_position_m, carriers, TraceSettings(solver, ("specular", "refraction")))
+    return Workload(scene, tx_position_m, carriers, TraceSettings(solver, WITHOUT_DIFFRACTION))
 
 
 def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:

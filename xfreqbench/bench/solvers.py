@@ -31,7 +31,7 @@ from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
-from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, Interaction, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
 
@@ -151,7 +151,7 @@ def ladder(solvers: Sequence[str]) -> Iterator[Rung]:
 
 def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> Iterator[Rung]:
     """The settings of one solver."""
-    base = TraceSettings(solver, ("specular", "refraction"))
+    base = TraceSettings(solver, WITHOUT_DIFFRACTION)
     yield Rung(solver, "defaults", ("depth", "rays", "interactions"), base)
     for depth in depths:
         yield Rung(solver, f"depth {depth}", ("depth",), replace(base, max_depth=depth))
@@ -271,7 +271,7 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     scene = load_scene(scene_name)
     reference = read_reference(scene)
     bench.introduce()
-    base, points = TraceSettings(interactions=("specular", "refraction")), []
+    base, points = TraceSettings(interactions=WITHOUT_DIFFRACTION), []
     rungs = ladder(solvers)
     note = (
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
@@ -337,17 +337,17 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
 
 def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
     """Costs of the full pipeline, by name."""
-    yield "image", measure_pipeline(scene, TraceSettings("image", ("specular", "refraction")), num_tx)
+    yield "image", measure_pipeline(scene, TraceSettings("image", WITHOUT_DIFFRACTION), num_tx)
     for count in (1, 5, 10):
         carriers_ghz = PAPER_CARRIERS_GHZ[:count]
         few = min(num_tx or _FEW_TX, _FEW_TX)
         yield (
             f"price per carrier: {count}",
-            measure_pipeline(scene, TraceSettings(interactions=("specular", "refraction")), few, carriers_ghz),
+            measure_pipeline(scene, TraceSettings(interactions=WITHOUT_DIFFRACTION), few, carriers_ghz),
         )
     yield (
         "sionna",
-        measure_pipeline(scene, TraceSettings("sionna", ("specular", "refraction")), min(num_tx or _FEW_TX, _FEW_TX)),
+        measure_pipeline(scene, TraceSettings("sionna", WITHOUT_DIFFRACTION), min(num_tx or _FEW_TX, _FEW_TX)),
     )
 
 
@@ -369,10 +369,7 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
             points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
         for solver in SOLVERS:
             row = measure(
-                scene,
-                TraceSettings(solver, ("specular", "refraction")),
-                reference,
-                f"{solver}, defaults, tracing alone",
+                scene, TraceSettings(solver, WITHOUT_DIFFRACTION), reference, f"{solver}, defaults, tracing alone"
             )
             table.add(*row.cells)
             points.append(row.point(solver, "defaults"))

@@ -14,6 +14,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz
 
@@ -67,7 +68,7 @@ def _paths(
     dataset: PasDataset, scene: Scene, tx_position_m: Float[FloatArray, "n 3"]
 ) -> tuple[Int[IntArray, "n"], Float[FloatArray, "n F"]]:
     """Number of paths of each transmitter to the array centre, and their power at each carrier."""
-    settings = replace(dataset.trace_settings, solver="sionna", interactions=("specular", "refraction"))
+    settings = replace(dataset.trace_settings, solver="sionna", interactions=WITHOUT_DIFFRACTION)
     prepared = PreparedScene.of(scene)
     tracer = tracer_of(prepared, dataset.header.carrier_hz.tolist(), settings)
     paths = [tracer.paths(tx) for tx in tx_position_m]

@@ -44,6 +44,11 @@ class Geometry:
         return sum(len(mesh.triangles) for mesh in self.meshes)
 
     @property
+    def mesh_of_triangle(self) -> Int[IntArray, "K"]:
+        """Index of each triangle's mesh."""
+        return np.repeat(np.arange(len(self.meshes)), [len(mesh.triangles) for mesh in self.meshes])
+
+    @property
     def scattering(self) -> list[tuple[str, Scattering]]:
         """Every rough material by name, and how it scatters."""
         rough = {(str(mesh.material), mesh.scattering) for mesh in self.meshes if mesh.scattering}

@@ -19,12 +19,7 @@ SolverName = Literal["auto", "image", "sionna"]
 MAX_DEPTH, MAX_RAYS = 16, 10_000_000  # with both at once, paths fill some gigabytes of memory
 MAX_DIFFUSE_PATHS = 4_000_000  # each ray may leave one at each depth, of some 300 bytes
 MAX_SEED = 2**32 - 1  # Sionna's are of 32 bits
-# Interactions of ground truth. Diffraction by Sionna RT is not reciprocal, not continuous, and a hundred times as slow.
-GROUND_TRUTH: dict[SolverName, tuple[Interaction, ...]] = {
-    "auto": ("specular", "refraction", "diffraction"),
-    "image": ("specular", "refraction", "diffraction"),
-    "sionna": ("specular", "refraction"),
-}
+WITHOUT_DIFFRACTION: tuple[Interaction, ...] = ("specular", "refraction")
 
 
 @dataclass(frozen=True)
@@ -45,13 +40,19 @@ class TraceSettings:
 
     def by(self, solver: SolverName) -> TraceSettings:
         """These settings with a solver, and its interactions by name."""
-        named = GROUND_TRUTH[solver] if self.interactions is None else self.interactions
-        return replace(self, solver=solver, interactions=named)
+        asked = replace(self, solver=solver)
+        return replace(asked, interactions=asked.named_interactions)
 
     @property
     def named_interactions(self) -> tuple[Interaction, ...]:
-        """The interactions, where they are None those of ground truth by name."""
-        return self.by(self.solver).interactions or ()
+        """The interactions, where they are None those of ground truth by name.
+
+        By Sionna RT that is without diffraction, which there is neither reciprocal nor continuous, and a hundred times
+        as slow.
+        """
+        if self.interactions is not None:
+            return self.interactions
+        return WITHOUT_DIFFRACTION if self.solver == "sionna" else (*WITHOUT_DIFFRACTION, "diffraction")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import Paths
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import FloatArray, IntArray, Maps
 
 from ..search.cross_terms import IsOver, never, spherical_waves
@@ -31,7 +31,7 @@ NUM_TX, NUM_CARRIERS = 80, 3  # of the training rows that are compared
 NUM_ROUGH_TX = 12  # to find which changes deserve all of them
 _MOST_TRACERS = 32  # that are kept for more predictions
 COMPARING = TraceSettings(
-    interactions=("specular", "refraction"), solver="image", materials="extrapolate", max_depth=4, rays=20_000
+    interactions=WITHOUT_DIFFRACTION, solver="image", materials="extrapolate", max_depth=4, rays=20_000
 )
 PREDICTING = replace(COMPARING, max_depth=5)  # a fifth interaction is worth .003 at 2.4 GHz
 DIFFRACTING = replace(PREDICTING, interactions=("specular", "refraction", "diffraction"))

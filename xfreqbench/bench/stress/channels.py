@@ -19,7 +19,7 @@ from xfreqbench.scene.array import planar_array, steering_vector
 from xfreqbench.scene.materials import ITU_MATERIALS, Band, complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
 from xfreqbench.tracing.image.tracer import ImageTracer
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M, ghz_to_hz
 
 PHASE, MATERIALS = Area("phase"), Area("materials")
@@ -27,7 +27,7 @@ CARRIERS_GHZ = (1.0, 2.4, 10.0, 24.25, 60.0, 94.0)
 PI = 4 * np.arctan(np.longdouble(1))
 LIGHT_M_S = np.longdouble(SPEED_OF_LIGHT_M_S)
 RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.0))
-SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=1000)
+SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=1000)
 _GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
 _VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)

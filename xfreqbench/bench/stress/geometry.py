@@ -21,7 +21,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import SPECULAR
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
@@ -29,7 +29,7 @@ GEOMETRY = Area("geometry")
 _CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
 _ONE = replace(RECEIVER, rows=1, cols=1)
 _HEIGHT_M = RECEIVER.position_m[2]
-_SETTINGS = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=2000, max_depth=1)
+_SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=2000, max_depth=1)
 # the phase's 5e-10 rad, in the sum of two or three paths
 _LIMIT = 2e-9  # the phase's 5e-10 rad, in the sum of two or three paths
 _POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
@@ -44,7 +44,7 @@ _NEAR_THE_FLOOR = {  # the floor reflects between x = 1.2 and 1.8
 }
 FACETS = Area("facets")
 _RECEIVER = replace(RECEIVER, rows=1, cols=1, polarization="H")
-_TWO_DEEP = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=2000, max_depth=2)
+_TWO_DEEP = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=2000, max_depth=2)
 Cut = tuple[Float[FloatArray, "V 2"], Int[IntArray, "K 3"]]
 
 

@@ -35,7 +35,7 @@ from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField
 from xfreqbench.scene.array import planar_array
 from xfreqbench.scene.model import load_scene
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import Maps
 from xfreqbench.units import ghz_to_hz
 
@@ -366,7 +366,7 @@ def _same_seed() -> float:
 
 def _generated(seed: int, folder: str) -> bytes:
     """The file of a data set of three transmitters in free space."""
-    settings = TraceSettings(interactions=("specular", "refraction"), solver="image", rays=1000, seed=seed)
+    settings = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=1000, seed=seed)
     carriers = [ghz_to_hz(ghz) for ghz in (CARRIERS_GHZ[0], CARRIERS_GHZ[-1])]
     plan = plan_generation(load_scene("empty"), carriers, settings, num_transmitters=3, maps=False)
     return generate_planned(plan, Path(folder) / "data.h5").read_bytes()
@@ -378,10 +378,7 @@ def _other_seed() -> float:
     scene = load_scene("empty")
     chosen = [
         plan_generation(
-            scene,
-            [1e9],
-            TraceSettings(interactions=("specular", "refraction"), solver="image", seed=seed),
-            num_transmitters=3,
+            scene, [1e9], TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", seed=seed), num_transmitters=3
         ).tx_position_m
         for seed in (1, 2)
     ]

@@ -15,6 +15,7 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.report.view.room import ShownRoom, strongest_rays
 from xfreqbench.report.view.summary import known_line_of_sight
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
@@ -57,7 +58,8 @@ class ViewPlan:
             return self
         room = self.room
         carriers_hz = self.header.carrier_hz.tolist() if self.dataset else [self.carrier_hz]
-        paths = tracer_of(PreparedScene.of(self.scene), carriers_hz, self.settings).paths(room.tx_m)
+        prepared = PreparedScene(self.scene, Geometry(room.meshes))
+        paths = tracer_of(prepared, carriers_hz, self.settings).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
         rays = strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
         return replace(self, room=replace(room, rays=rays))

@@ -45,9 +45,9 @@ class Diffraction:
         limits: Limits,
     ) -> None:
         facets = scene.facets
-        mesh = np.repeat(np.arange(len(geometry.meshes)), [len(mesh.triangles) for mesh in geometry.meshes])
         blocks = ~geometry.mirrors
-        edges = find_edges(mirrors.facets, triangle_corners_m(geometry.meshes)[blocks], mesh[blocks])
+        triangles_m = triangle_corners_m(geometry.meshes)[blocks]
+        edges = find_edges(mirrors.facets, triangles_m, geometry.mesh_of_triangle[blocks])
         faces = np.array([edge.surfaces for edge in edges], np.int64).reshape(-1, 2)
         self._surfaces = surface, faces[:, 0].copy()
         is_opaque = np.zeros(len(geometry.meshes), bool)

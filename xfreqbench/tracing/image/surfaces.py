@@ -50,7 +50,7 @@ class MirrorPlanes:
 def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
     """Facets of each patch that mirrors; two triangles that form a parallelogram are one facet."""
     number = [len(mesh.triangles) for mesh in geometry.meshes]
-    mesh, first = np.repeat(np.arange(len(number)), number), np.cumsum([0, *number])
+    mesh, first = geometry.mesh_of_triangle, np.cumsum([0, *number])
     order = np.argsort(geometry.mirror_patch, kind="stable")
     order = order[np.searchsorted(geometry.mirror_patch[order], 0) :]
     for rows in np.split(order, np.flatnonzero(np.diff(geometry.mirror_patch[order])) + 1):
@@ -91,7 +91,6 @@ def facets_of(
     Planes of mirrors come first; each triangle that does not mirror has a plane of its own.
     """
     blocks = triangle_corners_m(geometry.meshes)[~geometry.mirrors]
-    mesh = np.repeat(np.arange(len(geometry.meshes)), [len(mesh.triangles) for mesh in geometry.meshes])
     normal = np.cross(blocks[:, 1] - blocks[:, 0], blocks[:, 2] - blocks[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     normals = np.concatenate([mirrors.planes[:, :3], normal])
@@ -100,7 +99,7 @@ def facets_of(
     corners_m = np.concatenate([mirrors.corners_m, blocks[:, [0, 1, 2, 2]]])
     is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool)
     surface = np.array([facet.surface for facet in mirrors.facets], np.int64)
-    surface = np.concatenate([surface, mesh[~geometry.mirrors]])
+    surface = np.concatenate([surface, geometry.mesh_of_triangle[~geometry.mirrors]])
     order, box, child, first, last = grow(corners_m.min(axis=1), corners_m.max(axis=1))
     plane, surface, corners_m = plane[order], surface[order], corners_m[order]
     slab = kind[surface]
