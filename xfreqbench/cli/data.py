@@ -178,6 +178,14 @@ def info(
             help="Transmitters to trace with every facet of the meshes as a mirror, to say what patches leave out."
         ),
     ] = 0,
+    statistics: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Path loss, spreads, K and mechanisms at each carrier, beside 3GPP TR 38.901 and others: of stored "
+            "paths, or of 200 transmitters that are traced again.",
+        ),
+    ] = False,
     seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
 ) -> None:
     """Print what a data set holds, verify every byte of it against its hashes, and compare it with a fingerprint."""
@@ -202,6 +210,8 @@ def info(
         from xfreqbench.data.glints import glints as left_out
 
         print(left_out(open_dataset(file), glints, seed))
+    if statistics:
+        print(f"\n{open_dataset(file).statistics(seed=seed)}")
 
 
 @app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 --carriers 2.4,24.25 -o maps.pdf"))
@@ -212,10 +222,10 @@ def plot(
         Path, Parameter(name=["--output", "-o"], help="Figure to write, which ends in .png, .svg or .pdf.")
     ],
     of: Annotated[
-        Literal["maps", "power"],
+        Literal["maps", "power", "statistics"],
         Parameter(
             help="maps: what the array hears of one transmitter, by direction; power: a plan of the room with the "
-            "power received from every transmitter."
+            "power received from every transmitter; statistics: path loss, spreads and K beside standards."
         ),
     ] = "maps",
     tx: Annotated[int | None, Parameter(help="Index of the transmitter whose maps are drawn; 0 if absent.")] = None,
@@ -224,19 +234,25 @@ def plot(
     ] = None,
     db_range: Annotated[float, Parameter(help="How many dB below the strongest the colours reach.")] = 30.0,
 ) -> None:
-    """Draw the maps of one transmitter, or a plan with the power of all, at every carrier: PNG, SVG or PDF."""
+    """Draw the maps of one transmitter, a plan with the power of all, or statistics, by carrier: PNG, SVG or PDF."""
     from xfreqbench.report.drawing.figures import figure_kind, require_own_figure
     from xfreqbench.report.view.pictures import draw_maps, draw_power
 
     figure_kind(output)
     if not 0 < db_range <= 300:
         raise XFreqBenchError(f"--db-range takes dB above 0, 300 at most, as in 30, but got {db_range:g}.")
-    if of == "power" and tx is not None:
-        raise XFreqBenchError("--of power shows all transmitters; leave --tx out, or draw --of maps.")
+    if of != "maps" and tx is not None:
+        raise XFreqBenchError(f"--of {of} shows all transmitters; leave --tx out, or draw --of maps.")
+    if of == "statistics" and carriers is not None:
+        raise XFreqBenchError("--of statistics shows all carriers; leave --carriers out.")
     carriers_hz = None if carriers is None else parse_carriers_hz(carriers, "--carriers")
     require_own_figure(output)
     if of == "maps":
         draw_maps(file, tx or 0, carriers_hz, db_range, output)
+    elif of == "statistics":
+        from xfreqbench.report.view.statistics import draw_statistics
+
+        draw_statistics(file, output)
     else:
         draw_power(file, carriers_hz, db_range, output)
     say(f"wrote {output}")

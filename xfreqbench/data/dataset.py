@@ -50,6 +50,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import require_own
+from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz, format_ghz_list
@@ -256,16 +257,37 @@ class PasDataset:
         """
         (row,) = self.subset(sample).rows
         tx, carrier = divmod(int(row), self.num_carriers)
+        self._require_paths()
+        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
+            totals = stored_totals(file)
+            stored = read_paths(file, totals, self.tables[OFFSET][tx : tx + 2])
+            return SamplePaths.of(stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names)
+
+    def stored_paths(self) -> tuple[RaggedPaths, tuple[str, ...]]:
+        """All paths of the whole data set, one behind the other, and the surfaces' names; raises as `paths` does."""
+        self._require_paths()
+        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
+            totals = stored_totals(file)
+            return read_paths(file, totals, self.tables[OFFSET]), totals.surface_names
+
+    def _require_paths(self) -> None:
         if OFFSET not in self.tables:
             raise DataError(
                 f"{self.path} is shown to methods without its paths."
                 if self.header.paths
                 else f"{self.path} holds no paths. Generate it with --paths."
             )
-        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
-            totals = stored_totals(file)
-            stored = read_paths(file, totals, self.tables[OFFSET][tx : tx + 2])
-            return SamplePaths.of(stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names)
+
+    @checked
+    def statistics(self, num_tx: PositiveInt = 200, seed: int = 0) -> Any:
+        """Path loss, spreads, K and mechanisms by carrier, beside standards: `ChannelStatistics`, which can be printed.
+
+        They are of the stored paths, or of at most `num_tx` transmitters, drawn by `seed`, which are traced again.
+        Raises as `channel_statistics` does.
+        """
+        from xfreqbench.data.statistics import channel_statistics
+
+        return channel_statistics(self, num_tx, seed)
 
     def cir(self, sample: int) -> ImpulseResponse:
         """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""

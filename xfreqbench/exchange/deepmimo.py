@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.retrace import traced_scene
-from xfreqbench.exchange.path_arrays import PaddedPaths, carrier_names, stored_paths
+from xfreqbench.exchange.path_arrays import PaddedPaths, carrier_names
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of, surface_meshes
@@ -45,7 +45,7 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
     require_empty(folder)
     verify(path)
     dataset = open_dataset(path)
-    paths, _ = stored_paths(dataset)
+    paths, _ = dataset.stored_paths()
     meshes = surface_meshes(traced_scene(dataset))
     with atomic_folder(folder) as temporary, storage_errors(folder):
         for carrier, carrier_hz, name in carrier_names(dataset):

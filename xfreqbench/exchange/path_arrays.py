@@ -11,10 +11,6 @@ from jaxtyping import Bool, Complex, Float, Shaped
 from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
-from xfreqbench.data.hdf5 import open_sealed, read_errors
-from xfreqbench.data.paths import GROUP, OFFSET, read_paths, stored_totals
-from xfreqbench.data.schema import SCHEMA
-from xfreqbench.errors import DataError
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
@@ -71,15 +67,6 @@ class PaddedPaths:
         return self.of_paths(np.pi / 2 - elevation_rad.astype(np.float64), padding)
 
 
-def stored_paths(dataset: PasDataset) -> tuple[RaggedPaths, tuple[str, ...]]:
-    """All paths of a whole data set, and the names of the surfaces; raises `DataError` where none are stored."""
-    if OFFSET not in dataset.tables:
-        raise DataError(f"{dataset.path} holds no paths. Generate it with --paths.")
-    with open_sealed(dataset.path, SCHEMA) as file, read_errors(dataset.path, f"group {GROUP!r}"):
-        totals = stored_totals(file)
-        return read_paths(file, totals, dataset.tables[OFFSET]), totals.surface_names
-
-
 def carrier_names(dataset: PasDataset) -> Iterator[tuple[int, float, str]]:
     """Number and frequency of each carrier, and a name for what is written of it, such as `office_24.25ghz`."""
     letters = (letter if letter.isalnum() else "_" for letter in dataset.header.scene_name.lower())
@@ -102,7 +89,7 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     require_empty(folder)
     verify(path)
     dataset = open_dataset(path)
-    paths, surface_names = stored_paths(dataset)
+    paths, surface_names = dataset.stored_paths()
     with atomic_folder(folder) as temporary, storage_errors(folder):
         for carrier, carrier_hz, name in carrier_names(dataset):
             padded = PaddedPaths(paths, carrier)

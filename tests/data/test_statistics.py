@@ -1,0 +1,177 @@
+"""Statistics of channels: closed forms of two paths, the standards as others tabulate them, and whole data sets."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tr3gpp.tr38901
+from numpy.typing import NDArray
+
+from tests.support.plans import small_plan
+from xfreqbench.cli.data import info, plot
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.standards import TR38901_K_DB, TR38901_SPREADS, spread_by, tr38901_path_loss_db
+from xfreqbench.data.statistics import MECHANISMS, of_paths
+from xfreqbench.errors import XFreqBenchError
+from xfreqbench.scene.imported import Slab
+from xfreqbench.scene.materials import ConstantMaterial
+from xfreqbench.tracing.absorption import slab_absorption
+from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, SPECULAR, RaggedPaths
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+
+def ragged(num_paths: list[int], power: list[float], **changes: object) -> RaggedPaths:
+    """Paths at one carrier, which are direct, arrive at once and from one direction, but for what is given."""
+    angles = ("arrival_azimuth_rad", "arrival_elevation_rad", "departure_azimuth_rad", "departure_elevation_rad")
+    values = {name: np.zeros(len(power), np.float32) for name in angles}
+    interaction = np.asarray(changes.pop("interaction", []), np.uint8)
+    return RaggedPaths(
+        num_paths=np.array(num_paths),
+        gain=np.sqrt(np.array(power))[:, None].astype(np.complex64),
+        interaction=interaction,
+        surface=np.zeros(len(interaction), np.int32),
+        vertex_m=np.zeros((len(interaction), 3), np.float32),
+        **{"delay_s": np.zeros(len(power)), "num_interactions": np.zeros(len(power), np.int64), **values, **changes},  # type: ignore[arg-type]
+    )
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    plan = small_plan(maps=False, paths=True)
+    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("statistics") / "rooms.h5"))
+
+
+def test_two_paths_have_the_spreads_and_k_of_their_closed_forms() -> None:
+    share = np.array([0.8, 0.2])
+    found = of_paths(
+        ragged(
+            [2],
+            [0.8e-6, 0.2e-6],
+            delay_s=np.array([10e-9, 40e-9]),
+            arrival_azimuth_rad=np.array([3.1, -3.1], np.float32),  # across the end of the range
+            departure_elevation_rad=np.array([0.2, 1.2], np.float32),
+            num_interactions=np.array([0, 1]),
+            interaction=[SPECULAR],
+        ),
+        0,
+    )
+    assert found["path_loss_db"][0] == pytest.approx(60)
+    assert found["delay_spread_s"][0] == pytest.approx(30e-9 * np.sqrt(share.prod()), rel=1e-6)
+    for name, apart_rad in (("arrival_azimuth", 2 * np.pi - 6.2), ("departure_zenith", 1.0)):
+        length = np.sqrt(1 - 2 * share.prod() * (1 - np.cos(apart_rad)))
+        assert found[f"{name}_spread_deg"][0] == pytest.approx(np.degrees(np.sqrt(-2 * np.log(length))), rel=1e-5)
+    assert found["arrival_zenith_spread_deg"][0] == pytest.approx(0)
+    assert found["k_factor_db"][0] == pytest.approx(10 * np.log10(4), abs=1e-5)
+    np.testing.assert_allclose(found["power_share"][0], [0.8, 0.2, 0, 0, 0], rtol=1e-6)
+
+
+def test_weak_paths_count_for_the_power_alone_and_silence_has_no_statistics() -> None:
+    weak = 10**-2.6  # below the window of 25 dB
+    found = of_paths(ragged([2, 0, 1], [1.0, weak, 1.0], delay_s=np.array([0, 1e-6, 0])), 0)
+    assert found["path_loss_db"][0] == pytest.approx(-10 * np.log10(1 + weak), rel=1e-6)
+    assert found["delay_spread_s"][0] == 0
+    assert found["num_paths"].tolist()[::2] == [1, 1]
+    assert all(np.isnan(values[1]).all() for values in found.values())
+    assert np.isnan(found["k_factor_db"]).all()  # no other path than the direct one
+
+
+def test_a_path_has_one_mechanism_and_their_shares_sum_to_one() -> None:
+    met = [[], [SPECULAR], [SPECULAR, REFRACTION], [REFRACTION, DIFFRACTION], [DIFFRACTION, DIFFUSE]]
+    power = [5.0, 4.0, 3.0, 2.0, 1.0]
+    paths = ragged(
+        [5],
+        power,
+        num_interactions=np.array([len(each) for each in met]),
+        interaction=[code for each in met for code in each],
+    )
+    share = of_paths(paths, 0)["power_share"][0]
+    np.testing.assert_allclose(share, np.array(power) / 15, rtol=1e-6)
+    assert len(share) == len(MECHANISMS)
+
+
+@pytest.mark.parametrize("in_sight", [True, False])
+def test_the_table_of_38901_is_that_of_tr3gpp(in_sight: bool) -> None:
+    condition = "LOS" if in_sight else "NLOS"
+    section = tr3gpp.tr38901.section("7.5")
+    theirs = section.channel_model_parameters(scenario="Indoor-Office", condition=condition)
+    zenith = section.zsd_zod_offset(scenario="Indoor-Office", condition=condition)
+    for name in TR38901_SPREADS:
+        text = str(getattr(zenith if name == "lgZSD" else theirs, f"mu_{name}"))
+        slope = re.search(r"(-?[\d.]+) log10\(1\+ ?fc\)", text)
+        constant = re.search(r"([-+]? ?[\d.]+)$", text)
+        assert constant
+        a, b = float(constant[1].replace(" ", "")), float(slope[1]) if slope else 0.0
+        assert spread_by(TR38901_SPREADS, name, 24.25e9, in_sight) == pytest.approx(10 ** (a + b * np.log10(25.25)))
+    if in_sight:
+        assert float(theirs.mu_K) == TR38901_K_DB
+    distance_m = np.array([1.0, 7.0, 60.0])
+    modelled = _evaluated("LOS", distance_m, 24.25)
+    if not in_sight:
+        modelled = np.maximum(modelled, _evaluated("NLOS", distance_m, 24.25))
+    np.testing.assert_allclose(tr38901_path_loss_db(distance_m, 24.25e9, in_sight), modelled)
+
+
+def _evaluated(condition: str, d: NDArray[np.float64], f: float) -> NDArray[np.float64]:
+    """The last formula of a row of Table 7.4.1-1, at distances in metres and a carrier in GHz."""
+    formula = tr3gpp.tr38901.section("7.4").pathloss(scenario="InH-Office", condition=condition).formula
+    python = re.sub(r"\\log_\{10\}\((\w)_[^)]*\)", r"*np.log10(\1)", formula.rpartition("=")[2])
+    return np.asarray(eval(python, {"np": np, "d": d, "f": f}))
+
+
+def test_free_space_has_the_path_loss_of_friis_and_nothing_but_the_direct_path(tmp_path: Path) -> None:
+    plan = small_plan("empty", num_transmitters=6, maps=False, paths=True)
+    found = open_dataset(generate_planned(plan, tmp_path / "empty.h5")).statistics()
+    rows = found.rows
+    assert [row["in_sight"] for row in rows] == [True] * len(plan.header.carrier_hz)
+    for place, row in enumerate(rows):
+        friis_db = 20 * np.log10(4 * np.pi * found.links.distance_m * row["carrier_ghz"] * 1e9 / SPEED_OF_LIGHT_M_S)
+        np.testing.assert_allclose(found.links.path_loss_db[:, place], friis_db, atol=1e-4)
+        assert (row["share_direct"], row["delay_spread_ns"], row["num_paths"]) == (1, 0, 1)
+        assert np.isnan(row["k_factor_db"])
+
+
+def test_traced_again_the_statistics_are_those_of_the_stored_paths(rooms: PasDataset, tmp_path: Path) -> None:
+    plain = open_dataset(generate_planned(small_plan(maps=False), tmp_path / "plain.h5"))
+    stored, again = (dataset.statistics() for dataset in (rooms, plain))
+    assert "stored" in stored.source
+    assert "traced again" in again.source
+    for one, other in zip(stored.rows, again.rows, strict=True):
+        assert one == pytest.approx(other, rel=1e-5, nan_ok=True)
+    assert len(plain.statistics(num_tx=2).links.tx_index) == 2
+
+
+def test_a_subset_has_statistics_of_its_own_samples(rooms: PasDataset) -> None:
+    last = rooms.num_carriers - 1
+    own = rooms.subset(rooms.carrier_hz == rooms.header.carrier_hz[last]).statistics()
+    assert {row["carrier_ghz"] for row in own.rows} == {rooms.header.carrier_hz[last] / 1e9}
+    np.testing.assert_array_equal(own.links.path_loss_db[:, 0], rooms.statistics().links.path_loss_db[:, last])
+    assert rooms.subset([0]).statistics().links.tx_index.tolist() == [0]
+
+
+def test_metal_takes_no_diffuse_power_and_air_all_of_it() -> None:
+    assert slab_absorption(Slab("metal", 0.01), 10e9) == pytest.approx(0, abs=2e-3)
+    assert slab_absorption(Slab(ConstantMaterial("air", 1, 0), 0.1), 10e9) == pytest.approx(1)
+    thick = slab_absorption(Slab(ConstantMaterial("lossy", 4, 1), 1.0), 10e9)  # a half-space, by Fresnel alone
+    cosine = (np.arange(4000) + 0.5) / 4000
+    inside = np.sqrt(4 - 1j / (2 * np.pi * 10e9 * 8.8541878128e-12) - 1 + cosine**2)
+    te = (cosine - inside) / (cosine + inside)
+    eta = 4 - 1j / (2 * np.pi * 10e9 * 8.8541878128e-12)
+    tm = (eta * cosine - inside) / (eta * cosine + inside)
+    assert thick == pytest.approx(1 - np.mean((abs(te) ** 2 + abs(tm) ** 2) * cosine), abs=1e-5)
+
+
+def test_the_commands_print_and_draw_them(
+    rooms: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info(rooms.path, statistics=True)
+    printed = capsys.readouterr().out
+    assert "over 38.901" in printed
+    assert printed.count("in sight ") >= 2
+    plot(rooms.path, output=tmp_path / "statistics.svg", of="statistics")
+    assert "power by mechanism" in (tmp_path / "statistics.svg").read_text()
+    with pytest.raises(XFreqBenchError, match="--of statistics shows all carriers"):
+        plot(rooms.path, output=tmp_path / "other.svg", of="statistics", carriers="2.4")

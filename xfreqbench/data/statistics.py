@@ -1,0 +1,311 @@
+"""Statistics of a data set's channels by carrier, beside those of standards: path loss, spreads, K, mechanisms.
+
+They are computed from the paths to the array centre, stored ones or of transmitters that are traced again. Path gains
+hold both antennas' patterns, so a path loss is that of isotropic antennas where both are (`pattern = "iso"`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.retrace import traced_scene
+from xfreqbench.data.standards import (
+    MMMAGIC_SPREADS,
+    TR38901_K_DB,
+    TR38901_SPREADS,
+    mmmagic_k_db,
+    p1238_path_loss_db,
+    room_decay_s,
+    small_room_delay_spread_s,
+    spread_by,
+    tr38901_path_loss_db,
+)
+from xfreqbench.errors import DataError
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.absorption import mean_absorption
+from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
+from xfreqbench.tracing.solvers import tracer_of
+from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_ghz
+
+WINDOW_DB = 25.0
+MECHANISMS = ("direct", "reflected", "transmitted", "diffracted", "diffuse")
+_LEAST_DECADES = 0.1  # of distance, over which an exponent is fitted
+
+
+@dataclass(frozen=True, eq=False)
+class LinkStatistics:
+    """What the paths of n transmitters at F carriers say; nan where no path arrives, or the sample is not asked for.
+
+    Path loss and the shares of the power, summed over paths, are of all paths; the rest is of those at most
+    `WINDOW_DB` below the strongest. Delay spreads are the rms of delays weighted by power, and angular spreads the
+    circular standard deviation √(−2·ln|Σ P·exp(jφ) / Σ P|) (3GPP TR 38.901, Annex A), in world axes, of arrival at the
+    array and of departure from the transmitter. `k_factor_db` is the power of the direct path over that of all others,
+    and nan without both. The last axis of `power_share` has the `MECHANISMS`: a path is what comes last in this order
+    of what it meets, so that one which is both reflected and transmitted is transmitted.
+    """
+
+    tx_index: Int[IntArray, "n"]
+    carrier_hz: Float[FloatArray, "F"]
+    distance_m: Float[FloatArray, "n"]
+    in_sight: Bool[NDArray[np.bool_], "n"]
+    path_loss_db: Float[FloatArray, "n F"]
+    delay_spread_s: Float[FloatArray, "n F"]
+    arrival_azimuth_spread_deg: Float[FloatArray, "n F"]
+    arrival_zenith_spread_deg: Float[FloatArray, "n F"]
+    departure_azimuth_spread_deg: Float[FloatArray, "n F"]
+    departure_zenith_spread_deg: Float[FloatArray, "n F"]
+    k_factor_db: Float[FloatArray, "n F"]
+    num_paths: Float[FloatArray, "n F"]
+    power_share: Float[FloatArray, "n F 5"]
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelStatistics:
+    """Statistics of a data set: of every link, of the room, and, in `rows`, of all links at a carrier.
+
+    The room is the box around the scene's surfaces, `volume_m3` and `surface_m2`; `absorption` (F,) is the mean over
+    the scene's surfaces of the share of diffuse power that they do not reflect. All are nan in a scene without any.
+    `source` says where the paths are from.
+    """
+
+    links: LinkStatistics
+    volume_m3: float
+    surface_m2: float
+    absorption: Float[FloatArray, "F"]
+    source: str
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for the transmitters in sight, and for those that are not, at each carrier, where there are any.
+
+        Names end in units; those of the standards end in their names. Values are medians, of the exponent the least
+        squares, and of a difference (`path_loss_above_…_db`) mean and standard deviation, shares are means.
+        """
+        kinds = [(sight, carrier) for sight in (True, False) for carrier in range(len(self.links.carrier_hz))]
+        return [row for kind in kinds if (row := self._row(*kind))["links"]]
+
+    def _row(self, in_sight: bool, carrier: int) -> dict[str, Any]:
+        links, carrier_hz = self.links, float(self.links.carrier_hz[carrier])
+        rows = np.flatnonzero((links.in_sight == in_sight) & np.isfinite(links.path_loss_db[:, carrier]))
+        loss_db, distance_m = links.path_loss_db[rows, carrier], links.distance_m[rows]
+        row: dict[str, Any] = {"in_sight": in_sight, "carrier_ghz": carrier_hz / 1e9, "links": len(rows)}
+        row["path_loss_db"] = _median(loss_db)
+        row["path_loss_exponent"] = _exponent(loss_db, distance_m)
+        for name, model in (("38901", tr38901_path_loss_db), ("p1238", p1238_path_loss_db)):
+            above_db = loss_db - model(distance_m, carrier_hz, in_sight)
+            row[f"path_loss_above_{name}_db"] = float(above_db.mean()) if len(rows) else np.nan
+            row[f"path_loss_above_{name}_sd_db"] = float(above_db.std()) if len(rows) else np.nan
+        row["k_factor_db"] = _median(links.k_factor_db[rows, carrier])
+        row["k_factor_38901_db"] = TR38901_K_DB if in_sight else np.nan
+        row["k_factor_mmmagic_db"] = mmmagic_k_db(carrier_hz) if in_sight else np.nan
+        row["num_paths"] = _median(links.num_paths[rows, carrier])
+        for name, standard in _SPREADS.items():
+            unit, scale = ("ns", 1e9) if name == "delay_spread_s" else ("deg", 1.0)
+            stem = name.rpartition("_")[0]
+            row[f"{stem}_{unit}"] = _median(getattr(links, name)[rows, carrier]) * scale
+            row[f"{stem}_38901_{unit}"] = spread_by(TR38901_SPREADS, standard, carrier_hz, in_sight) * scale
+            row[f"{stem}_mmmagic_{unit}"] = spread_by(MMMAGIC_SPREADS, standard, carrier_hz, in_sight) * scale
+        row["delay_spread_small_room_ns"] = small_room_delay_spread_s(self.volume_m3, self.surface_m2) * 1e9
+        absorption = float(self.absorption[carrier])
+        row["delay_spread_room_decay_ns"] = room_decay_s(self.volume_m3, self.surface_m2, absorption) * 1e9
+        shares = links.power_share[rows, carrier]
+        return {**row, **{f"share_{name}": _mean(share) for name, share in zip(MECHANISMS, shares.T, strict=True)}}
+
+    def __str__(self) -> str:
+        parts = [f"statistics of {self.source}; spreads, K and paths within {WINDOW_DB:g} dB of the strongest"]
+        if np.isfinite(self.volume_m3):
+            parts.append(f"room       {self.volume_m3:.0f} m³ and {self.surface_m2:.0f} m² about the surfaces")
+        for in_sight, title in ((True, "in sight"), (False, "not in sight")):
+            rows = [row for row in self.rows if row["in_sight"] == in_sight]
+            if rows:
+                for header, cells in ((_POWER_HEADER, _power_cells), (_SPREAD_HEADER, _spread_cells)):
+                    parts.append("\n" + _aligned([(title, *header), *map(cells, rows)]))
+        return "\n".join(parts)
+
+
+# of each statistic of a link, the one of 38.901, whose downlink leaves the array: its departures are our arrivals
+_SPREADS = {
+    "delay_spread_s": "lgDS",
+    "arrival_azimuth_spread_deg": "lgASD",
+    "departure_azimuth_spread_deg": "lgASA",
+    "arrival_zenith_spread_deg": "lgZSD",
+    "departure_zenith_spread_deg": "lgZSA",
+}
+_POWER_HEADER = (
+    "links",
+    "path loss dB",
+    "over 38.901",
+    "over P.1238",
+    "exponent",
+    "K dB (38.901, mmMAGIC)",
+    *MECHANISMS,
+)
+_SPREAD_HEADER = (
+    "paths",
+    "delay ns (38.901, mmMAGIC, small room, decay)",
+    "azimuth° at array (38.901)",
+    "at transmitter (38.901, mmMAGIC)",
+    "zenith° at array",
+    "at transmitter",
+)
+
+
+def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    above = [
+        f"{row[f'path_loss_above_{name}_db']:+.1f} ± {row[f'path_loss_above_{name}_sd_db']:.1f}"
+        for name in ("38901", "p1238")
+    ]
+    k = _beside([row[f"k_factor{name}_db"] for name in ("", "_38901", "_mmmagic")])
+    shares = [f"{row[f'share_{name}']:.1%}" for name in MECHANISMS]
+    return (
+        format_ghz(row["carrier_ghz"] * 1e9),
+        str(row["links"]),
+        f"{row['path_loss_db']:.1f}",
+        *above,
+        f"{row['path_loss_exponent']:.2f}",
+        k,
+        *shares,
+    )
+
+
+def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    delays = ("", "_38901", "_mmmagic", "_small_room", "_room_decay")
+    angles = {
+        name: _beside([row[f"{name}_spread{of}_deg"] for of in ("", "_38901", "_mmmagic")])
+        for name in ("arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith")
+    }
+    delay = _beside([row[f"delay_spread{name}_ns"] for name in delays])
+    return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", delay, *angles.values()
+
+
+def _beside(values: list[float]) -> str:
+    """Our value, and those of others in brackets, what is not known left out."""
+    own, *others = (f"{value:.1f}" for value in values)
+    known = [other for other in others if other not in ("nan", "inf")]
+    return f"{own.replace('nan', '–')} ({', '.join(known)})" if known else own.replace("nan", "–")
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(cell.rjust(width) if place else cell.ljust(width) for place, (cell, width) in enumerate(pairs))
+        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
+    ]
+    return "\n".join(lines)
+
+
+def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) -> ChannelStatistics:
+    """Statistics of a data set, or of the samples of a subset.
+
+    Paths are the stored ones, or those of at most `num_tx` transmitters, drawn by `seed`, that are traced again from
+    the scene and the settings in the file. Raises `DataError` for a data set of maps alone, and `SceneError` where the
+    scene's meshes are not at hand.
+    """
+    header = dataset.header
+    if not header.channels:
+        raise DataError(f"{dataset.path} holds maps alone, which say nothing of delays and power.")
+    is_asked = np.zeros((header.num_tx, dataset.num_carriers), bool)
+    is_asked.flat[dataset.rows] = True
+    tx, carriers = np.flatnonzero(is_asked.any(axis=1)), np.flatnonzero(is_asked.any(axis=0))
+    prepared = PreparedScene.of(traced_scene(dataset))
+    receiver_m = np.asarray(header.receiver.position_m, dtype=np.float64)
+    if header.paths:
+        paths, traced = dataset.stored_paths()[0], np.arange(header.num_tx)
+        source = f"the stored paths of {len(tx)} transmitters"
+    else:
+        traced = tx = np.sort(np.random.default_rng(seed).choice(tx, min(num_tx, len(tx)), replace=False))
+        tracer = tracer_of(prepared, header.carrier_hz, dataset.trace_settings)
+        positions_m = dataset.tables["tx_position_m"][tx]
+        paths = RaggedPaths.of([tracer.paths(position_m) for position_m in positions_m], positions_m, receiver_m)
+        source = f"the paths of {len(tx)} transmitters, traced again"
+    found = [of_paths(paths, carrier) for carrier in carriers.tolist()]
+    place = np.searchsorted(traced, tx)
+    missing = ~is_asked[np.ix_(tx, carriers)]
+    values = {name: np.stack([each[name][place] for each in found], axis=1) for name in found[0]}
+    for each in values.values():
+        each[missing] = np.nan
+    carrier_hz = header.carrier_hz[carriers]
+    distance_m = np.linalg.norm(dataset.tables["tx_position_m"][tx] - receiver_m, axis=1)
+    in_sight = dataset.tables["line_of_sight"][tx].astype(bool)
+    links = LinkStatistics(tx, carrier_hz, distance_m, in_sight, **values)
+    corners_m = [mesh.vertices_m for mesh in prepared.geometry.meshes]
+    x, y, z = np.ptp(np.concatenate(corners_m), axis=0).tolist() if corners_m else [np.nan] * 3
+    policy = dataset.trace_settings.materials
+    absorption = np.array([mean_absorption(prepared.geometry, carrier, policy) for carrier in carrier_hz.tolist()])
+    return ChannelStatistics(links, x * y * z, 2 * (x * y + y * z + z * x), absorption, source)
+
+
+def of_paths(paths: RaggedPaths, carrier: int) -> dict[str, Float[FloatArray, "T *S"]]:
+    """The statistics of `LinkStatistics`, by name, of all T transmitters at the carrier of that number."""
+    num_tx = len(paths.num_paths)
+    tx = np.repeat(np.arange(num_tx), paths.num_paths)
+    power = np.abs(paths.gain[:, carrier].astype(np.complex128)) ** 2
+    strongest = np.zeros(num_tx)
+    np.maximum.at(strongest, tx, power)
+    is_heard = power >= np.maximum(strongest * 10 ** (-WINDOW_DB / 10), np.finfo(float).tiny)[tx]
+    near = np.where(is_heard, power, 0.0)
+    mechanism = _mechanism(paths)
+
+    def total(weights: Float[FloatArray, "P"]) -> Float[FloatArray, "T"]:
+        return np.bincount(tx, weights, num_tx).astype(np.float64)
+
+    all_power = np.where(strongest > 0, total(power), np.nan)
+    near_power = np.where(strongest > 0, total(near), np.nan)
+    late_s = paths.delay_s - np.nan_to_num(total(near * paths.delay_s) / near_power)[tx]
+
+    def angular_spread_deg(angle_rad: Float[NDArray[np.float32], "P"]) -> Float[FloatArray, "T"]:
+        east, north = (total(near * part(angle_rad.astype(np.float64))) for part in (np.cos, np.sin))
+        length = np.clip(np.hypot(east, north) / near_power, np.finfo(float).tiny, 1)
+        return np.asarray(np.degrees(np.sqrt(-2 * np.log(length))))
+
+    direct = total(near * (mechanism == 0))
+    others = total(near * (mechanism != 0))
+    both = (direct > 0) & (others > 0)
+    k_factor_db = np.full(num_tx, np.nan)
+    k_factor_db[both] = 10 * np.log10(direct[both] / others[both])
+    return {
+        "path_loss_db": -10 * np.log10(all_power),
+        "delay_spread_s": np.sqrt(total(near * late_s**2) / near_power),
+        "arrival_azimuth_spread_deg": angular_spread_deg(paths.arrival_azimuth_rad),
+        "arrival_zenith_spread_deg": angular_spread_deg(paths.arrival_elevation_rad),
+        "departure_azimuth_spread_deg": angular_spread_deg(paths.departure_azimuth_rad),
+        "departure_zenith_spread_deg": angular_spread_deg(paths.departure_elevation_rad),
+        "k_factor_db": k_factor_db,
+        "num_paths": np.where(strongest > 0, total(is_heard.astype(np.float64)), np.nan),
+        "power_share": np.stack(
+            [total(power * (mechanism == kind)) / all_power for kind in range(len(MECHANISMS))], axis=-1
+        ),
+    }
+
+
+def _mechanism(paths: RaggedPaths) -> Int[IntArray, "P"]:
+    """The place of each path in `MECHANISMS`."""
+    path = np.repeat(np.arange(len(paths.delay_s)), paths.num_interactions)
+    mechanism = np.minimum(paths.num_interactions, 1).astype(np.int64)
+    for kind, code in enumerate((REFRACTION, DIFFRACTION, DIFFUSE), start=2):
+        np.maximum.at(mechanism, path, np.where(paths.interaction == code, kind, 0))
+    return np.asarray(mechanism, dtype=np.int64)
+
+
+def _median(values: Float[FloatArray, "n"]) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _mean(values: Float[FloatArray, "n"]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _exponent(loss_db: Float[FloatArray, "n"], distance_m: Float[FloatArray, "n"]) -> float:
+    """By how many times 10 dB the loss grows with a decade of distance; nan where distances hardly differ."""
+    decades = np.log10(distance_m)
+    if len(decades) < 3 or np.ptp(decades) < _LEAST_DECADES:
+        return float("nan")
+    return float(np.polyfit(decades, loss_db, 1)[0] / 10)
