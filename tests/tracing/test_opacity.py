@@ -44,8 +44,8 @@ def is_opaque_to_sionna(material: str, thickness_m: float, carrier_hz: list[floa
     [
         (("metal", 0.002), [1e9, 94e9], True, True),
         (("concrete", 0.2), [1e9, 94e9], False, False),  # one carrier passes: so do rays
-        (("concrete", 0.2), [47e9, 94e9], True, True),
-        (("concrete", 0.2), [37e9, 94e9], False, True),  # 113 dB with its faces, 111 dB without
+        (("concrete", 0.2), [47e9, 94e9], False, True),  # of solver image it is what passes at 1 GHz
+        (("concrete", 5.0), [47e9, 94e9], True, True),
         (("glass", 0.008), [94e9], False, False),
     ],
 )

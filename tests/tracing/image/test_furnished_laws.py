@@ -124,10 +124,9 @@ def test_an_element_hears_over_edges_what_a_receiver_in_its_place_hears(room: Sc
 
 
 def test_the_paths_of_a_furnished_room_add_up_to_its_channel(room: Scene) -> None:
-    every_path = ImageSavings(diffraction_floor=0.0)
     centre = replace(room, receiver=replace(room.receiver, rows=1, cols=1))
     settings = TraceSettings("image", DIFFRACTING, max_depth=3, rays=20_000)
-    tracer, num_diffracted = ImageTracer(centre, CARRIERS_HZ, settings, every_path), 0
+    tracer, num_diffracted = ImageTracer(centre, CARRIERS_HZ, settings), 0
     for tx in random_places_m(6, 6):
         paths = tracer.paths(tx)
         turns = np.array(CARRIERS_HZ)[:, None] * paths.delay_s

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.reference import cfr_at_centre
+from xfreqbench.bench.stress.geometry import fresnel_slab
 from xfreqbench.errors import SceneError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
@@ -161,12 +162,24 @@ def visibility_apart(scene: Scene, tx: np.ndarray, max_depth: int) -> float:
     return float((np.linalg.norm(by_corners - by_elements, axis=2) / np.linalg.norm(by_elements, axis=2)).max())
 
 
-def test_a_stretch_is_measured_at_each_corner_of_the_array() -> None:
-    floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (9.0, 9.0, 0.0))
-    tx = np.array([(3.0, 0.1, height_m) for height_m in np.linspace(1.5, 2.5, 20)])
-    for edge_m in (1.38, 1.62):  # where some elements see the floor within 1 cm of the sheet's foot
-        sheet = Surface("sheet", "glass", 0.005, (edge_m, -2.0, 0.0), (edge_m, 2.0, 1.0))
-        assert visibility_apart(scene_of(floor, sheet), tx, max_depth=3) < 1e-12  # roundings of a sum of paths
+@pytest.mark.parametrize("apart_m", [2e-4, 6e-3, 12e-3])  # of 6 mm: a pane as a closed box
+def test_two_slabs_as_near_as_they_may_be_pass_what_each_of_them_passes(apart_m: float) -> None:
+    faces = (Surface("pane", "glass", 0.003, (-apart_m / 2, -20.0, -20.0), (apart_m / 2, 20.0, 20.0)),)
+    receiver = ReceiverArray(position_m=(3.0, 0.0, 1.5), rows=1, cols=1, boresight=(-1.0, 0.0, 0.0))
+    tx_m = np.array([[-3.0, y, 1.5] for y in (0.0, 2.0, 6.0, 12.0)])
+    settings = TraceSettings(interactions=("specular", "refraction"), max_depth=2)
+    cfr = ImageTracer(scene_of(*faces, receiver=receiver), [5e9], settings).channel(tx_m).cfr[:, 0, 0]
+    distance_m = np.linalg.norm(tx_m - receiver.position_m, axis=1)
+    alone = [
+        fresnel_slab("glass", 0.003, 5e9, float(6 / length_m))[2] for length_m in distance_m
+    ]  # TE at a vertical pane
+    friis = (
+        SPEED_OF_LIGHT_M_S
+        / 5e9
+        / (4 * np.pi * distance_m)
+        * np.exp(-2j * np.pi * 5e9 * distance_m / SPEED_OF_LIGHT_M_S)
+    )
+    np.testing.assert_allclose(cfr, friis * np.square(alone), rtol=1e-9)
 
 
 def test_an_array_across_the_plane_of_a_sheet_is_not_judged_by_its_corners_alone() -> None:
@@ -220,8 +233,10 @@ def test_path_sums_equal_channels() -> None:
     receiver = replace(scene.receiver, rows=1, cols=1)
     scene = replace(scene, receiver=receiver)
     tx = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 5, seed=1)
-    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(interactions=("specular", "refraction"), rays=50_000))
+    tracer = ImageTracer(scene, CARRIERS_HZ, TraceSettings(rays=50_000))
     channel = tracer.channel(tx)
+    other = ImageTracer(scene, CARRIERS_HZ, TraceSettings(rays=50_000))
+    np.testing.assert_array_equal(other.paths(tx[0]).gain, tracer.paths(tx[0]).gain)  # skipped alike, asked for first
     for position_m, cfr in zip(tx, channel.cfr, strict=True):
         paths = tracer.paths(position_m)
         np.testing.assert_allclose(cfr_at_centre(paths), cfr[:, 0], rtol=1e-7, atol=1e-12)

@@ -57,13 +57,18 @@ class Diffraction:
         sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
         self.room, self._sought = Room(scene, wedges, reflectors), (sides, limits)
 
-    def add_channel(self, tx_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]) -> None:
-        """Add the channel (F, M) over edges to that of all other paths of a transmitter, carriers ascending."""
-        add_over_edges(self.room, *self._sought, tx_m[None], sums, num_paths)
+    def add_channel(
+        self, tx_m: Float[FloatArray, "3"], floor: Float[FloatArray, "F"], sums: Sums, num_paths: NDArray[np.int32]
+    ) -> None:
+        """Add the channel (F, M) over edges to that of all other paths of a transmitter, carriers ascending.
 
-    def paths(self, tx_m: Float[FloatArray, "3"]) -> list[CentrePath]:
-        """All paths of one transmitter over edges to the array centre, none of them skipped; carriers ascend."""
-        return paths_over_edges(self.room, *self._sought, *self._surfaces, tx_m[None])
+        Paths that a bound shows to be weaker than `floor`, amplitude over wavelength in 1/m, are skipped.
+        """
+        add_over_edges(self.room, *self._sought, tx_m[None], floor, sums, num_paths)
+
+    def paths(self, tx_m: Float[FloatArray, "3"], floor: Float[FloatArray, "F"]) -> list[CentrePath]:
+        """The paths to the array centre that `add_channel` adds; carriers ascend."""
+        return paths_over_edges(self.room, *self._sought, *self._surfaces, tx_m[None], floor)
 
 
 def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArray[np.bool_], "E"]) -> Wedges:

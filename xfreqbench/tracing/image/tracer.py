@@ -2,13 +2,13 @@
 
 Rays that branch at every facet are shot from the receiver once, and find the sequences of mirror planes that can
 matter. Of these, each transmitter uses the ones whose path reaches the array. Whether it does is decided at the four
-corners of the array for all elements between them; where the corners disagree, or a stretch of a path is shorter than
-2 cm, each element is traced by itself. What a segment meets is looked up in a tree of boxes, so a room of boxes and one
-furnished with meshes, of whose triangles only large patches mirror, are solved alike.
+corners of the array for all elements between them; where the corners disagree, or a stretch of a path is as short as
+some micrometres, each element is traced by itself. What a segment meets is looked up in a tree of boxes, so a room of
+boxes and one furnished with meshes, of whose triangles only large patches mirror, are solved alike.
 
-Specular reflection and refraction are modelled, and on request first-order diffraction at the edges of mirrors. As in
-Sionna RT, depth counts them together, and a path with a stretch shorter than 1 cm is dropped; slabs (ITU-R P.2040)
-and antenna conventions are Sionna's too.
+Specular reflection and refraction are modelled, and on request first-order diffraction at the edges of mirrors. Depth
+counts them together, and slabs (ITU-R P.2040) and antenna conventions are those of Sionna RT, which drops paths with a
+stretch under 1 cm; here two surfaces may be as near to each other as a micrometre.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
-from xfreqbench.tracing.image.kernels.arrays import LANES, Aperture, Media
+from xfreqbench.tracing.image.kernels.arrays import LANES, Aperture, Media, Sums
 from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import side_by_side
@@ -44,7 +44,10 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction"})
 MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
-OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence, at every carrier
+OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
+# Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
+# carrier where that is lower.
+SEARCHED_HZ = 1e9
 # Of a 4×4 array: maps of 68 dB or better at the 5th percentile; 8×8: 40 dB.
 MAX_INTERPOLATED_WAVELENGTHS = 1.5
 
@@ -103,7 +106,9 @@ class ImageTracer:
         aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
         media = self._media_at_centre.in_lanes(*aperture.weight.shape)
-        is_opaque = are_opaque(media) | ("refraction" not in settings.named_interactions)
+        lowest_hz = min(ascending[0], SEARCHED_HZ)  # what follows must not depend on what other carriers are asked for
+        passing, _ = media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene.receiver)
+        is_opaque = are_opaque(passing) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
         quads = _quads(scene.receiver.rows, scene.receiver.cols)
@@ -111,17 +116,18 @@ class ImageTracer:
             quads = np.repeat(np.unique(quads)[:, None], 4, axis=1)
         self._scene = KernelScene(self.facets, media, aperture, quads)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
-        points_m = np.vstack([receiver_m, receiver_m + aperture.corner_m[0]])  # of the widest aperture
+        points_m = np.vstack([receiver_m, receiver_m + ascending[0] / lowest_hz * aperture.corner_m[0]])
         sequences = sequences_of(
             self.facets, len(mirrors.planes), np.unique(points_m, axis=0), settings, savings.max_reflections
         )
         self._trie = trie_of(*sequences, mirrors, receiver_m, aperture)
+        # of the transmitters asked for last: the least amplitude over wavelength of a path over an edge
+        self._floor_at: dict[bytes, FloatArray] = {}
         self.diffraction = None
         if "diffraction" in settings.named_interactions:
             can_reflect = "specular" in settings.named_interactions
             max_planes = min(savings.diffraction_planes, settings.max_depth - 1) if can_reflect else 0
-            share, floor = savings.share_visibility, savings.diffraction_floor
-            limits = Limits(settings.max_depth, max_planes, share, floor)
+            limits = Limits(settings.max_depth, max_planes, savings.share_visibility)
             self.diffraction = Diffraction(
                 geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
             )
@@ -132,24 +138,38 @@ class ImageTracer:
         tx = np.ascontiguousarray(tx_position_m, dtype=np.float64)
         shape = len(tx), len(self.carrier_hz), self._scene.aperture.element_m.shape[2]
         real, imag, num_paths = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int32)
+        floors = np.zeros(shape[:2])
 
         def add(i: int) -> None:
-            limits, sums = (self.settings.max_depth, self.savings.share_visibility), (real[i], imag[i])
-            add_channel(self._scene, self._trie, tx[i], *limits, sums, num_paths[i])
+            sums = real[i], imag[i]
+            floors[i] = self._add_plain(tx[i], sums, num_paths[i])
             if self.diffraction is not None:
-                self.diffraction.add_channel(tx[i], sums, num_paths[i])
+                self.diffraction.add_channel(tx[i], floors[i], sums, num_paths[i])
 
         side_by_side(add, len(tx))
+        self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
         cfr, original = real + 1j * imag, np.argsort(self._order)
         return Channel(cfr[:, original], num_paths[:, original])
+
+    def _add_plain(self, tx_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]) -> FloatArray:
+        """Add the channel (F, M) without edges to `sums`, and return the amplitude over λ that edges have to reach."""
+        limits = self.settings.max_depth, self.savings.share_visibility
+        add_channel(self._scene, self._trie, tx_m, *limits, sums, num_paths)
+        strongest = np.hypot(*sums).max(axis=1)
+        return np.asarray(self.savings.diffraction_floor * strongest / self._scene.aperture.wavelength_m)
 
     @checked
     def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
-        tx, depth = np.asarray(tx_position_m, dtype=np.float64), self.settings.max_depth
+        tx, depth = np.ascontiguousarray(tx_position_m, dtype=np.float64), self.settings.max_depth
         found = paths_to_centre(self.facets, self._media_at_centre, self._trie, self._surface, tx, depth)
         if self.diffraction is not None:
-            found += self.diffraction.paths(tx)
+            floor = self._floor_at.get(bytes(tx))
+            if floor is None:
+                shape = self._scene.aperture.element_m.shape
+                sums = np.zeros((shape[0], shape[2])), np.zeros((shape[0], shape[2]))
+                floor = self._add_plain(tx, sums, np.zeros(shape[0], np.int32))
+            found += self.diffraction.paths(tx, floor)
         found.sort(key=lambda path: path[1])
 
         def column(i: int, dtype: type, *shape: int) -> Any:
@@ -192,12 +212,9 @@ def media_of(
 
 
 def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
-    """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at every carrier."""
-    transmission = [
-        [abs(slab_coefficients(1.0, eta, phase)[2]) for eta, phase in zip(*slabs, strict=True)]
-        for slabs in zip(media.permittivity, media.phase_thickness, strict=True)
-    ]
-    return np.max(transmission, axis=0, initial=0.0) < OPAQUE_TRANSMISSION
+    """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at the lowest carrier, where it passes most."""
+    slabs = zip(media.permittivity[0], media.phase_thickness[0], strict=True)
+    return np.array([abs(slab_coefficients(1.0, eta, phase)[2]) < OPAQUE_TRANSMISSION for eta, phase in slabs], bool)
 
 
 def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:

@@ -24,7 +24,7 @@ Sums = tuple[F64, F64]  # real and imaginary
 # (D,), padded with −1, and where they happen (D, 3), padded with NaN.
 CentrePath = tuple[C128, float, F64, I64, I64, F64]
 
-MIN_SEGMENT_M = 0.01  # Sionna RT's MIN_SEGMENT_LENGTH: a path with a shorter segment is dropped
+MIN_SEGMENT_M = 1e-6  # a path with a shorter stretch is an artefact of rounding, at an edge or in a corner
 COPLANAR_M = 1e-4  # as in `scene.facets`: facets of one plane that lie on each other count once
 FAR = 1e30  # where a ray meets nothing
 MAX_CROSSED = 16  # slabs on one segment; a path that crosses more is dropped, but is deeper than the limit

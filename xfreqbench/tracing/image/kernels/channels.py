@@ -13,6 +13,8 @@ from .fields import Image, gains, interpolate, spread
 from .sequences import Trie, candidates_of, line_of
 from .tree import CORNERS, LONE, QUAD
 
+NEAR = 20.0  # half diagonals of the array: to shorter paths than so many its elements differ too much to interpolate
+
 
 @part
 def _met(length: int, walk: Walk) -> int:
@@ -97,8 +99,10 @@ def _add_path(scene: Scene, path: Path, share: bool, walk: Walk, sums: Sums, num
     has_slabs = has_mirrors = False
     for f in range(num_carriers):
         if share and reach == MIXED:
+            # what wider corners gathered is not used: whether the field is interpolated would depend on them
             reach = fold(facets, path, aperture.corner_m[f], CORNERS, walk)
-            if reach == EVERYWHERE and not has_slabs:
+            if reach == EVERYWHERE:
+                has_slabs = False
                 reach = gather_mirrors(facets, path, CORNERS, walk)
                 has_mirrors = reach == EVERYWHERE
                 if has_mirrors:
@@ -114,7 +118,12 @@ def _add_path(scene: Scene, path: Path, share: bool, walk: Walk, sums: Sums, num
             break
         own_sums = real[f], imag[f]
         if reach == EVERYWHERE:
-            interpolate(walk.gain, f * num_nodes, aperture.weight, walk.own)
+            corner = aperture.corner_m[f, 0]
+            if image[0] < NEAR**2 * (corner[0] ** 2 + corner[1] ** 2 + corner[2] ** 2):
+                own_lane = num_carriers * num_nodes + f * real.shape[1]
+                gains(facets, media, path, aperture.element_m[f], own_lane, real.shape[1], walk, walk.own)
+            else:
+                interpolate(walk.gain, f * num_nodes, aperture.weight, walk.own)
             spread(walk.own, image, aperture.element_m[f], aperture.wavelength_m[f])
             size = 0.0
             for e in range(real.shape[1]):

@@ -53,7 +53,6 @@ class Limits(NamedTuple):
     max_depth: int  # interactions in all
     max_planes: int  # reflections on either side of the edge
     share: bool  # decide at the array's corners which paths reach its elements
-    floor: float  # paths weaker than this, relative to the strongest element without edges, are skipped
 
 
 class Work(NamedTuple):
@@ -329,54 +328,64 @@ def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> EdgePath:
 
 
 @bare
+def _may_count(room: Room, path: EdgePath, near_most: F64, far_most: F64, work: Work) -> bool:
+    """Whether a path may be as strong as the floor at any carrier; bounds of its amplitude are left in work.most (F,).
+
+    `near_most` and `far_most` (F,) bound what the planes of its halves reflect.
+    """
+    most, is_any = work.most, False
+    wavelength_m = room.scene.aperture.wavelength_m
+    _bounds(room.wedges.angle[path.edge], path.near_polar, path.far_polar, wavelength_m, most)
+    for f in range(most.shape[0]):
+        most[f] *= near_most[f] * far_most[f]
+        is_any |= most[f] >= work.floor[f]
+    return is_any
+
+
+@bare
 def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
     """Add all paths over edges to `sums` (F, M) each."""
-    aperture, angle, most = room.scene.aperture, room.wedges.angle, work.most
-    for e in range(angle.shape[0]):
+    radius_m = room.scene.aperture.radius_m
+    for e in range(room.wedges.length.shape[0]):
         _begin_at(room.wedges, e, work)
         for a in range(near.first[e], near.first[e + 1]):
             for c in range(3):
                 work.end[0, c] = near.image[a, c]
             for b in range(far.first[e], far.first[e + 1]):
                 is_deep = near.length[a] + far.length[b] >= limits.max_depth
-                if is_deep or not _meet(near, a, far, b, aperture.radius_m):
+                if is_deep or not _meet(near, a, far, b, radius_m):
                     continue
-                path, is_any = _path_over(e, near, a, far, b), False
-                _bounds(angle[e], path.near_polar, path.far_polar, aperture.wavelength_m, most)
-                for f in range(most.shape[0]):
-                    most[f] *= near.most[a, f] * far.most[b, f]
-                    is_any |= most[f] >= work.floor[f]
-                if is_any:
+                path = _path_over(e, near, a, far, b)
+                if _may_count(room, path, near.most[a], far.most[b], work):
                     _add_path(room, path, limits, work, sums, num_paths)
 
 
 @entry
-def add_over_edges(room: Room, far: Sides, limits: Limits, tx: F64, sums: Sums, num_paths: I32) -> None:
+def add_over_edges(room: Room, far: Sides, limits: Limits, tx: F64, floor: F64, sums: Sums, num_paths: I32) -> None:
     """Add the channel (F, M) over edges of the transmitter at `tx` (1, 3) to `sums`, which hold that of other paths.
 
-    The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges.
+    The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges. Paths that a bound
+    shows to be weaker than `floor` (F,), amplitude over wavelength in 1/m, are skipped.
     """
-    (real, imag), wavelength_m = sums, room.scene.aperture.wavelength_m
     near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
-    work = _new_work(real.shape[1], len(wavelength_m))
-    for f in range(len(wavelength_m)):
-        for m in range(real.shape[1]):
-            least = limits.floor * math.hypot(real[f, m], imag[f, m]) / wavelength_m[f]
-            work.floor[f] = max(work.floor[f], least)
+    work = _new_work(sums[0].shape[1], len(floor))
+    work.floor[:] = floor
     _add_all(room, near, far, limits, work, sums, num_paths)
 
 
 @entry
 def paths_over_edges(
-    room: Room, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64
+    room: Room, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64, floor: F64
 ) -> list[CentrePath]:
-    """Paths over edges from the transmitter at `tx` (1, 3) to the array centre, none of them skipped.
+    """Paths over edges from the transmitter at `tx` (1, 3) to the array centre, those that `add_over_edges` adds.
 
-    `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge.
+    `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge. The gain is 0 at carriers
+    at which the path is skipped.
     """
     near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
     num_carriers, depth = room.scene.aperture.wavelength_m.shape[0], limits.max_depth
     work, centre, reached = _new_work(1, num_carriers), np.zeros((1, 3)), []
+    work.floor[:] = floor
     for e in range(room.wedges.length.shape[0]):
         _begin_at(room.wedges, e, work)
         for a in range(near.first[e], near.first[e + 1]):
@@ -385,15 +394,18 @@ def paths_over_edges(
                 if near.length[a] + far.length[b] >= depth or not _meet(near, a, far, b, 0.0):
                     continue
                 path = _path_over(e, near, a, far, b)
+                if not _may_count(room, path, near.most[a], far.most[b], work):
+                    continue
                 if _reach(room, path, centre, depth, LONE, work) != EVERYWHERE:
                     continue
                 code, met, point = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
                 at = list_interactions(work.near, path.near.length, True, 0, surface, code, met, point)
                 code[at], met[at], point[at] = DIFFRACTION, edge_surface[e], work.near.vertex[0, 0]
                 list_interactions(work.far, path.far.length, False, at + 1, surface, code, met, point)
-                gain = np.empty(num_carriers, np.complex128)
+                gain = np.zeros(num_carriers, np.complex128)
                 for f in range(num_carriers):
-                    gain[f] = _gain(room, path, f, work)
+                    if work.most[f] >= work.floor[f]:
+                        gain[f] = _gain(room, path, f, work)
                 length_m = _length_over(room.wedges, e, path.near_polar, work.end[1])
                 way = work.far.vertex[0, path.far.length] - work.far.vertex[0, path.far.length + 1]
                 reached.append((gain, length_m, way / np.linalg.norm(way), code, met, point))
