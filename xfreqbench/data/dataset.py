@@ -329,12 +329,12 @@ def open_dataset(path: FilePath) -> PasDataset:
         grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
         require_layout(file, variables(header, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
-        tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
+        tables = {name: read_array(file, name) for name in names if header.channels or name != "cfr"}
         if header.paths:
             totals = stored_totals(file)
             require_layout(file, path_variables(header.num_tx, len(header.carrier_hz), totals))
             tables[OFFSET] = stored_offsets(file, totals.num_paths)
-        beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
+        beam = BartlettBeam(read_array(file, "element_position_wavelengths"), grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}
         _require_meaning({CARRIER: header.carrier_hz, **angles, **elements, **tables})

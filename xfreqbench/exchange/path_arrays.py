@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Shaped
 from numpy.typing import NDArray
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.hdf5 import open_sealed, read_errors
 from xfreqbench.data.paths import GROUP, OFFSET, read_paths, stored_totals
 from xfreqbench.data.schema import SCHEMA
@@ -100,7 +100,6 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     is absent or empty, `DataError` where no paths are stored, and `StorageError`.
     """
     require_empty(folder)
-    verify(path)
     dataset = open_dataset(path)
     paths, surface_names = stored_paths(dataset)
     with atomic_folder(folder) as temporary, storage_errors(folder):

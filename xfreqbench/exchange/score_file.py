@@ -32,7 +32,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
 from xfreqbench.exchange.prediction_file import Part, read_parts, splits_or_none
 from xfreqbench.maps.metrics import METRICS_VERSION
@@ -104,7 +104,6 @@ def score_file(
     """
     dataset = open_dataset(data)
     parts = read_parts(path, dataset, method)
-    verify(data)
     require_fingerprint(dataset)
     folder = ResultsFolder(results_dir)
     num_maps = sum(len(part.split.test) for part in parts)
