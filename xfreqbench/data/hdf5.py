@@ -138,8 +138,8 @@ def create_sealed(
 def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema.
 
-    Whatever is read of it is checked: headers, and data in chunks, by the checksums of HDF5, other data by `read_array`.
-    A file that another program opened to write is refused.
+    Whatever is read of it is checked: headers, and data in chunks, by the checksums of HDF5, other data by
+    `read_array`. A file that another program opened to write is refused.
     """
     with read_errors(path):  # a path that is too long raises an error too
         is_there, is_folder = path.is_file(), path.is_dir()
