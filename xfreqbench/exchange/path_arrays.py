@@ -85,7 +85,7 @@ def carrier_names(dataset: PasDataset) -> Iterator[tuple[int, float, str]]:
     letters = (letter if letter.isalnum() else "_" for letter in dataset.header.scene_name.lower())
     scene = "".join(letters)
     for carrier, carrier_hz in enumerate(dataset.header.carrier_hz.tolist()):
-        yield carrier, carrier_hz, f"{scene}_{carrier_hz / 1e9:.9g}ghz"
+        yield carrier, carrier_hz, f"{scene}_{carrier_hz / 1e9:.12g}ghz"
 
 
 def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ignore_progress) -> PasDataset:
