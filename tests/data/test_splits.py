@@ -149,7 +149,7 @@ def test_leak_free_protocols_share_no_transmitter_between_training_and_test(data
 def test_a_place_that_is_given_twice_is_in_one_part(of_many_transmitters: PasDataset, protocol: str, on) -> None:
     position_m = of_many_transmitters.tables["tx_position_m"]
     assert (of_many_transmitters.place_index == of_many_transmitters.tx_index).all()  # every place is given once there
-    twice_m = np.concatenate([position_m[:20], position_m[:20] + (0.0, 6e-4, 6e-4)])
+    twice_m = np.concatenate([position_m[:20], position_m[:20] + np.array([0.0, 6e-4, 6e-4])])
     twice = replace(of_many_transmitters, tables={**of_many_transmitters.tables, "tx_position_m": twice_m})
     for split in make_splits(twice, protocol, on=on):
         away_m = np.linalg.norm(twice.tx_position_m[split.test, None] - twice.tx_position_m[split.train], axis=2)

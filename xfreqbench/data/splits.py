@@ -22,8 +22,8 @@ part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at
 the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
 them the room and the receiver are the same in training and in test.
 
-Transmitters within a millimetre of each other are one place, and in one part. A carrier that agrees with a tested one in
-nine digits is neither trained on nor tested with it.
+Transmitters within a millimetre of each other are one place, and in one part. A carrier that agrees with a tested one
+in nine digits is neither trained on nor tested with it.
 
 A sample that no path reaches is in neither part, because a channel of zeros has no map.
 
