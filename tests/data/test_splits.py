@@ -22,7 +22,7 @@ from xfreqbench.data.splits import (
     random_samples,
     sparse_frequency,
 )
-from xfreqbench.errors import ArgumentError, ProtocolError, UnknownNameError
+from xfreqbench.errors import ArgumentError, DataError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 
@@ -156,6 +156,15 @@ def test_a_place_that_is_given_twice_is_in_one_part(of_many_transmitters: PasDat
         assert away_m.min() > 1e-3 and split.nearest_trained_m > 1e-3
         assert not split.shares_transmitters
         assert len(np.unique(twice.tx_index[split.test])) == 2 * len(np.unique(twice.place_index[split.test]))
+
+
+@pytest.mark.parametrize("shape", [{"rows": 1, "cols": 1}, {"spacing_wavelengths": 1e-6}])
+def test_maps_that_are_all_constant_are_not_tested(dataset: PasDataset, shape: dict[str, float]) -> None:
+    receiver = replace(dataset.header.receiver, **shape)
+    constant = replace(dataset, header=replace(dataset.header, receiver=receiver))
+    for protocol in PROTOCOLS:
+        with pytest.raises(DataError, match="are constant, because its array has one element or no extent"):
+            make_splits(constant, protocol)
 
 
 @pytest.mark.parametrize("protocol", ["lofo", "sparse"])

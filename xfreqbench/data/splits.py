@@ -58,7 +58,7 @@ from xfreqbench.data.validation import (
     inner_carriers_hz,
     validation_tx,
 )
-from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
@@ -110,8 +110,13 @@ class Split:
     ) -> Split:
         """The split that trains and tests on these of the N samples, as far as a path reaches them.
 
-        Raises `ProtocolError` where none is left to train or to test on.
+        Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
         """
+        if dataset.header.channels and not dataset.header.receiver.resolves_directions:
+            raise DataError(
+                f"The maps of {dataset.path} are constant, because its array has one element or no extent, and every "
+                "method would predict them. Generate data of an array of several elements, half a wavelength apart."
+            )
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
         if not len(train) or not len(test):
             raise ProtocolError(

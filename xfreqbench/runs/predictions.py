@@ -22,11 +22,11 @@ from xfreqbench.data.hdf5 import (
     verify_sealed,
 )
 from xfreqbench.errors import DataError
+from xfreqbench.maps.bartlett import RANGE_TOLERANCE
 from xfreqbench.system.files import require_own
 from xfreqbench.types import IntArray
 
 SCHEMA = "xfreqbench/predictions/1"
-RANGE_TOLERANCE = 1e-4  # single-precision rounding of a map that was divided by its own maximum
 PEAK_TOLERANCE = 1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
 _ADVICE = "Delete it and run again."
 MapBatch = tuple[IntArray, NDArray[np.float32]]
