@@ -19,8 +19,10 @@ def describe(path: Path) -> str:
     receiver = header.receiver
     lit = np.unique(dataset.tx_index[dataset.line_of_sight])
     in_sight = str(len(lit)) if header.channels else "unknown number"
+    num_places = len(np.unique(dataset.place_index))
+    at_places = f" at {num_places} places" if num_places < header.num_tx else ""
     lines = [
-        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters ({in_sight} in sight of "
+        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters{at_places} ({in_sight} in sight of "
         f"the receiver) × {dataset.num_carriers} carriers",
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
         f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
