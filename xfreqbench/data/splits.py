@@ -112,7 +112,7 @@ class Split:
 
         Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
         """
-        if dataset.header.channels and not dataset.header.receiver.resolves_directions:
+        if not dataset.header.receiver.resolves_directions:
             raise DataError(
                 f"The maps of {dataset.path} are constant, because its array has one element or no extent, and every "
                 "method would predict them. Generate data of an array of several elements, half a wavelength apart."
