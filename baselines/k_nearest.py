@@ -128,7 +128,7 @@ class KNearest(TransmitterLookup):
             maps = train.pas(rows)[:, ::_STRIDE, ::_STRIDE]
             truth = train.pas(query)[:, ::_STRIDE, ::_STRIDE].repeat(len(_COUNTS), 0)
             same_carrier = train.carrier_hz[rows] == each_hz
-            same_tx = train.tx_index[rows] == train.tx_index[query]
+            same_tx = train.place_index[rows] == train.place_index[query]
             is_inner = each_hz in inner_hz or not len(inner_hz)
             for kind, left_out in zip(KINDS, (same_carrier, same_tx, same_carrier | same_tx), strict=True):
                 left = ~left_out

@@ -30,9 +30,9 @@ def ghz_to_hz(carrier_ghz: float) -> float:
 
 def format_ghz(carrier_hz: float) -> str:
     """Carrier as a user writes it: `24.25 GHz`."""
-    return f"{carrier_hz / 1e9:.9g} GHz"
+    return format_ghz_list([carrier_hz])
 
 
 def format_ghz_list(carrier_hz: Iterable[float]) -> str:
-    """Carriers as a user writes them: `60, 94 GHz`."""
-    return ", ".join(f"{carrier / 1e9:.9g}" for carrier in carrier_hz) + " GHz"
+    """Carriers as a user writes them, to the hertz: `60, 94 GHz`."""
+    return ", ".join(f"{carrier / 1e9:.12g}" for carrier in carrier_hz) + " GHz"

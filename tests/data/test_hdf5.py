@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -19,11 +20,14 @@ def test_verify_accepts_what_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["carrier_hz", "cfr", "complete", "elevation_deg", "line_of_sight", "pas", "tx_position_m"]
 )
-def test_verify_names_the_dataset_in_which_one_bit_flipped(tmp_path: Path, name: str) -> None:
+def test_verify_and_reading_name_the_dataset_in_which_one_bit_flipped(tmp_path: Path, name: str) -> None:
     path = write_dataset(tmp_path / "data.h5", num_tx=2).path
     flip(path, data_offset(path, name))
     with pytest.raises(DataError, match=f"dataset '{name}'"):
         verify(path)
+    if name != "complete":  # it is never read
+        with pytest.raises(DataError, match=f"dataset '{name}'"):
+            open_dataset(path).pas()
 
 
 def test_verify_finds_a_flipped_bit_in_a_header_attribute(tmp_path: Path) -> None:
@@ -37,13 +41,25 @@ def test_verify_finds_a_flipped_bit_in_a_header_attribute(tmp_path: Path) -> Non
 
 
 def test_a_flipped_bit_anywhere_is_found(tmp_path: Path) -> None:
-    path = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0,), maps=False).path
-    content = path.read_bytes()
+    good = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0,), maps=False)
+    path, content = good.path, good.path.read_bytes()
     for offset in np.random.default_rng(1).choice(len(content), 300, replace=False):
         flip(path, int(offset))
         with pytest.raises(DataError):
             verify(path)
+        with suppress(DataError):  # a flip in what is not read is not seen by whoever only reads
+            read = open_dataset(path)
+            assert (read.header.attributes(), read.sha256) == (good.header.attributes(), good.sha256)
+            assert all((values == good.tables[name]).all() for name, values in read.tables.items())
         path.write_bytes(content)
+
+
+def test_a_map_that_another_program_changed_is_not_read(tmp_path: Path) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    with h5py.File(path, "r+") as file:
+        file["pas"][0, 0] = 1
+    with pytest.raises(DataError, match="another program opened it to write"):
+        open_dataset(path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])

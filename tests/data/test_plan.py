@@ -3,6 +3,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,13 @@ def test_bad_input_is_refused_before_any_ray() -> None:
     ):
         with pytest.raises(XFreqBenchError, match=message):
             plan_generation(office, [1e9], settings)
+
+
+def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> None:
+    office = load_scene("office")
+    alone = replace(office, receiver=replace(office.receiver, rows=1, cols=1))
+    summaries = [plan_generation(scene, [1e9], num_transmitters=2).summary for scene in (office, alone)]
+    assert ["maps are constant" in summary for summary in summaries] == [False, True]
 
 
 def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(

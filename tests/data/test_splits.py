@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from xfreqbench.data.splits import (
     random_samples,
     sparse_frequency,
 )
-from xfreqbench.errors import ArgumentError, ProtocolError, UnknownNameError
+from xfreqbench.errors import ArgumentError, DataError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 
@@ -71,6 +72,21 @@ def test_carriers_a_few_kilohertz_apart_are_different_targets(tmp_path: Path) ->
     assert len({split.name for split in splits}) == 3
     for split in splits:
         assert find_split(dataset, "lofo", split.name).sha256 == split.sha256
+
+
+def test_carriers_that_agree_in_nine_digits_are_not_trained_on_for_each_other(tmp_path: Path) -> None:
+    alike_hz = [94e9, 94e9 + 10]
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0, 37.0, 94.0, 94.00000001))
+    splits = make_splits(dataset, "lofo", [94.0, 94.00000001])
+    assert [split.name for split in splits] == ["lofo-94GHz", "lofo-94.00000001GHz"]
+    for split, target_hz in zip(splits, alike_hz, strict=True):
+        assert set(dataset.carrier_hz[split.test]) == {target_hz}
+        assert not np.isin(dataset.carrier_hz[split.train], alike_hz).any()
+        assert find_split(dataset, "lofo", split.name).sha256 == split.sha256
+    with pytest.raises(
+        ProtocolError, match=r"needs 94\.00000002 GHz, but the data set has 10, 37, 94, 94\.00000001 GHz"
+    ):
+        make_splits(dataset, "lofo", [94.00000002])
 
 
 def test_a_carrier_without_paths_does_not_block_the_others(tmp_path: Path) -> None:
@@ -126,6 +142,29 @@ def test_leak_free_protocols_share_no_transmitter_between_training_and_test(data
         assert len(tested) == round(UNSEEN_SHARE * len(trained | tested))
         assert not split.shares_transmitters
         assert split.nearest_trained_m > 0
+
+
+@pytest.mark.parametrize("on", ["test", "validation"])
+@pytest.mark.parametrize("protocol", ["held-out-tx", "lofo-unseen-tx", "held-out-block"])
+def test_a_place_that_is_given_twice_is_in_one_part(of_many_transmitters: PasDataset, protocol: str, on) -> None:
+    position_m = of_many_transmitters.tables["tx_position_m"]
+    assert (of_many_transmitters.place_index == of_many_transmitters.tx_index).all()  # every place is given once there
+    twice_m = np.concatenate([position_m[:20], position_m[:20] + np.array([0.0, 6e-4, 6e-4])])
+    twice = replace(of_many_transmitters, tables={**of_many_transmitters.tables, "tx_position_m": twice_m})
+    for split in make_splits(twice, protocol, on=on):
+        away_m = np.linalg.norm(twice.tx_position_m[split.test, None] - twice.tx_position_m[split.train], axis=2)
+        assert away_m.min() > 1e-3 and split.nearest_trained_m > 1e-3
+        assert not split.shares_transmitters
+        assert len(np.unique(twice.tx_index[split.test])) == 2 * len(np.unique(twice.place_index[split.test]))
+
+
+@pytest.mark.parametrize("shape", [{"rows": 1, "cols": 1}, {"spacing_wavelengths": 1e-6}])
+def test_maps_that_are_all_constant_are_not_tested(dataset: PasDataset, shape: dict[str, float]) -> None:
+    receiver = replace(dataset.header.receiver, **shape)
+    constant = replace(dataset, header=replace(dataset.header, receiver=receiver))
+    for protocol in PROTOCOLS:
+        with pytest.raises(DataError, match="are constant, because its array has one element or no extent"):
+            make_splits(constant, protocol)
 
 
 @pytest.mark.parametrize("protocol", ["lofo", "sparse"])

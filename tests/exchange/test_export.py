@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from tests.support.damage import data_offset, flip
 from tests.support.forked import command_line
 from tests.support.places import PUBLISHED
 from tests.support.synthetic import RECEIVER, make_header, transmitters, write_dataset
@@ -227,9 +228,7 @@ def test_two_transmitters_at_one_place_are_refused(tmp_path: Path) -> None:
 
 def test_a_damaged_data_set_is_not_exported(tmp_path: Path) -> None:
     path = maps_alone(tmp_path)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
+    flip(path, data_offset(path, "pas"))
     with pytest.raises(DataError, match="damaged"):
         export_png_folder(path, tmp_path / "out", CONVENTIONS["wideband3dgs"])
     assert not (tmp_path / "out").exists()

@@ -107,6 +107,7 @@ REFUSED = {
     "nan": (one_value(np.nan), r"map 3 \(row 3\d\) has nan at \[20, 7\]"),
     "infinite": (one_value(np.inf), r"map 3 \(row \d+\) has inf at \[20, 7\]"),
     "negative": (one_value(-0.5), r"map 3 \(row \d+\) has -0\.5 at \[20, 7\]"),
+    "absolute power": (maps(lambda each: each * 1e-7), r"map 0 \(row \d+\) has its peak at 1e-07\. Divide"),
     "peak": (maps(lambda each: each / 2), r"map 0 \(row \d+\) has its peak at 0\.5\. Divide"),
     "split": (attribute("split_sha256", "0" * 64), "is not that of lofo-77GHz of data.h5 under version 1"),
     "no split": (attribute("split_sha256", None), "'split_sha256': it is missing. Copy it"),

@@ -181,6 +181,19 @@ def test_the_commands_hand_out_score_and_say_what_is_missing(
     assert "without dataset_sha256" not in shown
 
 
+def test_maps_of_zeros_are_scored_as_they_are_and_asked_about(
+    dataset: PasDataset, split_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_predictions(
+        tmp_path / "predictions.h5",
+        split_file,
+        lambda tx, carrier: noisy_maps(tx, carrier) * np.float32(carrier[0] > 1e10),
+    )
+    exchange.score(path, data=Path(dataset.path), results=tmp_path / "results", quiet=True)
+    assert len(stored(tmp_path / "results")) == 3
+    assert f"every map of lofo-2.4GHz in {path} is zero" in capsys.readouterr().out
+
+
 def test_a_split_on_validation_is_handed_out_predicted_and_scored_as_its_run_is(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import METRICS, bootstrap_interval, quantiles, score_all, skill
@@ -61,6 +62,25 @@ def test_a_flat_prediction_has_no_peak_and_gets_the_worst_scores(level: float) -
     assert scores["aoa_error"] == 180
     assert scores["beam_loss"] == 40
     assert all(np.isfinite(values).all() for values in scores.values())
+
+
+OTHER_RANGES = {
+    "bytes": lambda maps: 255 * maps,
+    "dB": lambda maps: 10 * np.log10(maps + 1e-4),
+    "no numbers": lambda maps: maps * np.float32(np.nan),
+}
+
+
+@pytest.mark.parametrize("change", OTHER_RANGES)
+def test_no_metric_takes_maps_of_another_range(change: str) -> None:
+    truth = random_maps(1)
+    changed = OTHER_RANGES[change](truth)
+    for metric in METRICS.values():
+        for predicted, true, name in ((changed, truth, "predicted"), (truth, changed, "truth")):
+            with pytest.raises(ArgumentError, match=f"peak 1, but those of {name} run from .* to"):
+                metric.score(predicted, true, GRID)
+        with pytest.raises(ArgumentError, match=r"those of truth run from 0 to 1e-07\."):
+            metric.score(truth * np.float32(1e-7), truth * np.float32(1e-7), GRID)
 
 
 def test_every_metric_prefers_the_truth_to_another_map() -> None:

@@ -90,6 +90,7 @@ REFUSED = {  # call: what the error says
     "xb.Budget('5m')": "'5m' in place of a budget",
     "xb.Budget(max_steps=0)": "a number above 0",
     "xb.metrics.ssim(maps[0], maps[0], data.grid)": "(N, 90, 360) on this grid, but predicted has shape (90, 360)",
+    "xb.metrics.ssim(255 * maps, maps, data.grid)": "values from 0 to 1 and peak 1, but those of predicted run from",
     "xb.metrics.psnr(maps[:1], maps, data.grid)": "has shape (1, 90, 360) and truth (2, 90, 360)",
     "beam.maps(data.cfr[0])": "shape (B, 4) become maps, but these have shape (4,)",
     "beam.maps(data.cfr, 'Power')": "Did you mean 'power'",

@@ -217,6 +217,8 @@ def score(
         scored = score_file(predictions, data, results, method, checking, scoring)
     if scored.missing:
         say(f"{predictions} does without {', '.join(scored.missing)}, which its protocol has too", quiet)
+    for silent in scored.silent:
+        say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:
         say(f"without dataset_sha256, {predictions} is taken to be of {data}", quiet)
     say(

@@ -18,6 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 from pydantic import PositiveInt, TypeAdapter, ValidationError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from xfreqbench.data.hdf5 import (
     Variable,
@@ -55,6 +58,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz, format_ghz_list
 
+SAME_PLACE_M = 1e-3
 TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _ITERATED_MAPS = 64  # read at once: 8 MB
 _SHOWN_CARRIERS = 12
@@ -185,6 +189,16 @@ class PasDataset:
     def tx_index(self) -> Int[IntArray, "N"]:
         """Index of each sample's transmitter in the whole data set."""
         return self.rows // self.num_carriers
+
+    @cached_property
+    def place_index(self) -> Int[IntArray, "N"]:
+        """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
+        position_m, of_tx = np.unique(self.tables["tx_position_m"], axis=0, return_inverse=True)
+        near = KDTree(position_m).query_pairs(SAME_PLACE_M, output_type="ndarray")
+        joined = coo_array((np.ones(len(near)), tuple(near.T)), shape=(len(position_m),) * 2)
+        place_of_tx = connected_components(joined, directed=False)[1][of_tx.ravel()]
+        _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
+        return first[place][self.tx_index]
 
     @cached_property
     def tx_position_m(self) -> Float[FloatArray, "N 3"]:
@@ -351,12 +365,12 @@ def open_dataset(path: FilePath) -> PasDataset:
         grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
         require_layout(file, variables(header, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
-        tables = {name: file[name][...] for name in names if header.channels or name != "cfr"}
+        tables = {name: read_array(file, name) for name in names if header.channels or name != "cfr"}
         if header.paths:
             totals = stored_totals(file)
             require_layout(file, path_variables(header.num_tx, len(header.carrier_hz), totals))
             tables[OFFSET] = stored_offsets(file, totals.num_paths)
-        beam = BartlettBeam(file["element_position_wavelengths"][...], grid)
+        beam = BartlettBeam(read_array(file, "element_position_wavelengths"), grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}
         _require_meaning({CARRIER: header.carrier_hz, **angles, **elements, **tables})

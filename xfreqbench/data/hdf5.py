@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import prod
+from os import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +136,11 @@ def create_sealed(
 
 @contextmanager
 def open_sealed(path: Path, schema: str) -> Iterator[Any]:
-    """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema."""
+    """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema.
+
+    Whatever is read of it is checked: headers, and data in chunks, by the checksums of HDF5, other data by
+    `read_array`. A file that another program opened to write is refused.
+    """
     with read_errors(path):  # a path that is too long raises an error too
         is_there, is_folder = path.is_file(), path.is_dir()
     if is_folder:
@@ -146,8 +151,13 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
             raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
-        if _SEAL not in file.attrs:
-            raise DataError(f"{path} has no {_SEAL}: it was not written to its end. Generate it again.")
+        with path.open("rb") as stored:
+            stored.seek(-_TRAILER_BYTES, SEEK_END)
+            if stored.read(len(_TRAILER)) != _TRAILER:  # HDF5 overwrites it in any file that it opens to write
+                raise DataError(
+                    f"{path} does not end in its sha256: it was not written to its end, or another program opened it "
+                    "to write and may have changed it. Generate it again."
+                )
         yield file
 
 
@@ -196,8 +206,12 @@ def stands_elsewhere(group: Any, name: str) -> bool:
 
 
 def read_array(file: Any, name: str) -> NDArray[Any]:
-    """All values of a dataset; raises `ValueError` if it is missing, or claims more bytes than the file can hold."""
-    return _dataset(file, name)[...]
+    """All values of a dataset, compared with its sha256; raises `ValueError` if they differ or it is missing."""
+    stored = _dataset(file, name)
+    values: NDArray[Any] = stored[...]
+    if _digest_of(stored, [values]) != _text(stored, "sha256"):
+        raise ValueError(f"dataset {name!r} differs from its sha256")
+    return values
 
 
 def require_layout(file: Any, variables: Sequence[Variable]) -> None:
@@ -246,14 +260,9 @@ def verify_sealed(path: Path, schema: str) -> None:
     with open_sealed(path, schema) as file:
         for name in _dataset_names(file):
             with read_errors(path, f"dataset {name!r}"):
-                if _digest_of(_dataset(file, name)) != _text(file[name], "sha256"):
+                if _digest_of(file[name], _blocks(_dataset(file, name))) != _text(file[name], "sha256"):
                     raise DataError(f"{path} is damaged: dataset {name!r} differs from its sha256.")
-        if _seal_of(file) != sealed_sha256(file):
-            raise DataError(f"{path} is damaged: its header attributes differ from the file's {_SEAL}.")
-    raise DataError(
-        f"{path} is damaged, or was rewritten by another program: its data are as they were, but its bytes "
-        "differ from the sha256 at its end. Generate it again."
-    )
+    raise DataError(f"{path} is damaged: its bytes differ from the sha256 at its end. Generate it again.")
 
 
 def _append_trailer(path: Path) -> None:
@@ -325,13 +334,19 @@ def _description_digest(dataset: Any) -> Any:
     return hashlib.sha256(json.dumps(description).encode())
 
 
-def _digest_of(dataset: Any) -> str:
+def _digest_of(dataset: Any, blocks: Iterable[NDArray[Any]]) -> str:
+    """The sha256 of a dataset with these values, one block of rows after the other."""
     digest = _description_digest(dataset)
+    for block in blocks:
+        digest.update(np.ascontiguousarray(block).data.cast("B") if block.size else b"")
+    return digest.hexdigest()
+
+
+def _blocks(dataset: Any) -> Iterator[NDArray[Any]]:
     row_bytes = max(1, prod(dataset.shape[1:]) * dataset.dtype.itemsize)
     step = max(1, _BLOCK_BYTES // row_bytes)
     for start in range(0, dataset.shape[0], step):
-        digest.update(np.ascontiguousarray(dataset[start : start + step]).data.cast("B"))
-    return digest.hexdigest()
+        yield dataset[start : start + step]
 
 
 def _seal_of(file: Any) -> str:

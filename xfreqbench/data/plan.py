@@ -88,7 +88,9 @@ class Plan:
             f"{' and the paths' if self.header.paths else ''}\n"
             f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
-            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}" + self._material_notes
+            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
+            + self._material_notes
+            + ("" if self.header.receiver.resolves_directions else "\nmaps are constant: the array has no extent")
         )
 
     @property

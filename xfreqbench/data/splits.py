@@ -22,6 +22,9 @@ part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at
 the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
 them the room and the receiver are the same in training and in test.
 
+Transmitters within a millimetre of each other are one place, and in one part. A carrier that agrees with a tested one
+in nine digits is neither trained on nor tested with it.
+
 A sample that no path reaches is in neither part, because a channel of zeros has no map.
 
 Settings are chosen on validation rows, which are some of a split's training rows, so that the test says something new.
@@ -55,7 +58,7 @@ from xfreqbench.data.validation import (
     inner_carriers_hz,
     validation_tx,
 )
-from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
@@ -68,6 +71,7 @@ SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0,
 UNSEEN_SHARE = 0.2  # of the transmitters, or of the samples
 NUM_BLOCKS = 10  # regions of the floor, each with as many transmitters
 BLOCK_MARGIN_M = 0.5
+SAME_CARRIER = 1e-8  # of its frequency
 _SEED = 0  # of whatever is drawn
 
 Known = TypeVar("Known")
@@ -106,15 +110,20 @@ class Split:
     ) -> Split:
         """The split that trains and tests on these of the N samples, as far as a path reaches them.
 
-        Raises `ProtocolError` where none is left to train or to test on.
+        Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
         """
+        if not dataset.header.receiver.resolves_directions:
+            raise DataError(
+                f"The maps of {dataset.path} are constant, because its array has one element or no extent, and every "
+                "method would predict them. Generate data of an array of several elements, half a wavelength apart."
+            )
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
         if not len(train) or not len(test):
             raise ProtocolError(
                 f"Split {name!r} has {len(train)} samples to train on and {len(test)} to test on: too few "
                 "transmitters receive a path. Generate more transmitters."
             )
-        shared = bool(np.isin(dataset.tx_index[test], dataset.tx_index[train]).any())
+        shared = bool(np.isin(dataset.place_index[test], dataset.place_index[train]).any())
         num_without_path = int((tested & ~dataset.has_path).sum())
         trained_positions = KDTree(np.unique(dataset.tx_position_m[train], axis=0))
         distance_m = float(np.median(trained_positions.query(dataset.tx_position_m[test])[0]))
@@ -251,7 +260,7 @@ def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
         tested = VALIDATIONS[protocol]
         return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
     if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
-        targets = {_target_name(protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()}
+        targets = {_target_name(dataset, protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()}
         return _BY_TARGET[protocol](dataset, [_named(targets, protocol, name)])[0]
     return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
 
@@ -262,8 +271,15 @@ def _named(known: Mapping[str, Known], protocol: str, name: str) -> Known:
     return known[name]
 
 
-def _target_name(protocol: str, target_hz: float) -> str:
-    return f"{protocol}-{_dense(format_ghz(target_hz))}"
+def _target_name(dataset: PasDataset, protocol: str, target_hz: float) -> str:
+    """The name of a split: its carrier has nine digits, or all of them where the data set has others like it."""
+    digits = 9 if _is_alike(dataset.header.carrier_hz, target_hz).sum() < 2 else 15
+    return f"{protocol}-{target_hz / 1e9:.{digits}g}GHz"
+
+
+def _is_alike(carrier_hz: Float[FloatArray, "n"], target_hz: float) -> Bool[NDArray[np.bool_], "n"]:
+    """Whether the maps of carriers are those at the target, for they agree with it in about nine digits."""
+    return np.isclose(carrier_hz, target_hz, rtol=SAME_CARRIER, atol=0)
 
 
 def _lofo_splits(
@@ -271,19 +287,25 @@ def _lofo_splits(
 ) -> list[Split]:
     """A split for each target: some samples are tested there, and some are trained on nowhere."""
     _require_carriers(dataset, protocol, targets_hz)
-    if dataset.num_carriers < 2:
-        raise ProtocolError(f"{protocol!r} needs two carriers or more, but the data set has one. Generate more.")
     splits = []
     for target_hz in targets_hz:
-        at_target, name = dataset.carrier_hz == target_hz, _target_name(protocol, target_hz)
-        splits.append(Split.of(dataset, name, protocol, ~at_target & ~never_trained, at_target & tested))
+        is_left = ~_is_alike(dataset.carrier_hz, target_hz)
+        if not is_left.any():
+            raise ProtocolError(
+                f"{protocol!r} needs two carriers or more, but the data set has {format_ghz(target_hz)} alone. "
+                "Generate more."
+            )
+        name = _target_name(dataset, protocol, target_hz)
+        splits.append(
+            Split.of(dataset, name, protocol, is_left & ~never_trained, (dataset.carrier_hz == target_hz) & tested)
+        )
     return splits
 
 
 def _is_unseen(dataset: PasDataset) -> Mask:
     """Whether each sample is of a held-out transmitter."""
-    number = max(1, round(UNSEEN_SHARE * len(np.unique(dataset.tx_index))))
-    return np.isin(dataset.tx_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+    number = max(1, round(UNSEEN_SHARE * len(np.unique(dataset.place_index))))
+    return np.isin(dataset.place_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
 
 
 def _sample_masks(is_offered: Mask, share: float) -> tuple[Mask, Mask]:
@@ -297,15 +319,15 @@ def _sample_masks(is_offered: Mask, share: float) -> tuple[Mask, Mask]:
 
 def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
     """Which samples are trained on, and which are tested: a share of the offered transmitters, whole regions."""
-    tx_index, first = np.unique(dataset.tx_index[is_offered], return_index=True)
+    places, first = np.unique(dataset.place_index[is_offered], return_index=True)
     position_m = dataset.tx_position_m[is_offered][first]
-    num_blocks = min(NUM_BLOCKS, len(tx_index))
+    num_blocks = min(NUM_BLOCKS, len(places))
     num_tested = max(1, round(share * num_blocks))
     tested = np.random.default_rng(_SEED).permutation(num_blocks)[:num_tested]
     is_tested = np.isin(blocks(position_m[:, :2], num_blocks), tested)
     is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
-    trained_tx, tested_tx = tx_index[~is_tested & ~is_near], tx_index[is_tested]
-    return np.isin(dataset.tx_index, trained_tx), np.isin(dataset.tx_index, tested_tx)
+    trained, tested = places[~is_tested & ~is_near], places[is_tested]
+    return np.isin(dataset.place_index, trained), np.isin(dataset.place_index, tested)
 
 
 def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:
@@ -334,7 +356,7 @@ def _validation_split(dataset: PasDataset, split: Split) -> Split:
         masks = _sample_masks(is_offered, VALIDATION_SHARE)
     elif split.protocol == "held-out-block":
         _require_training_tx(dataset.subset(split.train), name)
-        of_trained = np.isin(dataset.tx_index, dataset.tx_index[split.train])
+        of_trained = np.isin(dataset.place_index, dataset.place_index[split.train])
         masks = _block_masks(dataset, of_trained, VALIDATION_SHARE)
     else:
         masks = _unseen_masks(dataset, split, name, is_offered)
@@ -345,20 +367,21 @@ def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask
     """Which samples are trained on, and which are tested: at a held-out carrier, of held-out transmitters, or both."""
     train = dataset.subset(split.train)
     at_held_out = np.isin(dataset.carrier_hz, train.carrier_hz)
-    of_held_out = np.isin(dataset.tx_index, train.tx_index)
+    of_held_out = np.isin(dataset.place_index, train.place_index)
     is_left = is_offered
     if split.protocol in _AT_UNSEEN_CARRIERS:
-        at_held_out = dataset.carrier_hz == _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
-        is_left = is_left & ~at_held_out
+        held_out_hz = _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
+        at_held_out = dataset.carrier_hz == held_out_hz
+        is_left = is_left & ~_is_alike(dataset.carrier_hz, held_out_hz)
     if split.protocol in _OF_UNSEEN_TX:
         _require_training_tx(train, name)
-        of_held_out = np.isin(dataset.tx_index, validation_tx(train, np.random.default_rng(_SEED)))
+        of_held_out = np.isin(dataset.place_index, validation_tx(train, np.random.default_rng(_SEED)))
         is_left = is_left & ~of_held_out
     return is_left, at_held_out & of_held_out
 
 
 def _require_training_tx(train: PasDataset, name: str) -> None:
-    number = len(np.unique(train.tx_index))
+    number = len(np.unique(train.place_index))
     if number < LEAST_TRAINING_TX:
         raise ProtocolError(
             f"Split {name!r} holds out some of its training transmitters, so that there must be {LEAST_TRAINING_TX} or "

@@ -20,11 +20,11 @@ def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
 def validation_tx(
     train: PasDataset, generator: np.random.Generator, most: int | None = None, least: int = LEAST_VALIDATION_TX
 ) -> Int[IntArray, "t"]:
-    """The transmitters of a training that are held out, by their indices: a tenth, drawn by `generator`.
+    """The places of a training's transmitters that are held out, by `place_index`: a tenth, drawn by `generator`.
 
     They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
     """
-    number = len(np.unique(train.tx_index))
+    number = len(np.unique(train.place_index))
     if number < LEAST_TRAINING_TX:
         return np.empty(0, np.int64)
     tenth = int(VALIDATION_SHARE * number)
@@ -32,6 +32,6 @@ def validation_tx(
 
 
 def drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
-    """So many transmitters of a data set, drawn by `generator`, by their indices."""
-    transmitters = np.unique(dataset.tx_index)
-    return transmitters[generator.permutation(len(transmitters))[:number]]
+    """So many places of a data set's transmitters, drawn by `generator`, by `place_index`."""
+    places = np.unique(dataset.place_index)
+    return places[generator.permutation(len(places))[:number]]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.exchange.path_arrays import PaddedPaths, carrier_names
 from xfreqbench.scene.imported import Slab
@@ -43,7 +43,6 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
     and `StorageError`.
     """
     require_empty(folder)
-    verify(path)
     dataset = open_dataset(path)
     paths, _ = dataset.stored_paths()
     meshes = surface_meshes(traced_scene(dataset))

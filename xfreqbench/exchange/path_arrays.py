@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Shaped
 from numpy.typing import NDArray
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
@@ -72,7 +72,7 @@ def carrier_names(dataset: PasDataset) -> Iterator[tuple[int, float, str]]:
     letters = (letter if letter.isalnum() else "_" for letter in dataset.header.scene_name.lower())
     scene = "".join(letters)
     for carrier, carrier_hz in enumerate(dataset.header.carrier_hz.tolist()):
-        yield carrier, carrier_hz, f"{scene}_{carrier_hz / 1e9:.9g}ghz"
+        yield carrier, carrier_hz, f"{scene}_{carrier_hz / 1e9:.12g}ghz"
 
 
 def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ignore_progress) -> PasDataset:
@@ -87,7 +87,6 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     is absent or empty, `DataError` where no paths are stored, and `StorageError`.
     """
     require_empty(folder)
-    verify(path)
     dataset = open_dataset(path)
     paths, surface_names = dataset.stored_paths()
     with atomic_folder(folder) as temporary, storage_errors(folder):

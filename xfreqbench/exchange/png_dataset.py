@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
-from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError
@@ -100,7 +100,6 @@ def export_png_folder(
     absent or empty, `DataError` if the data set does not fit the convention, and `StorageError`.
     """
     require_empty(folder)
-    verify(path)
     dataset = open_dataset(path)
     _check_array(dataset, convention)
     _check_transmitters(dataset)

@@ -11,7 +11,8 @@ file with a group for each split that was predicted, named as the split. These l
             group["pas"] = predict(split["test_tx_position_m"][:], split["test_carrier_hz"][:])
             group.attrs.update(split.attrs, method="mine")
 
-`pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1. MATLAB writes the same file from an
+`pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method hears
+nothing. MATLAB writes the same file from an
 array of size [A E N], because its first index is the last one in HDF5. A single split may be at the root of the file.
 
 The attributes of a group, or of the root for all groups, are `split_sha256` (copied), `method` (a name) and, if they
@@ -31,7 +32,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
 from xfreqbench.exchange.prediction_file import Part, read_parts, splits_or_none
 from xfreqbench.maps.metrics import METRICS_VERSION
@@ -51,12 +52,14 @@ Result = TypeVar("Result")
 class ScoredFile:
     """The records of the splits in a file, in its order.
 
-    `missing` names the splits of the same protocols that the file leaves out. `is_data_known` says whether every
-    split in the file names the data set that it was made from.
+    `missing` names the splits of the same protocols that the file leaves out, and `silent` those whose predicted maps
+    are all zero everywhere. `is_data_known` says whether every split in the file names the data set that it was made
+    from.
     """
 
     records: tuple[RunRecord, ...]
     missing: tuple[str, ...]
+    silent: tuple[str, ...]
     is_data_known: bool
 
 
@@ -101,12 +104,11 @@ def score_file(
     """
     dataset = open_dataset(data)
     parts = read_parts(path, dataset, method)
-    verify(data)
     require_fingerprint(dataset)
     folder = ResultsFolder(results_dir)
     num_maps = sum(len(part.split.test) for part in parts)
     require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * _STORED_DTYPE.itemsize)
-    maps_sha256 = _each(parts, lambda part: _maps_sha256(part, dataset.grid.shape), checking)
+    maps_sha256, has_power = zip(*_each(parts, lambda part: _checked(part, dataset.grid.shape), checking), strict=True)
     submission = _Submission(dataset, str(data), parts, maps_sha256)
     scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
@@ -114,7 +116,8 @@ def score_file(
     protocols = dict.fromkeys(part.split.protocol for part in parts)
     usual = [split.name for protocol in protocols for split in splits_or_none(dataset, protocol)]
     missing = tuple(name for name in usual if name not in given)
-    return ScoredFile(tuple(scored), missing, is_data_known)
+    silent = tuple(part.split.name for part, is_heard in zip(parts, has_power, strict=True) if not is_heard)
+    return ScoredFile(tuple(scored), missing, silent, is_data_known)
 
 
 def _each(parts: Sequence[Part], action: Callable[[Part], Result], progress: ProgressCallback) -> list[Result]:
@@ -128,12 +131,13 @@ def _each(parts: Sequence[Part], action: Callable[[Part], Result], progress: Pro
     return results
 
 
-def _maps_sha256(part: Part, grid_shape: tuple[int, int]) -> str:
-    """Hash of the maps of a part as they will be stored; reads and checks all of them."""
-    digest = hashlib.sha256()
+def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
+    """Hash of the maps of a part as they will be stored, and whether any has power; reads and checks all of them."""
+    digest, has_power = hashlib.sha256(), False
     for _, maps in part.batches(grid_shape):
         digest.update(maps.astype(_STORED_DTYPE).tobytes())
-    return digest.hexdigest()
+        has_power = has_power or bool(maps.any())
+    return digest.hexdigest(), has_power
 
 
 def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRecord:

@@ -18,6 +18,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 PasKind = Literal["power", "amplitude", "phase-only"]
 PAS_KINDS: tuple[str, ...] = get_args(PasKind)
+RANGE_TOLERANCE = 1e-4  # single-precision rounding of a map that was divided by its own maximum
 
 
 def pas_kind_named(name: str) -> PasKind:

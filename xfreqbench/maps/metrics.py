@@ -1,7 +1,8 @@
 """Scores of predicted maps against true ones, map by map, and statistics of scores.
 
-Maps (N, E, A) have N samples, E elevations and A azimuths, and values in [0, 1]. Metrics in dB take maps of linear
-power. Every metric is defined for constant, identical and zero maps.
+Maps (N, E, A) have N samples, E elevations and A azimuths, and values in [0, 1], the `data_range=1` of other libraries;
+maps of another range, such as 0 to 255 or dB, are refused. Metrics in dB take maps of linear power. Every metric is
+defined for constant, identical and zero maps.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from skimage.metrics import structural_similarity as _untyped_structural_similarity
 
 from xfreqbench.errors import ArgumentError
-from xfreqbench.maps.bartlett import PasKind, power_of
+from xfreqbench.maps.bartlett import RANGE_TOLERANCE, PasKind, power_of
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.types import FloatArray, Maps
 
@@ -26,6 +27,7 @@ SSIM_WINDOW = 7  # scikit-image's default, uniform
 POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
 NUM_RESAMPLES = 1000
+LEAST_PEAK = 1e-3  # of true maps that are not constant: SSIM and PSNR of absolute powers say nothing
 
 structural_similarity: Any = _untyped_structural_similarity
 
@@ -45,7 +47,7 @@ class Metric:
 
 
 def _of_maps(score: ScoreFunction) -> ScoreFunction:
-    """The score, which raises `ArgumentError` for maps that are not three-dimensional, of one shape and on the grid."""
+    """The score, which raises `ArgumentError` unless maps are (N, E, A), of one shape, on the grid and in [0, 1]."""
 
     @wraps(score)
     def checked_score(predicted: Maps, truth: Maps, grid: AngularGrid) -> FloatArray:
@@ -55,6 +57,14 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
                 f"{score.__name__} compares maps of shape (N, {', '.join(map(str, grid.shape))}) on this grid, but "
                 f"predicted has shape {predicted.shape} and truth {truth.shape}."
             )
+        for name, maps in (("predicted", predicted), ("truth", truth)):
+            low, high = maps.min(initial=0), maps.max(initial=0)
+            is_tiny = name == "truth" and 0 < high < LEAST_PEAK and np.ptp(maps) > 0
+            if is_tiny or not (low >= -RANGE_TOLERANCE and high <= 1 + RANGE_TOLERANCE):
+                raise ArgumentError(
+                    f"{score.__name__} compares maps of values from 0 to 1 and peak 1, but those of {name} run from "
+                    f"{low:g} to {high:g}. Turn dB into power, and divide each map by its maximum."
+                )
         return score(predicted, truth, grid)
 
     return checked_score

@@ -14,12 +14,12 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
+from xfreqbench.maps.bartlett import RANGE_TOLERANCE
 from xfreqbench.methods.contract import Budget, Method, Progress
 from xfreqbench.methods.guard import readable
 from xfreqbench.types import FloatArray, Maps
 
 _ENDED = object()
-_RANGE_TOLERANCE = 1e-4  # rounding in float32 of a map that was divided by its maximum
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def _fault_of(maps: Any, shape: tuple[int, ...]) -> str | None:
     if not np.isfinite(maps).all():
         return f"{int((~np.isfinite(maps)).sum())} values that are not finite; all must be"
     low, high = float(maps.min()), float(maps.max())
-    if low < -_RANGE_TOLERANCE or high > 1 + _RANGE_TOLERANCE:
+    if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
         return f"values from {low:g} to {high:g}; maps lie in [0, 1]"
     return None
 

@@ -22,13 +22,12 @@ from xfreqbench.data.hdf5 import (
     verify_sealed,
 )
 from xfreqbench.errors import DataError
+from xfreqbench.maps.bartlett import RANGE_TOLERANCE
 from xfreqbench.system.files import require_own
 from xfreqbench.types import IntArray
 
 SCHEMA = "xfreqbench/predictions/1"
-RANGE_TOLERANCE = 1e-4  # single-precision rounding of a map that was divided by its own maximum
 PEAK_TOLERANCE = 1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
-SILENT_PEAK = 1e-5  # of a map without any power, which no number can scale to peak 1; it is scored as it is
 _ADVICE = "Delete it and run again."
 MapBatch = tuple[IntArray, NDArray[np.float32]]
 
@@ -73,7 +72,7 @@ class Predictions:
 def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
     """Index of the first of n arrays that is no map to be scored, and why in words; None if all are.
 
-    A map has values in [0, 1] and peak 1, or no power at all. Maps of runs and of files are judged alike, here.
+    A map has values in [0, 1] and peak 1, or is zero everywhere. Maps of runs and of files are judged alike, here.
     """
     with np.errstate(invalid="ignore"):
         in_range = (values >= -RANGE_TOLERANCE) & (values <= 1 + RANGE_TOLERANCE)  # nan is not
@@ -82,9 +81,9 @@ def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
         value = values[tuple(place)]
         return place[0], f"has {value:g} at {place[1:]}; maps are finite numbers from 0 to 1, their peak 1."
     peaks = values.max(axis=(1, 2))
-    low = np.flatnonzero((peaks < 1 - PEAK_TOLERANCE) & (peaks > SILENT_PEAK))
-    if len(low):
-        return int(low[0]), f"has its peak at {peaks[low[0]]:g}. Divide each map by its own maximum."
+    for low in np.flatnonzero(peaks < 1 - PEAK_TOLERANCE):
+        if values[low].any():
+            return int(low), f"has its peak at {peaks[low]:g}. Divide each map by its own maximum."
     return None
 
 

@@ -99,8 +99,8 @@ def score(
     """Scores (N,) of maps that were predicted for the N test samples of a split, by the name of the metric.
 
     `maps` (N, E, A) are in the order of `split.test`, on the grid of `dataset`, the whole data set that was split:
-    numbers in [0, 1], peak 1. A map without any power is scored as it is. Maps are rounded to half precision first, as
-    those of `run` are stored, so that the scores are those that a run would have. Nothing is stored.
+    numbers in [0, 1], peak 1. A map that is zero everywhere is scored as it is. Maps are rounded to half precision
+    first, as those of `run` are stored, so that the scores are those that a run would have. Nothing is stored.
 
     Raises `ArgumentError` for maps of another shape, and for one that is no map.
     """

@@ -24,6 +24,7 @@ from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
+LEAST_EXTENT_WAVELENGTHS = 0.01  # of an array; maps of a smaller one vary by less than half a percent
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
@@ -121,6 +122,11 @@ class ReceiverArray:
     def num_elements(self) -> int:
         """Number of elements, M."""
         return self.rows * self.cols
+
+    @property
+    def resolves_directions(self) -> bool:
+        """Whether maps tell directions; those of one element, or of elements nearly at one point, are constant."""
+        return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= LEAST_EXTENT_WAVELENGTHS
 
     @property
     def rotation(self) -> Float[FloatArray, "3 3"]:

@@ -62,7 +62,7 @@ def spoilt_file(content: bytes, spoil: Spoil, is_sealed_again: bool) -> bytes:
 def seal(file: Any) -> None:
     for name in hdf5._dataset_names(file):
         with contextlib.suppress(Exception):
-            hdf5._set_texts(file[name], {"sha256": hdf5._digest_of(file[name])})
+            hdf5._set_texts(file[name], {"sha256": hdf5._digest_of(file[name], [file[name][...]])})
     hdf5._set_texts(file, {"data_sha256": hdf5._seal_of(file)})
 
 

@@ -66,8 +66,8 @@ class Holdout:
         is_carrier, inner_hz = np.zeros(len(train), bool), inner_carriers_hz(train)
         if len(inner_hz):
             is_carrier = train.carrier_hz == inner_hz[generator.integers(len(inner_hz))]
-        least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.tx_index)) // _LEAST_TX_SHARE))
-        is_tx = np.isin(train.tx_index, validation_tx(train, generator, _MOST_ROWS, least))
+        least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.place_index)) // _LEAST_TX_SHARE))
+        is_tx = np.isin(train.place_index, validation_tx(train, generator, _MOST_ROWS, least))
 
         def drawn(until: float, left: BoolArray, of_kinds: Mapping[str, BoolArray]) -> Holdout:
             rows = {
@@ -98,13 +98,13 @@ def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDA
 
     At the rim of the floor they are farther from the others than in the middle.
     """
-    tx_index, first = np.unique(train.tx_index, return_index=True)
+    place_index, first = np.unique(train.place_index, return_index=True)
     place_m = train.tx_position_m[first, :2]
     outwards = 2 * np.pi * generator.random()
     outermost_m = place_m[np.argmax(place_m @ np.array([np.cos(outwards), np.sin(outwards)]))]
     away_m = np.linalg.norm(place_m - outermost_m, axis=1)
-    nearest = np.argsort(away_m, kind="stable")[: int(_REGION_SHARE * len(tx_index))]
-    return np.isin(train.tx_index, tx_index[nearest])
+    nearest = np.argsort(away_m, kind="stable")[: int(_REGION_SHARE * len(place_index))]
+    return np.isin(train.place_index, place_index[nearest])
 
 
 def _reach(known: TrainingTransmitters, tx_position_m: Float[FloatArray, "B 3"]) -> Int[IntArray, "B"]:
@@ -195,12 +195,12 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
 
     With `unseen_hz` it is that at this carrier, which is unseen too.
     """
-    tx_index = np.unique(train.tx_index)
+    place_index = np.unique(train.place_index)
     is_carrier = np.ones(len(train), bool) if unseen_hz is None else train.carrier_hz == unseen_hz
     is_known = is_carrier if unseen_hz is None else ~is_carrier
     sums = dict.fromkeys((predictor.__name__ for predictor in predictors), 0.0)
     for fold in range(_FOLDS):
-        is_unseen = np.isin(train.tx_index, tx_index[fold::_FOLDS])
+        is_unseen = np.isin(train.place_index, place_index[fold::_FOLDS])
         rows = train.subset(is_unseen & is_carrier & train.has_path)
         left = train.subset(~is_unseen & is_known)
         if not (len(rows) and left.has_path.any()):

@@ -194,8 +194,10 @@ def of_peak(power: Float[Tensor, "B E A"]) -> Float[Tensor, "B E A"]:
 
 
 def in_kind(unit_power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:
-    """Maps of a kind from power of peak 1; a zero map remains zero, or 1e-6 as amplitude."""
-    return (unit_power + 1e-12).sqrt() if kind == "amplitude" else unit_power
+    """Maps of a kind from power of peak 1; a zero map remains zero."""
+    if kind != "amplitude":
+        return unit_power
+    return (unit_power + 1e-12).sqrt() * (unit_power.amax(dim=(1, 2), keepdim=True) > 0)
 
 
 def as_kind(power: Float[Tensor, "B E A"], kind: PasKind) -> Float[Tensor, "B E A"]:

@@ -19,14 +19,17 @@ def describe(path: Path) -> str:
     receiver = header.receiver
     lit = np.unique(dataset.tx_index[dataset.line_of_sight])
     in_sight = str(len(lit)) if header.channels else "unknown number"
+    num_places = len(np.unique(dataset.place_index))
+    at_places = f" at {num_places} places" if num_places < header.num_tx else ""
     lines = [
-        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters ({in_sight} in sight of "
+        f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters{at_places} ({in_sight} in sight of "
         f"the receiver) × {dataset.num_carriers} carriers",
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
         f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
         f"{receiver.pattern} pattern, polarization {receiver.polarization}",
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
-        f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths",
+        f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths"
+        f"{'' if receiver.resolves_directions else '; constant, for the array has no extent'}",
         *_paths_line(dataset),
         "settings   " + ", ".join(f"{name} {_in_words(value)}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.data.schema import DatasetHeader
@@ -69,15 +69,13 @@ def plan_view(data_or_scene: str, tx: int | None = None, carrier_ghz: float | No
     """Read a data set by its path, or a scene by its name or TOML, and check what is asked for; no rays yet.
 
     Without `tx`, the transmitter nearest to the median of all positions is shown. Without `carrier_ghz`, rays are
-    drawn at the middle one of the data's carriers; for a scene, of the paper's. Every byte of the data set is compared
-    with its hashes. Raises `DataError` for the data set,
+    drawn at the middle one of the data's carriers; for a scene, of the paper's. Raises `DataError` for the data set,
     `SceneError` for the scene, `XFreqBenchError` for a transmitter that is not there or a carrier that is no
     frequency, and `UnknownNameError` for a carrier that the data set does not have.
     """
     path = Path(data_or_scene)
     if path.suffix == ".toml" or not (path.suffix or path.is_file()):
         return _view_of_scene(load_scene(data_or_scene), tx, carrier_ghz)
-    verify(path)
     return _view_of_dataset(open_dataset(path), tx, carrier_ghz)
 
 
