@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.io
@@ -36,10 +36,12 @@ from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
+Elevations = Literal["zenith", "horizon"]
 PARAMETERS = "params.json"
 _OF_PATHS = ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter")
 _CODES = {digit: code for code, digit in DIGITS.items()}
 _MOST_DIGITS = 16  # of which a float64 holds every one
+_OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
 _AT_ONCE = 64  # users whose paths and maps are made together
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile)
 
@@ -64,18 +66,24 @@ class Scenario:
 
 
 def import_deepmimo(
-    folder: Path, path: Path, pair: str | None = None, progress: ProgressCallback = ignore_progress
+    folder: Path,
+    path: Path,
+    pair: str | None = None,
+    elevations: Elevations = "zenith",
+    progress: ProgressCallback = ignore_progress,
 ) -> bool:
     """Write a scenario, or a folder of scenarios at several carriers, as a data set; False if it is there already.
 
     Scenarios of a folder must have the same station and users. What they say of a path is stored once where it is the
     same to the last bit, with gain 0 at the carriers that do not have it. Users without a path are left out. `pair` is
     the part of the files' names that tells station and users, as `t000_tx000_r001`, where there are several.
+    Elevations are counted from the `zenith`, as DeepMIMO does, or from the `horizon` upwards, as its scenarios from
+    AODT have them; angles that do not point along the paths are refused.
     `progress` is told how many users are done and how many there are. Raises `DataError` that names the file,
     `UnknownNameError` for a pair that is not there, `OutputExistsError` and `StorageError`.
     """
     scenarios = sorted(
-        (_read(subfolder, pair) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
+        (_read(subfolder, pair, elevations) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
     )
     _require_alike(folder, scenarios)
     first = scenarios[0]
@@ -83,7 +91,7 @@ def import_deepmimo(
     users = np.flatnonzero(is_heard)
     if not len(users):
         raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
-    header = _header(folder, scenarios, users)
+    header = _header(folder, scenarios, users, elevations)
     if holds_same_job(path, header.job_sha256(first.user_m[users]), "data set"):
         return False
     parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
@@ -112,7 +120,7 @@ def _folders(folder: Path) -> list[Path]:
     return found
 
 
-def _read(folder: Path, pair: str | None) -> Scenario:
+def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
     digest = hashlib.sha256()
     try:
         content = read_bytes(folder / PARAMETERS)
@@ -153,6 +161,9 @@ def _read(folder: Path, pair: str | None) -> Scenario:
         files,
     )
     _require_meaning(scenario)
+    _require_angles(scenario, elevations)
+    if elevations == "horizon":
+        scenario.of_paths.update({key: 90 - scenario.of_paths[key] for key in ("aoa_el", "aod_el")})
     return scenario
 
 
@@ -212,7 +223,8 @@ def _require_meaning(scenario: Scenario) -> None:
     for key, place_m in (("tx_pos", scenario.station_m), ("rx_pos", scenario.user_m)):
         if not (np.abs(place_m) <= FAR_M).all():
             raise DataError(f"{files[key]} holds positions beyond {FAR_M:g} m, or no numbers.")
-    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0)):
+    angles = ((key, -360.0, 360.0) for key in ("aoa_az", "aoa_el", "aod_az", "aod_el"))
+    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0), *angles):
         if not ((tables[key][is_path] >= low) & (tables[key][is_path] <= high)).all():
             raise DataError(f"{files[key]} holds numbers that do not lie between {low:g} and {high:g}.")
     digits = _digits(tables["inter"][is_path])
@@ -222,10 +234,45 @@ def _require_meaning(scenario: Scenario) -> None:
         raise DataError(f"{files['inter']} holds numbers other than digits 1 to {max(_CODES)}, or 0.")
     depth = scenario.point_m.shape[2]
     count = is_met.sum(axis=1)
-    is_there = np.asarray(np.isfinite(scenario.point_m[is_path]).all(axis=-1))
+    is_there = np.asarray((np.abs(scenario.point_m[is_path]) <= FAR_M).all(axis=-1))
     needed = np.arange(depth) < count[:, None]
     if (count > depth).any() or not is_there[needed].all():
         raise DataError(f"{files['inter_pos']} does not hold a point for each interaction that inter names.")
+
+
+def _require_angles(scenario: Scenario, elevations: Elevations) -> None:
+    """Raise `DataError` unless paths leave the station, and reach users, along the lines to the points that they meet.
+
+    A path in sight has to. Of all paths half may miss, for converters tell the points of some interactions roughly.
+    """
+    user, place = np.nonzero(scenario.is_path)
+    tables = {key: table[user, place] for key, table in scenario.of_paths.items()}
+    num_met = (_digits(tables["inter"]) > 0).sum(axis=1)
+    rows, in_sight, points_m = np.arange(len(user)), num_met == 0, scenario.point_m[user, place]
+    ends_m = {"aod": np.broadcast_to(scenario.station_m, (len(user), 3)), "aoa": scenario.user_m[user]}
+
+    def misses(end: str, counted_from: Elevations) -> Bool[NDArray[np.bool_], "P"]:
+        other = ends_m["aoa" if end == "aod" else "aod"]
+        met_m = points_m[rows, 0 if end == "aod" else num_met - 1] if points_m.shape[1] else other
+        way_m = np.where(in_sight[:, None], other, met_m) - ends_m[end]
+        length_m = np.linalg.norm(way_m, axis=1)
+        elevation_deg = tables[f"{end}_el"] if counted_from == "horizon" else 90 - tables[f"{end}_el"]
+        along = directions(np.radians(tables[f"{end}_az"]), np.radians(elevation_deg))
+        return np.linalg.norm(along * length_m[:, None] - way_m, axis=1) > _OFF_M + _OFF * length_m
+
+    def faults(counted_from: Elevations) -> dict[str, int]:
+        missing = {end: misses(end, counted_from) for end in ends_m}
+        return {end: int(off.sum()) for end, off in missing.items() if off[in_sight].any() or off.sum() > len(off) / 2}
+
+    instead: Elevations = "horizon" if elevations == "zenith" else "zenith"
+    for end, num_off in faults(elevations).items():
+        advice = f"counted from the {instead} they hit it: give --elevations {instead}"
+        if faults(instead):
+            advice = "convert the scenario anew, with angles in degrees in the frame of its positions, azimuths from x"
+        raise DataError(
+            f"{scenario.files[f'{end}_el']}, counted from the {elevations}, and {scenario.files[f'{end}_az'].name} "
+            f"miss the next point of {num_off} of {len(user)} paths; {advice}."
+        )
 
 
 def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
@@ -248,8 +295,9 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
             )
 
 
-def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> DatasetHeader:
+def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray, elevations: Elevations) -> DatasetHeader:
     name, first = folder.resolve().name, scenarios[0]
+    told = {} if elevations == "zenith" else {"elevations": f"counted from the {elevations} in the scenario"}
     return DatasetHeader(
         scene_name=name,
         scene_json=json.dumps({"name": name}),
@@ -264,6 +312,7 @@ def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> Dat
             "raytracer": first.raytracer,
             "array": "4 × 4 elements half a wavelength apart at the base station, facing down; the paths are to its "
             "centre, and spherical waves at its elements",
+            **told,
         },
         software={package: metadata.version(package) for package in ("xfreqbench", "numpy")},
         rejected={"without a path": len(first.user_m) - len(users)},
