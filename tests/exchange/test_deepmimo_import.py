@@ -135,15 +135,28 @@ def change(key: str, spoil: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pat
     return apply
 
 
+def retold(old: str, new: str) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        text = (folder / "params.json").read_text("utf-8")
+        assert old in text
+        (folder / "params.json").write_text(text.replace(old, new), "utf-8")
+
+    return apply
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
         (lambda folder: (folder / "params.json").unlink(), "there is no params.json"),
         (lambda folder: (folder / "params.json").write_text("{"), "is not that of a DeepMIMO v4 scenario"),
+        (retold("3500000000.0", "1" * 400), r"rt_params\.frequency: Input should be less than"),
         (lambda folder: (folder / "delay_t001_tx000_r000.npz").unlink(), "has no delay_t001_tx000_r000.npz"),
-        (lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"), "not an array of DeepMIMO v4"),
-        (change("delay", lambda table: table[:2]), r"delay_t001_tx000_r000\.npz has shape \(2, 2\)"),
-        (change("inter_pos", lambda table: table[..., 0]), r"inter_pos_t001_tx000_r000\.npz has shape"),
+        (lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"), r"r000\.npz is damaged"),
+        (
+            change("delay", lambda table: table[:2]),
+            r"delay_t001_tx000_r000\.npz .* in shape \(2, 2\), where 3 × 2 is needed",
+        ),
+        (change("inter_pos", lambda table: table[..., 0]), r"inter_pos_t001_tx000_r000\.npz .* in shape"),
         (change("delay", lambda table: -table), "do not lie between 1e-12 and 1"),
         (
             change("phase", lambda table: table * np.nan),

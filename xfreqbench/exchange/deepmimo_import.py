@@ -7,19 +7,17 @@ channel is the same in both directions. See `deepmimo` for the way out.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import scipy.io
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 
 from xfreqbench.data.dataset import holds_same_job
 from xfreqbench.data.paths import PathTotals
@@ -29,9 +27,10 @@ from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.exchange.deepmimo import DIGITS
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.runs.records import fault_of_fields
 from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.system.array_files import read_arrays
 from xfreqbench.system.files import read_bytes
-from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
@@ -43,7 +42,24 @@ _CODES = {digit: code for code, digit in DIGITS.items()}
 _MOST_DIGITS = 16  # of which a float64 holds every one
 _OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
 _AT_ONCE = 64  # users whose paths and maps are made together
-_UNREADABLE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile)
+_ADVICE = "Convert the scenario anew, with all its matrices."
+
+
+class _Tracing(BaseModel):
+    frequency: Annotated[float, Field(gt=0, lt=1e15)]
+    raytracer_name: str
+
+
+class _Antennas(BaseModel):
+    id: int
+    is_tx: bool
+
+
+class _Parameters(BaseModel):
+    """What is read of `params.json`."""
+
+    rt_params: _Tracing
+    txrx_sets: dict[str, _Antennas]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,39 +140,29 @@ def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
     digest = hashlib.sha256()
     try:
         content = read_bytes(folder / PARAMETERS)
-        parameters = json.loads(content)
-        carrier_hz, raytracer = (
-            float(parameters["rt_params"]["frequency"]),
-            str(parameters["rt_params"]["raytracer_name"]),
-        )
-        stations = {int(antennas["id"]) for antennas in parameters["txrx_sets"].values() if antennas["is_tx"]}
-    except (*_UNREADABLE, AttributeError, RecursionError) as error:
-        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {error!r}.") from error
-    if not (np.isfinite(carrier_hz) and 0 < carrier_hz < 1e15):
-        raise DataError(f"{folder / PARAMETERS} names {carrier_hz:g} Hz as its frequency.")
+        told = _Parameters.model_validate_json(content)
+    except (OSError, ValidationError) as error:
+        fault = error.strerror if isinstance(error, OSError) else fault_of_fields(error)
+        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {fault}.") from error
     digest.update(content)
-    name = _chosen(folder, pair, stations)
-    files = {key: _file(folder, f"{key}_{name}") for key in (*_OF_PATHS, "inter_pos", "tx_pos", "rx_pos")}
-    tables = {key: _table(path, key, digest) for key, path in files.items()}
-    users = len(tables["rx_pos"])
-    shape = tables["power"].shape
-    expected = dict.fromkeys(_OF_PATHS, shape) | {"rx_pos": (users, 3), "tx_pos": (1, 3)}
-    for key, wanted in expected.items():
-        if len(shape) != 2 or shape[0] != users or tables[key].shape != wanted:
-            raise DataError(
-                f"{files[key]} has shape {tables[key].shape}, where powers have {shape} and positions of users "
-                f"{tables['rx_pos'].shape}."
-            )
-    points = tables["inter_pos"]
-    if points.ndim != 4 or points.shape[:2] != shape or points.shape[3] != 3:
-        raise DataError(f"{files['inter_pos']} has shape {points.shape}, where powers have {shape}.")
+    name = _chosen(folder, pair, {antennas.id for antennas in told.txrx_sets.values() if antennas.is_tx})
+    forms = dict.fromkeys(_OF_PATHS, "real U L") | {
+        "inter_pos": "real U L D 3",
+        "tx_pos": "real 1 3",
+        "rx_pos": "real U 3",
+    }
+    files, sizes = {key: _file(folder, f"{key}_{name}") for key in forms}, dict[str, int]()
+    tables = {
+        key: read_arrays(path, {key: forms[key]}, _ADVICE, sizes, digest)[key].astype(np.float64)
+        for key, path in files.items()
+    }
     scenario = Scenario(
-        carrier_hz,
+        told.rt_params.frequency,
         tables["tx_pos"][0],
         tables["rx_pos"],
         {key: tables[key] for key in _OF_PATHS},
-        points,
-        raytracer,
+        tables["inter_pos"],
+        told.rt_params.raytracer_name,
         digest.hexdigest(),
         files,
     )
@@ -188,31 +194,7 @@ def _file(folder: Path, stem: str) -> Path:
     for path in (folder / f"{stem}.npz", folder / f"{stem}.mat"):
         if path.exists():
             return path
-    raise DataError(f"{folder} has no {stem}.npz. Convert the scenario anew, with all its matrices.")
-
-
-def _table(path: Path, key: str, digest: Any) -> FloatArray:
-    """One of the scenario's arrays; raises `DataError` that names its file."""
-    try:
-        content = read_bytes(path)
-        digest.update(content)
-        if path.suffix == ".mat":
-            return _real(scipy.io.loadmat(io.BytesIO(content))[key])
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            needed_mib = archive.getinfo(f"{key}.npy").file_size / 2**20
-        if needed_mib > available_memory_mib():
-            raise ValueError(f"it takes {needed_mib:,.0f} MiB of memory")
-        with np.load(io.BytesIO(content)) as stored:
-            return _real(stored[key])
-    except (*_UNREADABLE, zipfile.LargeZipFile, OverflowError) as error:
-        fault = getattr(error, "strerror", None) or error
-        raise DataError(f"{path} is not an array of DeepMIMO v4 that can be read: {fault}.") from error
-
-
-def _real(stored: NDArray[Any]) -> FloatArray:
-    if stored.dtype.kind not in "fiu":
-        raise ValueError(f"its numbers are {stored.dtype}, not real")
-    return stored.astype(np.float64)
+    raise DataError(f"{folder} has no {stem}.npz. {_ADVICE}")
 
 
 def _require_meaning(scenario: Scenario) -> None:
