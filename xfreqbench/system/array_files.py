@@ -52,8 +52,8 @@ def read_arrays(
         kind, *axes = form.split()
         array = arrays[name]
         is_own = array.dtype.str == kind and array.flags.c_contiguous
-        if not is_own and array.dtype.kind not in _KINDS.get(kind, ""):
-            raise DataError(f"{path} holds {name!r} as {array.dtype}, where {kind} is needed. {advice}")
+        if not is_own and (array.dtype.kind not in _KINDS.get(kind, "") or not array.dtype.isnative):
+            raise DataError(f"{path} holds {name!r} as {array.dtype.str}, where {kind} is needed. {advice}")
         if len(axes) == array.ndim:
             named = zip(axes, array.shape, strict=True)
             axes = [axis if axis.isdigit() else str(sizes.setdefault(axis, length)) for axis, length in named]

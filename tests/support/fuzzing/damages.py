@@ -134,7 +134,7 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
 def _positions() -> st.SearchStrategy[Damage]:
     numbers = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=4).map(",".join)
     texts = st.lists(numbers, max_size=4).map("\n".join).map(str.encode)
-    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n"))
+    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n"))
 
 
 def _scenes() -> st.SearchStrategy[Damage]:
