@@ -135,15 +135,28 @@ def change(key: str, spoil: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pat
     return apply
 
 
+def retold(old: str, new: str) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        text = (folder / "params.json").read_text("utf-8")
+        assert old in text
+        (folder / "params.json").write_text(text.replace(old, new), "utf-8")
+
+    return apply
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
         (lambda folder: (folder / "params.json").unlink(), "there is no params.json"),
         (lambda folder: (folder / "params.json").write_text("{"), "is not that of a DeepMIMO v4 scenario"),
+        (retold("3500000000.0", "1" * 400), r"rt_params\.frequency: Input should be less than"),
         (lambda folder: (folder / "delay_t001_tx000_r000.npz").unlink(), "has no delay_t001_tx000_r000.npz"),
-        (lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"), "not an array of DeepMIMO v4"),
-        (change("delay", lambda table: table[:2]), r"delay_t001_tx000_r000\.npz has shape \(2, 2\)"),
-        (change("inter_pos", lambda table: table[..., 0]), r"inter_pos_t001_tx000_r000\.npz has shape"),
+        (lambda folder: (folder / "delay_t001_tx000_r000.npz").write_text("0"), r"r000\.npz is damaged"),
+        (
+            change("delay", lambda table: table[:2]),
+            r"delay_t001_tx000_r000\.npz .* in shape \(2, 2\), where 3 × 2 is needed",
+        ),
+        (change("inter_pos", lambda table: table[..., 0]), r"inter_pos_t001_tx000_r000\.npz .* in shape"),
         (change("delay", lambda table: -table), "do not lie between 1e-12 and 1"),
         (
             change("phase", lambda table: table * np.nan),
@@ -155,6 +168,8 @@ def change(key: str, spoil: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pat
             r"inter_t001_tx000_r000\.npz holds numbers other than digits 1 to 4",
         ),
         (change("inter", lambda table: table * 11), r"inter_pos_t001_tx000_r000\.npz does not hold a point"),
+        (change("inter_pos", lambda table: table * 1e9), r"inter_pos_t001_tx000_r000\.npz does not hold a point"),
+        (change("aod_el", lambda table: table * 10), r"aod_el_t001_tx000_r000\.npz .* between -360 and 360"),
         (change("power", lambda table: table * np.nan), "holds no path"),
     ],
 )
@@ -163,6 +178,56 @@ def test_nonsense_is_refused_by_name(tmp_path: Path, damage: Callable[[Path], No
     with pytest.raises(DataError, match=told):
         import_deepmimo(folder, tmp_path / "city.h5")
     assert not (tmp_path / "city.h5").exists()
+
+
+def from_horizon(*keys: str) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        for key in keys:
+            change(key, lambda table: 90 - table)(folder)
+
+    return apply
+
+
+def test_elevations_from_the_horizon_are_converted_where_the_option_says_so(tmp_path: Path) -> None:
+    folder, turned = scenario_by_hand(tmp_path / "city"), scenario_by_hand(tmp_path / "turned")
+    from_horizon("aod_el", "aoa_el")(turned)
+    words = ["import", turned, "--from", "deepmimo", "-o", tmp_path / "turned.h5", "-q"]
+    refused = xfreqbench(*words)
+    assert refused.code == 2
+    assert "aod_el_t001_tx000_r000.npz, counted from the zenith, and aod_az" in refused.message
+    assert "miss the next point of 3 of 3 paths; counted from the horizon they hit it" in refused.message
+    assert xfreqbench(*words, "--elevations", "horizon").code == 0
+    import_deepmimo(folder, tmp_path / "city.h5")
+    as_told, right = (open_dataset(tmp_path / f"{name}.h5") for name in ("turned", "city"))
+    np.testing.assert_allclose(as_told.cfr, right.cfr, rtol=1e-6)
+    with pytest.raises(DataError, match="give --elevations zenith"):
+        import_deepmimo(folder, tmp_path / "x.h5", elevations="horizon")
+
+
+def without_the_line_of_sight(folder: Path) -> None:
+    for key in ("power", "inter"):
+        change(key, lambda table: np.where(np.arange(2) == 0, np.nan, table))(folder)
+
+
+@pytest.mark.parametrize(
+    "spoils",
+    [
+        [from_horizon("aoa_el")],
+        [change("aod_az", lambda table: -table - 30)],  # clockwise, or from another axis
+        [change("aoa_az", lambda table: table + 180)],  # the way that the wave goes
+        [change("aod_el", np.radians), change("aod_az", np.radians)],
+        [change("rx_pos", lambda table: table[:, [1, 0, 2]])],
+        [without_the_line_of_sight, from_horizon("aoa_el")],
+    ],
+)
+def test_angles_that_do_not_lead_along_the_paths_are_refused(
+    tmp_path: Path, spoils: list[Callable[[Path], None]]
+) -> None:
+    folder = scenario_by_hand(tmp_path / "city")
+    for spoil in spoils:
+        spoil(folder)
+    with pytest.raises(DataError, match=r"miss the next point of \d of \d paths; convert the scenario anew"):
+        import_deepmimo(folder, tmp_path / "city.h5")
 
 
 def test_of_several_pairs_one_is_chosen_by_name(tmp_path: Path) -> None:
@@ -187,7 +252,7 @@ def test_scenarios_of_other_users_are_not_joined(tmp_path: Path) -> None:
     (second / "params.json").write_text(json.dumps(told))
     assert import_deepmimo(tmp_path / "both", tmp_path / "both.h5")
     assert open_dataset(tmp_path / "both.h5").num_carriers == 2
-    change("rx_pos", lambda table: table + 1)(second)
+    change("rx_pos", lambda table: table + 0.01)(second)
     with pytest.raises(DataError, match=r"stand elsewhere than at 3\.5 GHz"):
         import_deepmimo(tmp_path / "both", tmp_path / "moved.h5")
 
@@ -197,6 +262,7 @@ def test_scenarios_of_other_users_are_not_joined(tmp_path: Path) -> None:
     [
         (["--from", "deepmimo", "--freq", "3.5"], "--set and --freq are about PNG maps"),
         (["--pair", "t001_tx000_r000"], "give --from deepmimo too"),
+        (["--elevations", "horizon"], "give --from deepmimo too"),
     ],
 )
 def test_options_of_the_other_layout_are_refused(tmp_path: Path, words: list[str], told: str) -> None:

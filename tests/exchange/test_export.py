@@ -25,6 +25,7 @@ from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.exchange.conventions import CONVENTIONS, Convention, convention_named
 from xfreqbench.exchange.png_dataset import export_png_folder, import_png_folder
 from xfreqbench.exchange.png_folder import read_png_folder
+from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 
@@ -112,7 +113,7 @@ def test_the_published_example_comes_back_byte_for_byte(tmp_path: Path) -> None:
     for path in published:
         assert (tmp_path / "out" / "spectrum" / path.name).read_bytes() == path.read_bytes()
     assert (tmp_path / "out" / "freq.txt").read_text().split() == (PUBLISHED / "freq.txt").read_text().split()
-    tables = [np.loadtxt(folder / "tx_pos.csv", delimiter=",", skiprows=1) for folder in (PUBLISHED, tmp_path / "out")]
+    tables = [read_positions(folder / "tx_pos.csv") for folder in (PUBLISHED, tmp_path / "out")]
     np.testing.assert_array_equal(*tables)
 
 

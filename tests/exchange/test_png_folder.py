@@ -93,7 +93,7 @@ def turn_two_receivers(folder: Path) -> None:
         (remove("gateway_info.yml"), r"gateway_info\.yml cannot be read"),
         (remove("spectrum/00003.png"), r"no .*00003\.png"),
         (draw("00005.png", levels(1)), r"00005\.png belongs to no line of tx_pos\.csv"),
-        (replace_line("tx_pos.csv", 1, "y,x,z"), r"tx_pos\.csv, line 1,.*must be x,y,z"),
+        (replace_line("tx_pos.csv", 1, "y,x,y"), r"tx_pos\.csv, line 1,.*not x,y,z nor numbers"),
         (replace_line("tx_pos.csv", 3, "1,2"), r"tx_pos\.csv, line 3,.*three finite numbers"),
         (replace_line("tx_pos.csv", 3, "1,nan,2"), r"tx_pos\.csv, line 3,.*three finite numbers"),
         (replace_line("freq.txt", 2, "often"), r"freq\.txt, line 2,.*GHz"),

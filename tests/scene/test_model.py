@@ -165,6 +165,16 @@ def test_scenes_that_mean_nothing_are_refused(old: str, new: str, message: str) 
         parse_scene(BOX.replace(old, new))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path, encoding: str) -> None:
+    text = BOX.replace('"box"', '"büro"')
+    (tmp_path / "box.toml").write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    assert load_scene(tmp_path / "box.toml") == parse_scene(text, tmp_path)
+    (tmp_path / "box.toml").write_bytes(text.encode("latin-1"))
+    with pytest.raises(SceneError, match=r"box\.toml is no text in UTF-8 .* Save it in that encoding"):
+        load_scene(tmp_path / "box.toml")
+
+
 def test_unknown_scenes_and_materials_name_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'office'"):
         load_scene("offcie")

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import typing
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from cyclopts import App
 from hypothesis import strategies as st
 
-from tests.support.fuzzing.commands import LINES, MEASURING, READ_NOTHING, READS, check_read, lines
-from tests.support.fuzzing.common import NUM_INPUTS, fuzz
-from tests.support.fuzzing.damages import damages
+from tests.support.fuzzing.commands import LINES, MEASURING, READ_NOTHING, READS, check_read, lines, names
+from tests.support.fuzzing.common import NUM_INPUTS, check_refusal, fuzz, refusal, sentinel_folder
+from tests.support.fuzzing.damages import damages, torn
+from tests.support.fuzzing.readers import READERS, files_of
+from tests.support.fuzzing.sound_files import sound_files
 from xfreqbench.cli.main import app
 from xfreqbench.maps import metrics
 
@@ -61,3 +66,30 @@ def test_no_damage_ends_in_a_traceback(kind: str) -> None:
         check_read(line, {}, is_bounded=False)  # the first one compiles and imports
     cases = st.tuples(lines(kind), damages(kind))
     fuzz(NUM_INPUTS[kind], cases, lambda case: check_read(*case))
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_damaged_bytes_give_the_same_values_or_one_line(kind: str) -> None:
+    with sentinel_folder() as folder, contextlib.chdir(folder):
+        for path, content in sound_files().items():
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_bytes(content)
+        read = READERS[kind][1]
+        sound = read()
+
+        def check(case: tuple[str, bytes]) -> None:
+            path, content = case
+            Path(path).write_bytes(content)
+            found: list[Any] = []
+            message = refusal(lambda: found.append(read()), most_s=5)
+            Path(path).write_bytes(sound_files()[path])
+            if message is None:
+                np.testing.assert_equal(found, [sound])
+            else:
+                check_refusal(message, *names())
+                assert "\n" not in message
+
+        cases = st.sampled_from(files_of(kind)).flatmap(
+            lambda path: torn(sound_files()[path]).map(lambda content: (path, content))
+        )
+        fuzz(NUM_INPUTS["damaged bytes"], cases, check)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
@@ -24,7 +24,8 @@ from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
-from xfreqbench.system.files import atomic_path, require_own, require_regular, storage_errors
+from xfreqbench.system.array_files import read_arrays
+from xfreqbench.system.files import atomic_path, require_own, storage_errors
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.tracing.versions import software_versions
@@ -44,6 +45,7 @@ PUBLIC_WAY = (
     "candidates"
 )
 
+_ADVICE = "Delete it, and make it anew."
 IDENTITY = (
     "scene_sha256",
     "rays",
@@ -74,7 +76,7 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
     if not path.exists():
         raise DataError(f"{path} does not exist. Make it with: xfreqbench bench reference {scene.name}")
     reference = _read(path)
-    if reference.about["scene_sha256"] != meshes_sha256(surface_meshes(scene)):
+    if reference.about.get("scene_sha256") != meshes_sha256(surface_meshes(scene)):
         raise DataError(f"{path} was made of another version of {scene.name!r}. Delete it and make it anew.")
     if not np.isfinite(reference.cfr).all():
         raise DataError(f"{path} is unfinished. Go on with: xfreqbench bench reference {scene.name}")
@@ -82,12 +84,13 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
 
 
 def _read(path: Path) -> Reference:
+    wanted = {"about": "text", "tx_position_m": "<f8 T 3", "carrier_hz": "<f8 F", "cfr": "<c16 T F M"}
+    stored = read_arrays(path, wanted, _ADVICE)
     try:
-        with require_regular(path).open("rb") as file, np.load(file) as content:  # NumPy leaves a broken file open
-            about = json.loads(str(content["about"]))
-            return Reference(content["tx_position_m"], content["carrier_hz"], content["cfr"], about)
-    except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:
-        raise DataError(f"{path} is no reference that can be read: {error}. Delete it.") from error
+        about = TypeAdapter(dict[str, Any]).validate_json(str(stored.pop("about")))
+    except ValidationError as error:
+        raise DataError(f"{path} does not tell how it was made. {_ADVICE}") from error
+    return Reference(**stored, about=about)
 
 
 def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None:

@@ -61,8 +61,8 @@ def generate(
     tx_positions: Annotated[
         Path | None,
         Parameter(
-            help="Instead of the scene's grid: a CSV of x,y,z in metres, one transmitter a line, or a data set (.h5), "
-            "whose transmitters are taken."
+            help="Instead of the scene's grid: a CSV of x,y,z in metres, one transmitter a line, its columns "
+            "three or named in the first line; or a data set (.h5), whose transmitters are taken."
         ),
     ] = None,
     solver: Solver = "auto",
@@ -143,26 +143,9 @@ def _read_positions(path: Path | None) -> Any:
         from xfreqbench.data.dataset import open_dataset
 
         return open_dataset(path).tables["tx_position_m"]
-    import io
-    import warnings
+    from xfreqbench.exchange.positions import read_positions
 
-    import numpy as np
-
-    from xfreqbench.system.files import read_text
-
-    try:
-        text = io.StringIO(read_text(path))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about an empty file, which is refused below
-            found = np.loadtxt(text, delimiter=",", ndmin=2, usecols=(0, 1, 2)).reshape(-1, 3)
-        if not len(found):
-            raise ValueError("it holds no position")
-        return found
-    except (OSError, ValueError) as error:
-        fault = error.strerror if isinstance(error, OSError) else error
-        raise XFreqBenchError(
-            f"--tx-positions takes a CSV file of x,y,z in metres, one transmitter a line, but {path}: {fault}"
-        ) from error
+    return read_positions(path)
 
 
 @app.command(group=DATA, help_epilogue=example("info office.h5 --retrace 4"))

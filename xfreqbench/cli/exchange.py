@@ -48,6 +48,10 @@ def import_(
     pair: Annotated[
         str | None, Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, where there are several.")
     ] = None,
+    elevations: Annotated[
+        Literal["zenith", "horizon"],
+        Parameter(help="For DeepMIMO: from where its elevations are counted; those of AODT may be from the horizon."),
+    ] = "zenith",
     quiet: Quiet = False,
 ) -> None:
     """Read a folder of PNG maps, or scenarios of DeepMIMO, as other groups publish theirs, into an HDF5 file.
@@ -58,15 +62,22 @@ def import_(
         Holds spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and mostly freq.txt; or
         is a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
     """
+    from xfreqbench.system.bars import progress_bars
+
     if from_ == "deepmimo":
-        _import_deepmimo(folder, output, pair, freq is not None or bool(set_), quiet)
+        if freq is not None or set_:
+            raise XFreqBenchError("--set and --freq are about PNG maps; leave them out with --from deepmimo.")
+        from xfreqbench.exchange.deepmimo_import import import_deepmimo
+
+        with progress_bars("users", ["importing"], quiet) as (progress,):
+            is_new = import_deepmimo(folder, output, pair, elevations, progress)
+        say_written(output, is_new, quiet)
         return
-    if pair is not None:
-        raise XFreqBenchError("--pair chooses among the stations of a DeepMIMO scenario; give --from deepmimo too.")
+    if pair is not None or elevations != "zenith":
+        raise XFreqBenchError("--pair and --elevations are about scenarios of DeepMIMO; give --from deepmimo too.")
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder
     from xfreqbench.exchange.png_folder import read_png_folder
-    from xfreqbench.system.bars import progress_bars
 
     source = read_png_folder(folder, convention_named(convention, set_), freq)
     if source.convention.caveat:
@@ -88,17 +99,6 @@ def conventions() -> None:
         print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
     for name, reason in NO_CONVENTIONS.items():
         print(f"{name}: none. {reason}")
-
-
-def _import_deepmimo(folder: Path, output: Path, pair: str | None, is_of_maps: bool, quiet: bool) -> None:
-    from xfreqbench.exchange.deepmimo_import import import_deepmimo
-    from xfreqbench.system.bars import progress_bars
-
-    if is_of_maps:
-        raise XFreqBenchError("--set and --freq are about PNG maps; leave them out with --from deepmimo.")
-    with progress_bars("users", ["importing"], quiet) as (progress,):
-        is_new = import_deepmimo(folder, output, pair, progress)
-    say_written(output, is_new, quiet)
 
 
 @app.command(group=EXCHANGE, help_epilogue=example("export office.h5 --convention nerf2 -o office_png"))

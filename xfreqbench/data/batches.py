@@ -8,12 +8,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from xfreqbench.data.plan import Plan
-from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.errors import DataError, OutputExistsError, StorageError
+from xfreqbench.system.array_files import unpacked
 from xfreqbench.system.files import atomic_path, require_own, sole_worker, storage_errors, write_text
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import Channel
@@ -67,14 +67,12 @@ class BatchStore:
         if hashlib.sha256(content).hexdigest() != path.stem.rpartition("-")[2]:
             return None
         try:
-            with np.load(io.BytesIO(content)) as stored:
-                if str(stored["batch"]) != self._name(_index(path)):
-                    return None
-                paths = {name.removeprefix("paths."): stored[name] for name in stored if "." in name}
-                return Channel(
-                    stored["cfr"], stored["num_paths"], RaggedPaths(**paths) if self.plan.header.paths else None
-                )
-        except (ValueError, TypeError, LookupError, OSError, BadZipFile):
+            stored = unpacked(path, content, None, "")
+            if str(stored.pop("batch")) != self._name(_index(path)):
+                return None
+            paths = {name.removeprefix("paths."): stored.pop(name) for name in [*stored] if "." in name}
+            return Channel(**stored, paths=RaggedPaths(**paths) if self.plan.header.paths else None)
+        except (DataError, LookupError, TypeError):
             return None
 
     def _name(self, index: int) -> str:

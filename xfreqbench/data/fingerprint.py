@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.recipe import Recipe, micrometres
 from xfreqbench.errors import DataError
-from xfreqbench.system.files import require_regular
+from xfreqbench.system.array_files import read_arrays
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
 TOLERANCE_SIONNA = 1e-1  # of solver `sionna`, which misses more of the weak paths: up to 4e-2 with the default rays
 MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
-_ENDING = "_fingerprint.npz"
+_ENDING, _ADVICE = "_fingerprint.npz", "If it came with xfreqbench, install that again; else make it anew."
+
+
+class _About(BaseModel):
+    scene: str
+    physics_sha256: str
 
 
 @dataclass(frozen=True)
@@ -148,14 +152,13 @@ def fingerprint_path(scene_name: str, *, diffraction: bool = True) -> Path:
 
 def read_fingerprint(path: Path) -> Fingerprint:
     """A stored fingerprint; raises `DataError` where it is missing or damaged."""
+    wanted = {"about": "text", "tx_position_m": "<f8 T 3", "carrier_hz": "<f8 F", "cfr": "<c8 T F M"}
+    stored = read_arrays(path, wanted, _ADVICE)
     try:
-        with require_regular(path).open("rb") as file, np.load(file) as content:
-            about = json.loads(str(content["about"]))
-            return Fingerprint(
-                about["scene"], about["physics_sha256"], content["tx_position_m"], content["carrier_hz"], content["cfr"]
-            )
-    except (OSError, LookupError, ValueError, TypeError, BadZipFile) as error:
-        raise DataError(f"{path} is no fingerprint that can be read: {error}. Install xfreqbench again.") from error
+        about = _About.model_validate_json(str(stored.pop("about")))
+    except ValidationError as error:
+        raise DataError(f"{path} does not tell of what scene it is. {_ADVICE}") from error
+    return Fingerprint(about.scene, about.physics_sha256, **stored)
 
 
 @cache

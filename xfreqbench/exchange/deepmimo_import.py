@@ -7,19 +7,17 @@ channel is the same in both directions. See `deepmimo` for the way out.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
-import scipy.io
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 
 from xfreqbench.data.dataset import holds_same_job
 from xfreqbench.data.paths import PathTotals
@@ -29,19 +27,39 @@ from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.exchange.deepmimo import DIGITS
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.runs.records import fault_of_fields
 from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.system.array_files import read_arrays
 from xfreqbench.system.files import read_bytes
-from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
+Elevations = Literal["zenith", "horizon"]
 PARAMETERS = "params.json"
 _OF_PATHS = ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter")
 _CODES = {digit: code for code, digit in DIGITS.items()}
 _MOST_DIGITS = 16  # of which a float64 holds every one
+_OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
 _AT_ONCE = 64  # users whose paths and maps are made together
-_UNREADABLE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile)
+_ADVICE = "Convert the scenario anew, with all its matrices."
+
+
+class _Tracing(BaseModel):
+    frequency: Annotated[float, Field(gt=0, lt=1e15)]
+    raytracer_name: str
+
+
+class _Antennas(BaseModel):
+    id: int
+    is_tx: bool
+
+
+class _Parameters(BaseModel):
+    """What is read of `params.json`."""
+
+    rt_params: _Tracing
+    txrx_sets: dict[str, _Antennas]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +82,24 @@ class Scenario:
 
 
 def import_deepmimo(
-    folder: Path, path: Path, pair: str | None = None, progress: ProgressCallback = ignore_progress
+    folder: Path,
+    path: Path,
+    pair: str | None = None,
+    elevations: Elevations = "zenith",
+    progress: ProgressCallback = ignore_progress,
 ) -> bool:
     """Write a scenario, or a folder of scenarios at several carriers, as a data set; False if it is there already.
 
     Scenarios of a folder must have the same station and users. What they say of a path is stored once where it is the
     same to the last bit, with gain 0 at the carriers that do not have it. Users without a path are left out. `pair` is
     the part of the files' names that tells station and users, as `t000_tx000_r001`, where there are several.
+    Elevations are counted from the `zenith`, as DeepMIMO does, or from the `horizon` upwards, as its scenarios from
+    AODT have them; angles that do not point along the paths are refused.
     `progress` is told how many users are done and how many there are. Raises `DataError` that names the file,
     `UnknownNameError` for a pair that is not there, `OutputExistsError` and `StorageError`.
     """
     scenarios = sorted(
-        (_read(subfolder, pair) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
+        (_read(subfolder, pair, elevations) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
     )
     _require_alike(folder, scenarios)
     first = scenarios[0]
@@ -83,7 +107,7 @@ def import_deepmimo(
     users = np.flatnonzero(is_heard)
     if not len(users):
         raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
-    header = _header(folder, scenarios, users)
+    header = _header(folder, scenarios, users, elevations)
     if holds_same_job(path, header.job_sha256(first.user_m[users]), "data set"):
         return False
     parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
@@ -112,47 +136,40 @@ def _folders(folder: Path) -> list[Path]:
     return found
 
 
-def _read(folder: Path, pair: str | None) -> Scenario:
+def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
     digest = hashlib.sha256()
     try:
         content = read_bytes(folder / PARAMETERS)
-        parameters = json.loads(content)
-        carrier_hz, raytracer = (
-            float(parameters["rt_params"]["frequency"]),
-            str(parameters["rt_params"]["raytracer_name"]),
-        )
-        stations = {int(antennas["id"]) for antennas in parameters["txrx_sets"].values() if antennas["is_tx"]}
-    except (*_UNREADABLE, AttributeError, RecursionError) as error:
-        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {error!r}.") from error
-    if not (np.isfinite(carrier_hz) and 0 < carrier_hz < 1e15):
-        raise DataError(f"{folder / PARAMETERS} names {carrier_hz:g} Hz as its frequency.")
+        told = _Parameters.model_validate_json(content)
+    except (OSError, ValidationError) as error:
+        fault = error.strerror if isinstance(error, OSError) else fault_of_fields(error)
+        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {fault}.") from error
     digest.update(content)
-    name = _chosen(folder, pair, stations)
-    files = {key: _file(folder, f"{key}_{name}") for key in (*_OF_PATHS, "inter_pos", "tx_pos", "rx_pos")}
-    tables = {key: _table(path, key, digest) for key, path in files.items()}
-    users = len(tables["rx_pos"])
-    shape = tables["power"].shape
-    expected = dict.fromkeys(_OF_PATHS, shape) | {"rx_pos": (users, 3), "tx_pos": (1, 3)}
-    for key, wanted in expected.items():
-        if len(shape) != 2 or shape[0] != users or tables[key].shape != wanted:
-            raise DataError(
-                f"{files[key]} has shape {tables[key].shape}, where powers have {shape} and positions of users "
-                f"{tables['rx_pos'].shape}."
-            )
-    points = tables["inter_pos"]
-    if points.ndim != 4 or points.shape[:2] != shape or points.shape[3] != 3:
-        raise DataError(f"{files['inter_pos']} has shape {points.shape}, where powers have {shape}.")
+    name = _chosen(folder, pair, {antennas.id for antennas in told.txrx_sets.values() if antennas.is_tx})
+    forms = dict.fromkeys(_OF_PATHS, "real U L") | {
+        "inter_pos": "real U L D 3",
+        "tx_pos": "real 1 3",
+        "rx_pos": "real U 3",
+    }
+    files, sizes = {key: _file(folder, f"{key}_{name}") for key in forms}, dict[str, int]()
+    tables = {
+        key: read_arrays(path, {key: forms[key]}, _ADVICE, sizes, digest)[key].astype(np.float64)
+        for key, path in files.items()
+    }
     scenario = Scenario(
-        carrier_hz,
+        told.rt_params.frequency,
         tables["tx_pos"][0],
         tables["rx_pos"],
         {key: tables[key] for key in _OF_PATHS},
-        points,
-        raytracer,
+        tables["inter_pos"],
+        told.rt_params.raytracer_name,
         digest.hexdigest(),
         files,
     )
     _require_meaning(scenario)
+    _require_angles(scenario, elevations)
+    if elevations == "horizon":
+        scenario.of_paths.update({key: 90 - scenario.of_paths[key] for key in ("aoa_el", "aod_el")})
     return scenario
 
 
@@ -177,31 +194,7 @@ def _file(folder: Path, stem: str) -> Path:
     for path in (folder / f"{stem}.npz", folder / f"{stem}.mat"):
         if path.exists():
             return path
-    raise DataError(f"{folder} has no {stem}.npz. Convert the scenario anew, with all its matrices.")
-
-
-def _table(path: Path, key: str, digest: Any) -> FloatArray:
-    """One of the scenario's arrays; raises `DataError` that names its file."""
-    try:
-        content = read_bytes(path)
-        digest.update(content)
-        if path.suffix == ".mat":
-            return _real(scipy.io.loadmat(io.BytesIO(content))[key])
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            needed_mib = archive.getinfo(f"{key}.npy").file_size / 2**20
-        if needed_mib > available_memory_mib():
-            raise ValueError(f"it takes {needed_mib:,.0f} MiB of memory")
-        with np.load(io.BytesIO(content)) as stored:
-            return _real(stored[key])
-    except (*_UNREADABLE, zipfile.LargeZipFile, OverflowError) as error:
-        fault = getattr(error, "strerror", None) or error
-        raise DataError(f"{path} is not an array of DeepMIMO v4 that can be read: {fault}.") from error
-
-
-def _real(stored: NDArray[Any]) -> FloatArray:
-    if stored.dtype.kind not in "fiu":
-        raise ValueError(f"its numbers are {stored.dtype}, not real")
-    return stored.astype(np.float64)
+    raise DataError(f"{folder} has no {stem}.npz. {_ADVICE}")
 
 
 def _require_meaning(scenario: Scenario) -> None:
@@ -212,7 +205,8 @@ def _require_meaning(scenario: Scenario) -> None:
     for key, place_m in (("tx_pos", scenario.station_m), ("rx_pos", scenario.user_m)):
         if not (np.abs(place_m) <= FAR_M).all():
             raise DataError(f"{files[key]} holds positions beyond {FAR_M:g} m, or no numbers.")
-    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0)):
+    angles = ((key, -360.0, 360.0) for key in ("aoa_az", "aoa_el", "aod_az", "aod_el"))
+    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0), *angles):
         if not ((tables[key][is_path] >= low) & (tables[key][is_path] <= high)).all():
             raise DataError(f"{files[key]} holds numbers that do not lie between {low:g} and {high:g}.")
     digits = _digits(tables["inter"][is_path])
@@ -222,10 +216,45 @@ def _require_meaning(scenario: Scenario) -> None:
         raise DataError(f"{files['inter']} holds numbers other than digits 1 to {max(_CODES)}, or 0.")
     depth = scenario.point_m.shape[2]
     count = is_met.sum(axis=1)
-    is_there = np.asarray(np.isfinite(scenario.point_m[is_path]).all(axis=-1))
+    is_there = np.asarray((np.abs(scenario.point_m[is_path]) <= FAR_M).all(axis=-1))
     needed = np.arange(depth) < count[:, None]
     if (count > depth).any() or not is_there[needed].all():
         raise DataError(f"{files['inter_pos']} does not hold a point for each interaction that inter names.")
+
+
+def _require_angles(scenario: Scenario, elevations: Elevations) -> None:
+    """Raise `DataError` unless paths leave the station, and reach users, along the lines to the points that they meet.
+
+    A path in sight has to. Of all paths half may miss, for converters tell the points of some interactions roughly.
+    """
+    user, place = np.nonzero(scenario.is_path)
+    tables = {key: table[user, place] for key, table in scenario.of_paths.items()}
+    num_met = (_digits(tables["inter"]) > 0).sum(axis=1)
+    rows, in_sight, points_m = np.arange(len(user)), num_met == 0, scenario.point_m[user, place]
+    ends_m = {"aod": np.broadcast_to(scenario.station_m, (len(user), 3)), "aoa": scenario.user_m[user]}
+
+    def misses(end: str, counted_from: Elevations) -> Bool[NDArray[np.bool_], "P"]:
+        other = ends_m["aoa" if end == "aod" else "aod"]
+        met_m = points_m[rows, 0 if end == "aod" else num_met - 1] if points_m.shape[1] else other
+        way_m = np.where(in_sight[:, None], other, met_m) - ends_m[end]
+        length_m = np.linalg.norm(way_m, axis=1)
+        elevation_deg = tables[f"{end}_el"] if counted_from == "horizon" else 90 - tables[f"{end}_el"]
+        along = directions(np.radians(tables[f"{end}_az"]), np.radians(elevation_deg))
+        return np.linalg.norm(along * length_m[:, None] - way_m, axis=1) > _OFF_M + _OFF * length_m
+
+    def faults(counted_from: Elevations) -> dict[str, int]:
+        missing = {end: misses(end, counted_from) for end in ends_m}
+        return {end: int(off.sum()) for end, off in missing.items() if off[in_sight].any() or off.sum() > len(off) / 2}
+
+    instead: Elevations = "horizon" if elevations == "zenith" else "zenith"
+    for end, num_off in faults(elevations).items():
+        advice = f"counted from the {instead} they hit it: give --elevations {instead}"
+        if faults(instead):
+            advice = "convert the scenario anew, with angles in degrees in the frame of its positions, azimuths from x"
+        raise DataError(
+            f"{scenario.files[f'{end}_el']}, counted from the {elevations}, and {scenario.files[f'{end}_az'].name} "
+            f"miss the next point of {num_off} of {len(user)} paths; {advice}."
+        )
 
 
 def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
@@ -248,8 +277,9 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
             )
 
 
-def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> DatasetHeader:
+def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray, elevations: Elevations) -> DatasetHeader:
     name, first = folder.resolve().name, scenarios[0]
+    told = {} if elevations == "zenith" else {"elevations": f"counted from the {elevations} in the scenario"}
     return DatasetHeader(
         scene_name=name,
         scene_json=json.dumps({"name": name}),
@@ -264,6 +294,7 @@ def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> Dat
             "raytracer": first.raytracer,
             "array": "4 × 4 elements half a wavelength apart at the base station, facing down; the paths are to its "
             "centre, and spherical waves at its elements",
+            **told,
         },
         software={package: metadata.version(package) for package in ("xfreqbench", "numpy")},
         rejected={"without a path": len(first.user_m) - len(users)},

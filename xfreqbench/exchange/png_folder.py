@@ -31,9 +31,10 @@ from pydantic import ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.conventions import Convention
+from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
-from xfreqbench.scene.model import FAR_M, ReceiverArray
+from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.system.files import read_text, require_regular, storage_errors
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz, ghz_to_hz
@@ -135,9 +136,9 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
 
     `carrier_ghz` is the carrier of all samples, for a folder without `freq.txt`.
     """
-    position_m = _read_positions(folder / POSITIONS)
+    position_m = [tuple(place_m) for place_m in read_positions(folder / POSITIONS).tolist()]
     sample_carrier_hz = _carriers_hz(folder / CARRIERS, carrier_ghz, len(position_m))
-    if len(position_m) != len(sample_carrier_hz) or not position_m:
+    if len(position_m) != len(sample_carrier_hz):
         raise DataError(
             f"{folder / POSITIONS} has {len(position_m)} samples and {folder / CARRIERS} "
             f"{len(sample_carrier_hz)}; both need one line a sample."
@@ -168,7 +169,7 @@ def map_path(folder: Path, number: int) -> Path:
 def _lines(path: Path) -> list[str]:
     """The lines of a text file, without blank lines at its end."""
     try:
-        return read_text(path, "utf-8-sig").rstrip().splitlines()
+        return read_text(path).rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(
@@ -184,19 +185,6 @@ def _numbers(text: str, count: int) -> tuple[float, ...] | None:
     except ValueError:
         return None
     return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
-
-
-def _read_positions(path: Path) -> list[tuple[float, ...]]:
-    header, *lines = _lines(path) or [""]
-    if header.replace(" ", "").lower() != "x,y,z":
-        raise DataError(f"{path}, line 1, is {header!r}; it must be x,y,z.")
-    positions = []
-    for number, line in enumerate(lines, start=2):
-        position_m = _numbers(line, 3)
-        if position_m is None or max(map(abs, position_m)) > FAR_M:
-            raise DataError(f"{path}, line {number}, is {line!r}; it must be three finite numbers, x,y,z in metres.")
-        positions.append(position_m)
-    return positions
 
 
 def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:

@@ -321,7 +321,9 @@ def load_scene(name_or_path: FilePath) -> Scene:
         return parse_scene(read_text(path), folder=path.parent)
     except OSError as error:
         raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
-    except (SceneError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path} is no text in UTF-8 ({error}). Save it in that encoding.") from error
+    except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
 
 

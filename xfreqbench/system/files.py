@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import glob
 import os
@@ -224,9 +225,14 @@ def require_regular(path: Path) -> Path:
     return path
 
 
-def read_text(path: Path, encoding: str = "utf-8") -> str:
-    """The text in a file; raises as `require_regular`, and `UnicodeDecodeError`."""
-    return require_regular(path).read_text(encoding)
+def read_text(path: Path) -> str:
+    """The text in a file, of UTF-8 or, where its byte order mark says so, UTF-16; `\\r\\n` and `\\r` end lines too.
+
+    Raises as `require_regular`, and `UnicodeError`.
+    """
+    with require_regular(path).open("rb") as file:
+        is_utf_16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    return path.read_text("utf-16" if is_utf_16 else "utf-8-sig")
 
 
 def read_bytes(path: Path) -> bytes:

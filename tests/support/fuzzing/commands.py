@@ -11,7 +11,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from tests.support.fuzzing.common import Outcome, check_clean, sentinel_folder, untouched, xfreqbench
-from tests.support.fuzzing.sound_files import DATA, FITTED, RECORDS, small_benchmark, sound_files
+from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, FITTED, RECORDS, small_benchmark, sound_files
 
 RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
@@ -37,7 +37,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "plot": {"file": ("data set", "mesh"), "output": WRITTEN},
     "view": {"data_or_scene": ("data set", *SCENE), "output": WRITTEN},
     "generate": {"scene": SCENE, "tx_positions": ("positions", "data set"), "output": WRITTEN},
-    "import": {"folder": ("PNG folder", "DeepMIMO scenario"), "output": WRITTEN},
+    "import": {"folder": ("PNG folder", "DeepMIMO scenario", "DeepMIMO scenario of MATLAB"), "output": WRITTEN},
     "export": {"data": ("data set", "mesh"), "output": WRITTEN},
     "split": {"data": ("data set",), "output": ("split file",)},
     "score": {
@@ -60,7 +60,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "residual": {"results": ("records", "stored predictions"), "data": ("data set",), "output": WRITTEN},
     "bench generate": {"scene": SCENE, "output": ("records",)},
     "bench reference": {"scene": SCENE, "output": WRITTEN},
-    "bench fingerprint": {"scene": SCENE, "output": WRITTEN},
+    "bench fingerprint": {"scene": SCENE, "output": ("fingerprint",)},
     "bench render": {"output": ("records",)},
     "bench savings": {"output": ("records",)},
     "bench scale-out": {"output": ("records",)},
@@ -121,6 +121,10 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
     "predictions made elsewhere": {"score": (f"{_SCORE} new",)},
     "PNG folder": {"import": ("import maps -o new.h5 -q",)},
     "DeepMIMO scenario": {"import": ("import scenarios --from deepmimo -o new.h5 -q",)},
+    "DeepMIMO scenario of MATLAB": {"import": ("import mats --from deepmimo -o new.h5 -q",)},
+    "fingerprint": {
+        "bench fingerprint": (f"bench fingerprint ./room.toml -o {FINGERPRINT} --interactions specular,refraction -q",)
+    },
     "positions": {"generate": ("generate room.toml --tx-positions tx.csv -o taken.h5 --freqs 1,10 -q",)},
     "scene": {
         "generate": ("generate room.toml -o taken.h5 --freqs 1,10 -q",),

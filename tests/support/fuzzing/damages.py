@@ -7,9 +7,11 @@ import hashlib
 import io
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.io
 from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
@@ -17,15 +19,24 @@ from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, cut_or_flippe
 from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_predictions
 from tests.support.fuzzing.png import png_folders
 from tests.support.fuzzing.scenes import edited, ply_files, toml_file
-from tests.support.fuzzing.sound_files import DATA, MAPS, RECORDS, ROOM, sound_files
+from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, sound_files
 from xfreqbench.runs.sealed import SEAL, content_sha256
+from xfreqbench.system.array_files import unpacked
 
 Content = bytes | Callable[[], bytes] | None  # or what makes it; None where the file is gone
 Damage = dict[str, Content]  # of the files that differ from the sound ones
 
+_HEAD = 6000
+
 
 def in_place_of(path: str, contents: st.SearchStrategy[Any]) -> st.SearchStrategy[Damage]:
     return contents.map(lambda content: {path: content})
+
+
+def torn(content: bytes) -> st.SearchStrategy[bytes]:
+    """The bytes of a file cut, flipped or inserted, half of the times near its start, where layouts are told."""
+    head = cut_or_flipped(content[:_HEAD]).map(lambda head: head + content[_HEAD:])
+    return head | cut_or_flipped(content)
 
 
 def sealed_json(content: Any, is_sealed_again: bool = True) -> bytes:
@@ -123,7 +134,7 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
 def _positions() -> st.SearchStrategy[Damage]:
     numbers = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=4).map(",".join)
     texts = st.lists(numbers, max_size=4).map("\n".join).map(str.encode)
-    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"1.0,1.0,1.0\n0.5,0.5,1.5\n"))
+    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n"))
 
 
 def _scenes() -> st.SearchStrategy[Damage]:
@@ -140,29 +151,49 @@ def _png_folders() -> st.SearchStrategy[Damage]:
     return png_folders().map(lambda case: {f"maps/{name}": content for name, content in case[0].items()})
 
 
-def _scenarios() -> st.SearchStrategy[Damage]:
+def _scenarios(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Damage]:
     """Parameters spoilt, arrays of other types, shapes or numbers, or other bytes, of the scenario at one carrier."""
-    files = {path: content for path, content in sound_files().items() if path.startswith("scenarios/")}
+    files = {path: content for path, content in sound_files().items() if path.startswith(root)}
     parameters = next(path for path in files if path.endswith("params.json"))
     folder = parameters.removesuffix("params.json")
     arrays = [path for path in files if path.startswith(folder) and "_t000" in path]
 
     def spoilt_array(path: str) -> st.SearchStrategy[Damage]:
-        with np.load(io.BytesIO(files[path])) as stored:
-            ((key, array),) = stored.items()
-        return in_place_of(path, odd_array(array).map(lambda array: _npz(**{key: array})))
+        key = path.removeprefix(folder).partition("_t000")[0]
+        (array,) = unpacked(Path(path), files[path], [key], "").values()
+        return in_place_of(path, odd_array(array).map(lambda array: lambda: write(**{key: array})))
 
     told = spoilt_json(json.loads(files[parameters])).map(json.dumps).map(str.encode)
     torn = st.sampled_from([parameters, *arrays]).flatmap(
         lambda path: in_place_of(path, cut_or_flipped(files[path]) | st.none())
     )
-    spoilt = st.sampled_from(arrays).flatmap(spoilt_array)
+    spoilt = st.one_of([spoilt_array(path) for path in arrays])
     return spoilt | spoilt | in_place_of(parameters, told) | torn
+
+
+def _fingerprints() -> st.SearchStrategy[Damage]:
+    """One of its arrays of another type, shape or numbers, or gone; or other bytes."""
+    content = sound_files()[FINGERPRINT]
+    known = unpacked(Path(FINGERPRINT), content, None, "")
+    names = st.sampled_from(sorted(known))
+    odd = names.flatmap(
+        lambda name: (odd_array(known[name]) if known[name].dtype.kind != "U" else JSON_VALUES.map(json.dumps)).map(
+            lambda value: _npz(**{**known, name: value})
+        )
+    )
+    gone = names.map(lambda name: _npz(**{key: array for key, array in known.items() if key != name}))
+    return in_place_of(FINGERPRINT, odd | odd | gone | cut_or_flipped(content))
 
 
 def _npz(**arrays: Any) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _mat(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, arrays)
     return buffer.getvalue()
 
 
@@ -179,7 +210,9 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "split file": _split_files,
     "predictions made elsewhere": _made_elsewhere,
     "PNG folder": _png_folders,
-    "DeepMIMO scenario": _scenarios,
+    "DeepMIMO scenario": functools.partial(_scenarios, "scenarios/", _npz),
+    "DeepMIMO scenario of MATLAB": functools.partial(_scenarios, "mats/", _mat),
+    "fingerprint": _fingerprints,
     "positions": _positions,
     "scene": _scenes,
     "mesh": _meshes,

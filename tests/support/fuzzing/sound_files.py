@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from unittest import mock
 
 import h5py
 import numpy as np
+import scipy.io
 
 from tests.support.found_box import ALL_PLANES, SCENE
 from tests.support.fuzzing.common import xfreqbench
@@ -30,7 +32,7 @@ from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.workers import HERE
 
 DATA, RECORDS, SPLIT = "data/room.toml.h5", "results/records.jsonl", "lofo-10GHz"
-MAPS = "results/records_maps.jsonl"
+MAPS, FINGERPRINT = "results/records_maps.jsonl", "room_fingerprint.npz"
 FITTED = ("num_gaussians=4", "width=4", "layers=2")
 METHODS = (Setting("nearest"), Setting("aperture-gs", FITTED))
 PRESET = Preset("a small one", (Block("room.toml", "lofo", METHODS, "3steps", (0,), (10.0,)),), "the rest")
@@ -64,6 +66,7 @@ def sound_files() -> dict[str, bytes]:
             f"generate room.toml -o {DATA} --freqs 1,10 -q",
             "generate mesh.toml -o mesh.h5 --freqs 1,10 --solver image --tx 2 --paths -q",
             "export mesh.h5 -o scenarios --to deepmimo -q",
+            f"bench fingerprint ./room.toml -o {FINGERPRINT} --interactions specular,refraction -q",
             f"split --data {DATA} -o split.h5 --targets 10 --maps -q",
             f"run --data {DATA} --results results --method nearest --targets 10 --budget 3steps -q",
             f"report results -o board.md --maps {MAPS} -q",
@@ -74,6 +77,7 @@ def sound_files() -> dict[str, bytes]:
         _kill_a_fit()
         _write_predictions(Path("split.h5"), Path("theirs.h5"))
         _write_png_folder(Path("maps"))
+        _write_mats(Path("scenarios"), Path("mats"))
         found = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.suffix != ".lock")
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
 
@@ -127,3 +131,12 @@ def _write_png_folder(folder: Path) -> None:
     (folder / "spectrum").mkdir(parents=True)
     for name, content in {**PNG_FOLDER, "spectrum/00001.png": png(), "spectrum/00002.png": png()}.items():
         (folder / name).write_bytes(content)
+
+
+def _write_mats(scenarios: Path, folder: Path) -> None:
+    """The scenarios with their arrays in files of MATLAB, with sums."""
+    shutil.copytree(scenarios, folder)
+    for path in folder.glob("*/*_t000_*.npz"):
+        with np.load(path) as stored:
+            scipy.io.savemat(path.with_suffix(".mat"), dict(stored), do_compression=True)
+        path.unlink()
