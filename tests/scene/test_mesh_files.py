@@ -15,6 +15,8 @@ from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, obj_text, 
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported
+from xfreqbench.scene.imported import Triangles
+from xfreqbench.scene.mesh_files import read_mesh
 from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, surface_meshes
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -211,6 +213,127 @@ def test_faces_of_an_obj_may_have_many_corners_and_count_backwards(tmp_path: Pat
     assert (slab.name, other.name) == ("slab", "other")
     assert trimesh.Trimesh(slab.vertices_m, slab.triangles).area == pytest.approx(1)
     assert trimesh.Trimesh(other.vertices_m, other.triangles).area == pytest.approx(0.5)
+
+
+DOORWAY = [(-2, 0), (-0.5, 0), (-0.5, 2), (0.5, 2), (0.5, 0), (2, 0), (2, 3), (-2, 3)]
+FLAT_FACES = {  # corners in turn, and the area that they enclose
+    "a doorway": (DOORWAY, 10.0),
+    "an L": ([(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)], 6.0),
+    "a dart": ([(0, 0), (2, 1), (0, 2), (1, 1)], 1.0),
+    "two windows, by slits": (
+        [(0, 0), (6, 0), (6, 3), (5, 2), (5, 1), (4, 1), (4, 2), (5, 2), (6, 3), (0, 3), (0, 1), (1, 1), (1, 2), (2, 2),
+         (2, 1), (1, 1), (0, 1)], 16.0,
+    ),
+    "corners on straight sides": (
+        [(0, 0), (1, 0), (2, 0), (4, 0), (4, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)], 7.0,
+    ),
+}  # fmt: skip
+
+
+def placed(corners: list[tuple[float, float]], turn_deg: float) -> np.ndarray:
+    """Corners (n, 3) of a flat face, upright for 0°, rounded as files round them."""
+    turn = trimesh.transformations.rotation_matrix(np.radians(turn_deg), [0.3, 0.5, 0.8], [1, 2, 0])
+    upright = np.insert(np.array(corners, np.float64), 0, 0, axis=1)
+    return np.asarray(trimesh.transformations.transform_points(upright, turn).round(6))
+
+
+def ply_bytes(vertices_m: np.ndarray, faces: list[list[int]], binary: bool) -> bytes:
+    head = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex {len(vertices_m)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if binary:
+        rows = (bytes([len(face)]) + np.array(face, "<i4").tobytes() for face in faces)
+        return head.encode() + vertices_m.astype("<f4").tobytes() + b"".join(rows)
+    rows = (" ".join(map(str, [len(face), *face])).encode() for face in faces)
+    points = (" ".join(map(str, vertex)).encode() for vertex in vertices_m)
+    return head.encode() + b"\n".join([*points, *rows]) + b"\n"
+
+
+def area_m2(triangles: Triangles) -> float:
+    return float(trimesh.Trimesh(*triangles, process=False).area)
+
+
+@pytest.mark.parametrize("name", FLAT_FACES)
+def test_a_concave_face_covers_what_it_encloses(tmp_path: Path, name: str) -> None:
+    """From whichever corner it is listed, whichever way round and however it stands."""
+    corners, true_m2 = FLAT_FACES[name]
+    for turn_deg in (0, 90, 180, 222):
+        vertices_m = placed(corners, turn_deg)
+        for start in range(len(corners)):
+            face = np.roll(np.arange(len(corners)), start)[:: 1 if start % 2 else -1].tolist()
+            lines = "".join(f"v {x} {y} {z}\n" for x, y, z in vertices_m)
+            (tmp_path / "face.obj").write_text(f"{lines}f {' '.join(str(index + 1) for index in face)}\n")
+            read = read_mesh(tmp_path / "face.obj", "obj")
+            assert area_m2(read) == pytest.approx(true_m2, rel=1e-5)
+            normals = np.cross(*np.moveaxis(np.diff(read.vertices_m[read.triangles], axis=1), 1, 0))
+            assert (normals @ normals.sum(axis=0) > -1e-3).all()  # all on one side, but for rounding
+
+
+def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
+    """In binary too, where the rows of 4, 3 and 5 corners are together as long as three of 4."""
+    vertices_m = np.concatenate([placed(DOORWAY, 30), [[9, 0, 0], [9, 1, 0], [9, 1, 1], [9, 0, 1]]])
+    polygons = [[8, 9, 10, 11], [8, 9, 10], [0, 1, 2, 6, 7], list(range(8))]
+    for binary in (False, True):
+        for faces, true_m2 in ((polygons[:3], 1 + 0.5 + 5.75), (polygons, 1 + 0.5 + 5.75 + 10), (polygons[3:], 10)):
+            (tmp_path / "mixed.ply").write_bytes(ply_bytes(vertices_m, faces, binary))
+            assert area_m2(read_mesh(tmp_path / "mixed.ply", "ply")) == pytest.approx(true_m2, rel=1e-5)
+    (tmp_path / "mixed.ply").write_bytes(ply_bytes(vertices_m, polygons, binary=True)[:-1])
+    with pytest.raises(ValueError, match="smaller"):
+        read_mesh(tmp_path / "mixed.ply", "ply")
+
+
+def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:
+    text = "usemtl itu_wood\nv 0 0 0\nv 2 2 {0}\nv 2 0 0\nv 0 2 -{0}\nf 1 2 3 4\n"
+    with pytest.raises(SceneError, match=r"face with a corner at \(0, 0, 0\) crosses itself; export the mesh as tri"):
+        meshes_of(tmp_path, "bow.obj", text.format(0))
+    (bent,) = meshes_of(tmp_path, "bent.obj", text.format("1.5"))
+    assert len(bent.triangles) == 2
+
+
+STL = TABLE.export(file_type="stl_ascii")
+SOLIDS = STL.replace("solid", "solid one", 1) + STL.replace("solid", "solid two", 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        STL.replace("solid", "solid facet normal", 1),
+        STL.replace("solid", "solid vertex 1 2 3", 1),
+        STL.replace("solid", "solid Normalwand", 1),
+        STL.replace("solid", "\ufeffsolid", 1),
+        STL.replace("\n", "\r"),
+        STL.encode().replace(b"solid", "solid 门".encode("gbk"), 1),
+        STL.upper(),
+    ],
+)
+def test_an_stl_in_ascii_is_read_whatever_its_solid_is_named(
+    tmp_path: Path, text: str | bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "table.stl").write_bytes(text if isinstance(text, bytes) else text.encode())
+    read = read_mesh(tmp_path / "table.stl", "stl")
+    np.testing.assert_allclose(read.vertices_m[read.triangles], TABLE.triangles)
+    assert not caplog.records  # nor does trimesh log a traceback
+
+
+@pytest.mark.parametrize("content", [SOLIDS[:-8], SOLIDS[:-200], TABLE.export(file_type="stl")[:-7], b""])
+def test_an_stl_that_is_cut_is_refused(tmp_path: Path, content: str | bytes) -> None:
+    (tmp_path / "cut.stl").write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match="ends within a solid"):
+        read_mesh(tmp_path / "cut.stl", "stl")
+
+
+def test_names_of_materials_that_are_no_utf8_are_never_taken_for_each_other(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\no {0}\nusemtl {1}\nf 1 2 3\no {2}\nusemtl {3}\nf 1 3 2\n"
+    for words, encoding in ((("门", "门", "窗", "窗"), "gbk"), (("a", "tür", "b", "tór"), "latin-1")):
+        with pytest.raises(SceneError, match="is no UTF-8; save the file as UTF-8"):
+            meshes_of(tmp_path, "door.obj", text.format(*words).encode(encoding))
+    unnamed = text.replace("usemtl {1}\n", "").replace("usemtl {3}\n", "")
+    with pytest.raises(SceneError, match="is no UTF-8"):
+        meshes_of(tmp_path, "door.obj", unnamed.format("门", "", "窗").encode("gbk"))
+    # of names that say nothing about materials, and comments, no letter ends a line with what is a backslash elsewhere
+    japanese = "# 表\n" + text.format("表", "itu_wood", "机", "itu_glass")
+    materials = [mesh.material for mesh in meshes_of(tmp_path, "door.obj", japanese.encode("shift-jis"))]
+    assert materials == ["wood", "glass"]
 
 
 def test_up_is_for_files_that_do_not_say(tmp_path: Path) -> None:
