@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, obj_text, scene_of_file
+from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, glb_content, obj_text, packed_glb, scene_of_file
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported
@@ -123,6 +123,76 @@ def test_the_same_glb_has_the_same_hash_each_time(tmp_path: Path) -> None:
     content = glb_bytes([{"mesh": 0, "name": "a"}], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")])
     first, second = (meshes_sha256(meshes_of(tmp_path, "same.glb", content)) for _ in range(2))
     assert first == second
+
+
+def changed_square(extras: list[tuple[Any, str]], node: dict[str, Any], **change: Any) -> bytes:
+    """A GLB of one triangle of `SQUARE_M`; `extras` are values and types of further accessors, from number 2 on."""
+    content, binary = glb_content(
+        [{"mesh": 0, "name": "cabinet", **node}], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")]
+    )
+    kinds = {"<f4": 5126, "<i2": 5122}
+    for values, dtype in extras:
+        array = np.asarray(values, dtype)
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes}
+        content["accessors"].append({"bufferView": len(content["bufferViews"]), "componentType": kinds[dtype],
+                                     "count": len(array), "type": f"VEC{array.shape[1]}"})  # fmt: skip
+        content["bufferViews"].append(view)
+        binary += array.tobytes()
+    content["buffers"] = [{"byteLength": len(binary)}]
+    content["meshes"][0]["primitives"][0].update(change.pop("primitive", {}))
+    content["meshes"][0].update(change.pop("mesh", {}))
+    return packed_glb({**content, **change}, binary)
+
+
+@pytest.mark.parametrize("required", [False, True])
+def test_instances_of_a_glb_stand_at_their_places(tmp_path: Path, required: bool) -> None:
+    """As Blender writes them, also with rotations as 16-bit integers and attributes of others."""
+    half_turn = [[0, 0, 0, 32767], [0, 32767, 0, 0]]  # about glTF's y, which is z here
+    extras = [([[5, 0, 0], [9, 0, 0]], "<f4"), (half_turn, "<i2"), ([[1, 1, 1], [2, 1, 1]], "<f4")]
+    attributes = {"TRANSLATION": 2, "ROTATION": 3, "SCALE": 4, "_ID": 9}
+    node = {"translation": [0, 1, 0], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": attributes}}}
+    listed = {"extensionsRequired" if required else "extensionsUsed": ["EXT_mesh_gpu_instancing"]}
+    meshes = meshes_of(tmp_path, "instances.glb", changed_square(extras, node, **listed))
+    np.testing.assert_allclose(
+        [bounds_m(mesh) for mesh in meshes], [[[5, 0, 1], [6, 2, 1]], [[7, -2, 1], [9, 0, 1]]], atol=1e-4
+    )  # a rotation of 16 bits, over 2 m
+    assert [mesh.name for mesh in meshes] == ["cabinet", "cabinet"]
+    node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"_ID": 9}}}
+    assert len(meshes_of(tmp_path, "instances.glb", changed_square([], node))) == 1
+
+
+def test_blend_shapes_of_a_glb_are_applied_by_their_weights(tmp_path: Path) -> None:
+    lift, sink = (np.tile([0, height_m, 0], (4, 1)) for height_m in (1, -8))
+    extras = [(lift, "<f4"), (sink, "<f4")]
+    primitive = {"targets": [{"POSITION": 2}, {"POSITION": 3}, {"NORMAL": 7}]}
+    for node, mesh, height_m in (
+        ({}, {}, 0),
+        ({}, {"weights": [0.5, 0, 1]}, 0.5),
+        ({"weights": [1, 0.25]}, {"weights": [9]}, -1),
+    ):
+        (read,) = meshes_of(tmp_path, "blend.glb", changed_square(extras, node, primitive=primitive, mesh=mesh))
+        np.testing.assert_allclose(bounds_m(read)[:, 2], height_m)
+
+
+def test_hidden_nodes_of_a_glb_are_left_out_with_their_children(tmp_path: Path) -> None:
+    hidden: dict[str, Any] = {"extensions": {"KHR_node_visibility": {"visible": False}}, "children": [2]}
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "name": "seen", "children": [1]}, hidden | {"mesh": 0}, {"mesh": 0}]
+    content = glb_bytes(nodes, [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")])
+    assert [mesh.name for mesh in meshes_of(tmp_path, "hidden.glb", content)] == ["seen"]
+    hidden["extensions"]["KHR_node_visibility"]["visible"] = True
+    content = glb_bytes([nodes[0], hidden | {"mesh": 0}, nodes[2]], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")])
+    assert len(meshes_of(tmp_path, "hidden.glb", content)) == 3
+
+
+def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alone(tmp_path: Path) -> None:
+    strange = {"extensions": {"ACME_bend": {}}}
+    look = {"materials": [{"name": "itu_wood", "extensions": {"ACME_sheen": {}}}], "extensionsRequired": ["ACME_sheen"]}
+    known = {"extensions": {"KHR_lights_punctual": {"light": 0}, "MOZ_hubs_components": {}}}
+    compressed_too = {"extensions": {"KHR_draco_mesh_compression": {"bufferView": 7}}}
+    assert meshes_of(tmp_path, "looks.glb", changed_square([], known, primitive=compressed_too, **look))
+    for change in ({"node": strange}, {"mesh": strange}, {"primitive": strange}, {"extensionsRequired": ["ACME_bend"]}):
+        with pytest.raises(SceneError, match="it uses ACME_bend, of which nothing is read here; export it without"):
+            meshes_of(tmp_path, "bent.glb", changed_square([], change.pop("node", {}), **change))
 
 
 def spoilt_glb(change: dict[str, Any]) -> bytes:
@@ -304,6 +374,7 @@ SOLIDS = STL.replace("solid", "solid one", 1) + STL.replace("solid", "solid two"
         STL.replace("\n", "\r"),
         STL.encode().replace(b"solid", "solid 门".encode("gbk"), 1),
         STL.upper(),
+        STL.encode("utf-16"),
     ],
 )
 def test_an_stl_in_ascii_is_read_whatever_its_solid_is_named(
@@ -334,6 +405,16 @@ def test_names_of_materials_that_are_no_utf8_are_never_taken_for_each_other(tmp_
     japanese = "# 表\n" + text.format("表", "itu_wood", "机", "itu_glass")
     materials = [mesh.material for mesh in meshes_of(tmp_path, "door.obj", japanese.encode("shift-jis"))]
     assert materials == ["wood", "glass"]
+
+
+def test_a_byte_order_mark_and_comments_in_any_language_are_passed_over(tmp_path: Path) -> None:
+    text = "o a\nusemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    for encoding in ("utf-8-sig", "utf-16"):
+        assert [mesh.name for mesh in meshes_of(tmp_path, "bom.obj", text.encode(encoding))] == ["a"]
+    ply = ply_bytes(placed(DOORWAY, 0), [list(range(8))], binary=True)
+    for changed in (ply.replace(b"1.0\n", "1.0\ncomment 门\n".encode("gbk"), 1), b"\xef\xbb\xbf" + ply):
+        (tmp_path / "door.ply").write_bytes(changed)
+        assert area_m2(read_mesh(tmp_path / "door.ply", "ply")) == pytest.approx(10, rel=1e-5)
 
 
 def test_up_is_for_files_that_do_not_say(tmp_path: Path) -> None:

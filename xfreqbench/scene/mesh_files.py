@@ -53,6 +53,18 @@ def _loaded(mesh: trimesh.Trimesh) -> Triangles:
     return Triangles(vertices_m, triangles)
 
 
+def _in_utf8(content: bytes) -> bytes:
+    """A text without a byte order mark, and one in UTF-16, which is known by its mark, in UTF-8."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16").encode()
+    return content.removeprefix(codecs.BOM_UTF8)
+
+
+def _in_ascii(text: bytes) -> bytes:
+    """A text whose other letters are question marks, so that trimesh asks no further library what they are."""
+    return text if text.isascii() else text.decode("ascii", "replace").encode("ascii", "replace")
+
+
 def _whole_stl(content: bytes) -> bytes:
     """An STL as trimesh understands it: in ASCII without words of the format in names of solids, on which it stumbles.
 
@@ -60,8 +72,7 @@ def _whole_stl(content: bytes) -> bytes:
     """
     if len(content) == 84 + 50 * int.from_bytes(content[80:84], "little"):  # a binary one
         return content
-    text = content.removeprefix(codecs.BOM_UTF8)
-    text = text if text.isascii() else text.decode("ascii", "replace").encode("ascii", "replace")
+    text = _in_ascii(_in_utf8(content))
     text = re.sub(rb"\r\n?", b"\n", text) if b"\r" in text else text
     if not _is_whole(text.lower(), with_normals=True):
         text = re.sub(rb"(?mi)^(\s*(?:end)?solid).*$", rb"\1", text)
@@ -79,6 +90,8 @@ def _is_whole(words: bytes, with_normals: bool = False) -> bool:
 
 def _read_ply(content: bytes) -> Triangles:
     """Triangles of a PLY, as trimesh reads them, but for concave faces, and for faces of several sizes in binary."""
+    header, end, body = content.partition(b"end_header")
+    content = _in_ascii(header) + end + body
     try:  # from memory: no texture is looked for beside the file
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type="ply", process=False, skip_materials=True)
         raw = mesh.metadata.get("_ply_raw", {})  # none where there are no faces
@@ -226,7 +239,7 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
     parts: dict[tuple[str, str], _ObjPart] = {}
     vertices: list[tuple[float, float, float]] = []
     name, material = "unnamed", ""
-    for number, line in _logical_lines(content.decode("utf-8-sig", "surrogateescape")):
+    for number, line in _logical_lines(_in_utf8(content).decode("utf-8", "surrogateescape")):
         keyword, _, rest = line.partition(" ")
         try:
             if keyword == "v":

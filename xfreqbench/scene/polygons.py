@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from xfreqbench.types import FloatArray, IntArray
 
-MAX_CORNERS = 2000  # of a concave face: its time grows with the square of the number
+MAX_CORNERS = 1000  # of a concave face: its time grows with the square of the number
 OVERLAP = 1e-6  # by how much of its size squared triangles of a polygon may overlap: corners are rounded
 FLATNESS = 1e-3  # of its size, by which corners of a flat face may lie off its plane
 
