@@ -12,7 +12,7 @@ from xfreqbench.scene.patches import rounding_m, sides_m
 from xfreqbench.types import FloatArray, IntArray
 
 MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
-MAX_PAIRS = 1_000_000  # looked at together
+MAX_PAIRS = 250_000  # looked at together
 _MORTON_BITS = 10  # of each axis
 
 
@@ -88,10 +88,10 @@ def _meeting(box: Float[FloatArray, "n 14"], pairs: Int[IntArray, "2 p"]) -> Int
     """Pairs of boxes, the first not after the second, that meet and do not hold one slab alone; a box is low, −high."""
     pairs = pairs[:, (pairs[0] <= pairs[1]) & (pairs[1] < len(box))]
     for axis in range(6):
-        a, b = box[pairs[0]][:, [axis, axis + 7]], box[pairs[1]][:, [axis, axis + 7]]
-        pairs = pairs[:, (a[:, 0] <= -b[:, 1]) & (b[:, 0] <= -a[:, 1])]
-    (a_least, a_most), (b_least, b_most) = (box[index][:, [6, 13]].T for index in pairs)
-    return pairs[:, np.minimum(a_least, b_least) < np.maximum(-a_most, -b_most)]
+        low, high = box[pairs, axis], -box[pairs, axis + 7]
+        pairs = pairs[:, low.max(axis=0) <= high.min(axis=0)]
+    least, most = box[pairs, 6], -box[pairs, 13]
+    return pairs[:, least.min(axis=0) < most.max(axis=0)]
 
 
 def _morton(place_m: Float[FloatArray, "K 3"], extent_m: Float[FloatArray, "3"]) -> Int[IntArray, "K"]:

@@ -31,15 +31,14 @@ def triangulated(
     second = first[face] + 1 + np.arange(len(face)) - (np.cumsum(num_triangles) - num_triangles)[face]
     triangles = np.stack([corner[first[face]], corner[second], corner[second + 1]], axis=1)
     of_polygon = np.flatnonzero(num_triangles[face] > 1)
-    owner, polygon = np.unique(face[of_polygon], return_inverse=True)
+    owner, start, polygon = np.unique(face[of_polygon], return_index=True, return_inverse=True)
     if not len(owner):
         return triangles, True
     corners_m = vertices_m[triangles[of_polygon]]
     area_m2 = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])  # doubled, as a vector
     whole_m2 = np.stack([np.bincount(polygon, axis_m2) for axis_m2 in area_m2.T], axis=1)
     size_m2 = np.linalg.norm(whole_m2, axis=1)
-    extent_m = np.linalg.norm(np.ptp(corners_m, axis=1), axis=1)
-    extent_m = np.sqrt(np.bincount(polygon, extent_m**2))
+    extent_m = np.maximum.reduceat(np.linalg.norm(np.ptp(corners_m, axis=1), axis=1), start)
     least_m2 = OVERLAP * extent_m**2
     normal = whole_m2 / np.maximum(size_m2, least_m2)[:, None]
     turned_m2 = np.bincount(polygon, np.maximum(-np.einsum("kc,kc->k", area_m2, normal[polygon]), 0))
@@ -50,7 +49,7 @@ def triangulated(
         ring = np.array(faces[owner[index]], np.int64)
         ears = _ears(vertices_m[ring], normal[index]) if size_m2[index] > least_m2[index] else None
         if ears is not None:
-            triangles[of_polygon[polygon == index]], are_fans = ring[ears], False
+            triangles[of_polygon[start[index]] + np.arange(len(ears))], are_fans = ring[ears], False
         elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and _is_flat(vertices_m[ring]):
             place_m = ", ".join(f"{coordinate:g}" for coordinate in vertices_m[ring[0]])
             raise ValueError(f"the face with a corner at ({place_m}) crosses itself; export the mesh as triangles")
