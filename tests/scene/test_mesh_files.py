@@ -350,6 +350,10 @@ def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
     (tmp_path / "mixed.ply").write_bytes(ply_bytes(vertices_m, polygons, binary=True)[:-1])
     with pytest.raises(ValueError, match="smaller"):
         read_mesh(tmp_path / "mixed.ply", "ply")
+    rows = ply_bytes(vertices_m, [[0, 1, 2], [2, 3, 4], [4, 5, 6]], binary=False).splitlines(keepends=True)
+    (tmp_path / "cut.ply").write_bytes(b"".join(rows[:-1]))
+    with pytest.raises(ValueError, match="ends within its faces"):
+        read_mesh(tmp_path / "cut.ply", "ply")
 
 
 def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:
@@ -405,6 +409,8 @@ def test_names_of_materials_that_are_no_utf8_are_never_taken_for_each_other(tmp_
     japanese = "# 表\n" + text.format("表", "itu_wood", "机", "itu_glass")
     materials = [mesh.material for mesh in meshes_of(tmp_path, "door.obj", japanese.encode("shift-jis"))]
     assert materials == ["wood", "glass"]
+    (tmp_path / "door.obj").write_bytes(text.format("门", "门", "窗", "窗").encode("gbk"))
+    assert len(read_mesh(tmp_path / "door.obj", "obj").triangles) == 2  # of a Mitsuba XML, which says the material
 
 
 def test_a_byte_order_mark_and_comments_in_any_language_are_passed_over(tmp_path: Path) -> None:

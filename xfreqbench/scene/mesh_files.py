@@ -102,6 +102,8 @@ def _read_ply(content: bytes) -> Triangles:
             sizes, corners = corners["f0"], corners["f1"]
             if (sizes != sizes[0]).any():
                 raise ValueError(_UNEXPECTED)
+        elif len(corners) < raw.get("face", {}).get("length", 0):
+            raise ValueError("it ends within its faces; export it again")
     except ValueError as error:
         if _UNEXPECTED not in str(error):
             raise
@@ -224,17 +226,25 @@ class _ObjPart:
         return Triangles(self.vertices_m[used], triangles.reshape(-1, 3).astype(np.int64))
 
     def shape(self, materials: Mapping[str, SceneMaterial]) -> ImportedShape:
-        stated = StatedMaterial(self.material) if self.material else None
-        source = f"object {self.name!r}"
-        return ImportedShape(self.name, slab_of(stated, materials, source, self.name), self.triangles, source)
+        """The part in the scene; raises `ValueError` where the name that tells its material is no UTF-8."""
+        name, material = (
+            each.encode(errors="surrogateescape").decode(errors="replace") for each in (self.name, self.material)
+        )
+        if material != self.material or (not material and name != self.name):
+            raise ValueError(
+                f"the name {material or name!r}, which tells a material, is no UTF-8; save the file as UTF-8, as with "
+                "iconv -f GBK -t UTF-8, or give names in ASCII"
+            )
+        source = f"object {name!r}"
+        slab = slab_of(StatedMaterial(material) if material else None, materials, source, name)
+        return ImportedShape(name, slab, self.triangles, source)
 
 
 def _obj_parts(content: bytes) -> list[_ObjPart]:
     """Parts of a Wavefront OBJ, one for each object (`o`, or else `g`) and material (`usemtl`), in their order.
 
-    Negative indices count back from the latest vertex. Library files, normals and textures are not read. Of texts that
-    are no UTF-8 nothing counts but the names of materials, and of objects without one: raises `ValueError` for those,
-    which may be of any language, and for others with the line.
+    Negative indices count back from the latest vertex. Library files, normals and textures are not read. Raises
+    `ValueError` with the line. Names that are no UTF-8 have surrogates, so that none is taken for another.
     """
     parts: dict[tuple[str, str], _ObjPart] = {}
     vertices: list[tuple[float, float, float]] = []
@@ -257,18 +267,7 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
     positions_m = np.array(vertices, np.float64).reshape(-1, 3)
     for part in parts.values():
         part.vertices_m = positions_m
-        part.name, material = (_plain(each) for each in (part.name, part.material))
-        if material != part.material or (not material and "\N{REPLACEMENT CHARACTER}" in part.name):
-            raise ValueError(
-                f"the name {material or part.name!r}, of which its material is known, is no UTF-8; save the file as "
-                "UTF-8, for instance with iconv -f GBK -t UTF-8, or give names in ASCII"
-            )
     return list(parts.values())
-
-
-def _plain(name: str) -> str:
-    """A name without what is no UTF-8."""
-    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
