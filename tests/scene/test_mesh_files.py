@@ -329,8 +329,8 @@ def test_a_concave_face_covers_what_it_encloses(tmp_path: Path, name: str) -> No
     corners, true_m2 = FLAT_FACES[name]
     for turn_deg in (0, 90, 180, 222):
         vertices_m = placed(corners, turn_deg)
-        for start in range(len(corners)):
-            face = np.roll(np.arange(len(corners)), start)[:: 1 if start % 2 else -1].tolist()
+        for start in range(-len(corners), len(corners)):
+            face = np.roll(np.arange(len(corners)), start)[:: 1 if start < 0 else -1].tolist()
             lines = "".join(f"v {x} {y} {z}\n" for x, y, z in vertices_m)
             (tmp_path / "face.obj").write_text(f"{lines}f {' '.join(str(index + 1) for index in face)}\n")
             read = read_mesh(tmp_path / "face.obj", "obj")
@@ -351,9 +351,10 @@ def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="smaller"):
         read_mesh(tmp_path / "mixed.ply", "ply")
     rows = ply_bytes(vertices_m, [[0, 1, 2], [2, 3, 4], [4, 5, 6]], binary=False).splitlines(keepends=True)
-    (tmp_path / "cut.ply").write_bytes(b"".join(rows[:-1]))
-    with pytest.raises(ValueError, match="ends within its faces"):
-        read_mesh(tmp_path / "cut.ply", "ply")
+    for cut in (b"".join(rows[:-1]), b"".join(rows)[:-3]):
+        (tmp_path / "cut.ply").write_bytes(cut)
+        with pytest.raises(ValueError, match="ends within its faces"):
+            read_mesh(tmp_path / "cut.ply", "ply")
 
 
 def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def _read_ply(content: bytes) -> Triangles:
             sizes, corners = corners["f0"], corners["f1"]
             if (sizes != sizes[0]).any():
                 raise ValueError(_UNEXPECTED)
-        elif len(corners) < raw.get("face", {}).get("length", 0):
+        elif len(corners) < raw.get("face", {}).get("length", 0) or min(map(len, corners[-1:]), default=3) < 3:
             raise ValueError("it ends within its faces; export it again")
     except ValueError as error:
         if _UNEXPECTED not in str(error):
