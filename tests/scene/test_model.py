@@ -160,6 +160,7 @@ def test_a_pane_on_a_wall_is_found_among_any_number_of_triangles(turn_deg: float
 def test_surfaces_that_scatter_otherwise_are_refused_where_they_overlap() -> None:
     floor = surface_meshes(parse_scene(BOX))[-1]
     check_overlaps(Geometry([floor, replace(floor, name="again")]))
+    check_overlaps(Geometry([replace(floor, triangles=floor.triangles[:1])]))  # nor does a triangle with itself
     rough = replace(floor, name="rough", scattering=Scattering(0.3))
     with pytest.raises(SceneError, match=r"'floor' .* and 'rough' .* overlap in one plane"):
         check_overlaps(Geometry([floor, rough]))

@@ -61,7 +61,7 @@ def _overlapping(corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"]
     while len(levels[-1]) > 1:
         padded = np.pad(levels[-1], ((0, len(levels[-1]) % 2), (0, 0)), constant_values=np.inf)
         levels.append(np.minimum(padded[::2], padded[1::2]))
-    waiting = [(len(levels) - 1, np.zeros((2, 1), np.int64))]
+    waiting = [(len(levels) - 1, _meeting(levels[-1], np.zeros((2, 1), np.int64)))]
     while waiting:
         level, pairs = waiting.pop()
         if level > 0:
