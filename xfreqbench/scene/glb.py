@@ -174,7 +174,7 @@ def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int
     """Values (N, columns) of an accessor into the file's own buffer, at most as many as the buffer holds."""
     accessor = header["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError(f"accessor {index} is sparse or empty; export the meshes as they are")
+        raise ValueError(f"accessor {index} is sparse or empty; export without sparse accessors or blend shapes")
     view = header["bufferViews"][accessor["bufferView"]]
     if view.get("buffer", 0) != 0 or "uri" in header["buffers"][0]:
         raise ValueError("its geometry is in another file; export it as one .glb")
