@@ -68,7 +68,7 @@ def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> 
     assert ["maps are constant" in summary for summary in summaries] == [False, True]
 
 
-def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
+def test_meshes_and_mirrors_are_found_once_where_a_scene_is_planned_and_traced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: Counter[str] = Counter()
@@ -83,9 +83,9 @@ def test_meshes_and_facets_are_built_once_where_a_scene_is_planned_and_traced(
         monkeypatch.setattr(module, name, call)
 
     counted(prepared, "surface_meshes")
-    counted(facets, "planar_facets")
+    counted(facets, "mirror_patches")
     generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
-    assert calls == {"surface_meshes": 1, "planar_facets": 1}
+    assert calls == {"surface_meshes": 1, "mirror_patches": 1}
 
 
 def test_planning_a_scene_of_many_triangles_does_not_loop_over_them_in_python(tmp_path: Path) -> None:

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, obj_text, scene_of_file
+from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, glb_content, obj_text, packed_glb, scene_of_file
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported
+from xfreqbench.scene.imported import Triangles
+from xfreqbench.scene.mesh_files import read_mesh
 from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, surface_meshes
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -123,6 +125,76 @@ def test_the_same_glb_has_the_same_hash_each_time(tmp_path: Path) -> None:
     assert first == second
 
 
+def changed_square(extras: list[tuple[Any, str]], node: dict[str, Any], **change: Any) -> bytes:
+    """A GLB of one triangle of `SQUARE_M`; `extras` are values and types of further accessors, from number 2 on."""
+    content, binary = glb_content(
+        [{"mesh": 0, "name": "cabinet", **node}], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")]
+    )
+    kinds = {"<f4": 5126, "<i2": 5122}
+    for values, dtype in extras:
+        array = np.asarray(values, dtype)
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes}
+        content["accessors"].append({"bufferView": len(content["bufferViews"]), "componentType": kinds[dtype],
+                                     "count": len(array), "type": f"VEC{array.shape[1]}"})  # fmt: skip
+        content["bufferViews"].append(view)
+        binary += array.tobytes()
+    content["buffers"] = [{"byteLength": len(binary)}]
+    content["meshes"][0]["primitives"][0].update(change.pop("primitive", {}))
+    content["meshes"][0].update(change.pop("mesh", {}))
+    return packed_glb({**content, **change}, binary)
+
+
+@pytest.mark.parametrize("required", [False, True])
+def test_instances_of_a_glb_stand_at_their_places(tmp_path: Path, required: bool) -> None:
+    """As Blender writes them, also with rotations as 16-bit integers and attributes of others."""
+    half_turn = [[0, 0, 0, 32767], [0, 32767, 0, 0]]  # about glTF's y, which is z here
+    extras = [([[5, 0, 0], [9, 0, 0]], "<f4"), (half_turn, "<i2"), ([[1, 1, 1], [2, 1, 1]], "<f4")]
+    attributes = {"TRANSLATION": 2, "ROTATION": 3, "SCALE": 4, "_ID": 9}
+    node = {"translation": [0, 1, 0], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": attributes}}}
+    listed = {"extensionsRequired" if required else "extensionsUsed": ["EXT_mesh_gpu_instancing"]}
+    meshes = meshes_of(tmp_path, "instances.glb", changed_square(extras, node, **listed))
+    np.testing.assert_allclose(
+        [bounds_m(mesh) for mesh in meshes], [[[5, 0, 1], [6, 2, 1]], [[7, -2, 1], [9, 0, 1]]], atol=1e-4
+    )  # a rotation of 16 bits, over 2 m
+    assert [mesh.name for mesh in meshes] == ["cabinet", "cabinet"]
+    node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"_ID": 9}}}
+    assert len(meshes_of(tmp_path, "instances.glb", changed_square([], node))) == 1
+
+
+def test_blend_shapes_of_a_glb_are_applied_by_their_weights(tmp_path: Path) -> None:
+    lift, sink = (np.tile([0, height_m, 0], (4, 1)) for height_m in (1, -8))
+    extras = [(lift, "<f4"), (sink, "<f4")]
+    primitive = {"targets": [{"POSITION": 2}, {"POSITION": 3}, {"NORMAL": 7}]}
+    for node, mesh, height_m in (
+        ({}, {}, 0),
+        ({}, {"weights": [0.5, 0, 1]}, 0.5),
+        ({"weights": [1, 0.25]}, {"weights": [9]}, -1),
+    ):
+        (read,) = meshes_of(tmp_path, "blend.glb", changed_square(extras, node, primitive=primitive, mesh=mesh))
+        np.testing.assert_allclose(bounds_m(read)[:, 2], height_m)
+
+
+def test_hidden_nodes_of_a_glb_are_left_out_with_their_children(tmp_path: Path) -> None:
+    hidden: dict[str, Any] = {"extensions": {"KHR_node_visibility": {"visible": False}}, "children": [2]}
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "name": "seen", "children": [1]}, hidden | {"mesh": 0}, {"mesh": 0}]
+    content = glb_bytes(nodes, [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")])
+    assert [mesh.name for mesh in meshes_of(tmp_path, "hidden.glb", content)] == ["seen"]
+    hidden["extensions"]["KHR_node_visibility"]["visible"] = True
+    content = glb_bytes([nodes[0], hidden | {"mesh": 0}, nodes[2]], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")])
+    assert len(meshes_of(tmp_path, "hidden.glb", content)) == 3
+
+
+def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alone(tmp_path: Path) -> None:
+    strange = {"extensions": {"ACME_bend": {}}}
+    look = {"materials": [{"name": "itu_wood", "extensions": {"ACME_sheen": {}}}], "extensionsRequired": ["ACME_sheen"]}
+    known = {"extensions": {"KHR_lights_punctual": {"light": 0}, "MOZ_hubs_components": {}}}
+    compressed_too = {"extensions": {"KHR_draco_mesh_compression": {"bufferView": 7}}}
+    assert meshes_of(tmp_path, "looks.glb", changed_square([], known, primitive=compressed_too, **look))
+    for change in ({"node": strange}, {"mesh": strange}, {"primitive": strange}, {"extensionsRequired": ["ACME_bend"]}):
+        with pytest.raises(SceneError, match="it uses ACME_bend, of which nothing is read here; export it without"):
+            meshes_of(tmp_path, "bent.glb", changed_square([], change.pop("node", {}), **change))
+
+
 def spoilt_glb(change: dict[str, Any]) -> bytes:
     return glb_bytes([{"mesh": 0}], [(SQUARE_M, [0, 1, 2], TRIANGLES, "itu_wood")], change)
 
@@ -211,6 +283,145 @@ def test_faces_of_an_obj_may_have_many_corners_and_count_backwards(tmp_path: Pat
     assert (slab.name, other.name) == ("slab", "other")
     assert trimesh.Trimesh(slab.vertices_m, slab.triangles).area == pytest.approx(1)
     assert trimesh.Trimesh(other.vertices_m, other.triangles).area == pytest.approx(0.5)
+
+
+DOORWAY = [(-2, 0), (-0.5, 0), (-0.5, 2), (0.5, 2), (0.5, 0), (2, 0), (2, 3), (-2, 3)]
+FLAT_FACES = {  # corners in turn, and the area that they enclose
+    "a doorway": (DOORWAY, 10.0),
+    "an L": ([(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)], 6.0),
+    "a dart": ([(0, 0), (2, 1), (0, 2), (1, 1)], 1.0),
+    "two windows, by slits": (
+        [(0, 0), (6, 0), (6, 3), (5, 2), (5, 1), (4, 1), (4, 2), (5, 2), (6, 3), (0, 3), (0, 1), (1, 1), (1, 2), (2, 2),
+         (2, 1), (1, 1), (0, 1)], 16.0,
+    ),
+    "corners on straight sides": (
+        [(0, 0), (1, 0), (2, 0), (4, 0), (4, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)], 7.0,
+    ),
+}  # fmt: skip
+
+
+def placed(corners: list[tuple[float, float]], turn_deg: float) -> np.ndarray:
+    """Corners (n, 3) of a flat face, upright for 0°, rounded as files round them."""
+    turn = trimesh.transformations.rotation_matrix(np.radians(turn_deg), [0.3, 0.5, 0.8], [1, 2, 0])
+    upright = np.insert(np.array(corners, np.float64), 0, 0, axis=1)
+    return np.asarray(trimesh.transformations.transform_points(upright, turn).round(6))
+
+
+def ply_bytes(vertices_m: np.ndarray, faces: list[list[int]], binary: bool) -> bytes:
+    head = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex {len(vertices_m)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if binary:
+        rows = (bytes([len(face)]) + np.array(face, "<i4").tobytes() for face in faces)
+        return head.encode() + vertices_m.astype("<f4").tobytes() + b"".join(rows)
+    rows = (" ".join(map(str, [len(face), *face])).encode() for face in faces)
+    points = (" ".join(map(str, vertex)).encode() for vertex in vertices_m)
+    return head.encode() + b"\n".join([*points, *rows]) + b"\n"
+
+
+def area_m2(triangles: Triangles) -> float:
+    return float(trimesh.Trimesh(*triangles, process=False).area)
+
+
+@pytest.mark.parametrize("name", FLAT_FACES)
+def test_a_concave_face_covers_what_it_encloses(tmp_path: Path, name: str) -> None:
+    """From whichever corner it is listed, whichever way round and however it stands."""
+    corners, true_m2 = FLAT_FACES[name]
+    for turn_deg in (0, 90, 180, 222):
+        vertices_m = placed(corners, turn_deg)
+        for start in range(-len(corners), len(corners)):
+            face = np.roll(np.arange(len(corners)), start)[:: 1 if start < 0 else -1].tolist()
+            lines = "".join(f"v {x} {y} {z}\n" for x, y, z in vertices_m)
+            (tmp_path / "face.obj").write_text(f"{lines}f {' '.join(str(index + 1) for index in face)}\n")
+            read = read_mesh(tmp_path / "face.obj", "obj")
+            assert area_m2(read) == pytest.approx(true_m2, rel=1e-5)
+            normals = np.cross(*np.moveaxis(np.diff(read.vertices_m[read.triangles], axis=1), 1, 0))
+            assert (normals @ normals.sum(axis=0) > -1e-3).all()  # all on one side, but for rounding
+
+
+def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
+    """In binary too, where the rows of 4, 3 and 5 corners are together as long as three of 4."""
+    vertices_m = np.concatenate([placed(DOORWAY, 30), [[9, 0, 0], [9, 1, 0], [9, 1, 1], [9, 0, 1]]])
+    polygons = [[8, 9, 10, 11], [8, 9, 10], [0, 1, 2, 6, 7], list(range(8))]
+    for binary in (False, True):
+        for faces, true_m2 in ((polygons[:3], 1 + 0.5 + 5.75), (polygons, 1 + 0.5 + 5.75 + 10), (polygons[3:], 10)):
+            (tmp_path / "mixed.ply").write_bytes(ply_bytes(vertices_m, faces, binary))
+            assert area_m2(read_mesh(tmp_path / "mixed.ply", "ply")) == pytest.approx(true_m2, rel=1e-5)
+    (tmp_path / "mixed.ply").write_bytes(ply_bytes(vertices_m, polygons, binary=True)[:-1])
+    with pytest.raises(ValueError, match="smaller"):
+        read_mesh(tmp_path / "mixed.ply", "ply")
+    rows = ply_bytes(vertices_m, [[0, 1, 2], [2, 3, 4], [4, 5, 6]], binary=False).splitlines(keepends=True)
+    for cut in (b"".join(rows[:-1]), b"".join(rows)[:-3]):
+        (tmp_path / "cut.ply").write_bytes(cut)
+        with pytest.raises(ValueError, match="ends within its faces"):
+            read_mesh(tmp_path / "cut.ply", "ply")
+
+
+def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:
+    text = "usemtl itu_wood\nv 0 0 0\nv 2 2 {0}\nv 2 0 0\nv 0 2 -{0}\nf 1 2 3 4\n"
+    with pytest.raises(SceneError, match=r"face with a corner at \(0, 0, 0\) crosses itself; export the mesh as tri"):
+        meshes_of(tmp_path, "bow.obj", text.format(0))
+    (bent,) = meshes_of(tmp_path, "bent.obj", text.format("1.5"))
+    assert len(bent.triangles) == 2
+
+
+STL = TABLE.export(file_type="stl_ascii")
+SOLIDS = STL.replace("solid", "solid one", 1) + STL.replace("solid", "solid two", 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        STL.replace("solid", "solid facet normal", 1),
+        STL.replace("solid", "solid vertex 1 2 3", 1),
+        STL.replace("solid", "solid Normalwand", 1),
+        STL.replace("solid", "\ufeffsolid", 1),
+        STL.replace("\n", "\r"),
+        STL.encode().replace(b"solid", "solid 门".encode("gbk"), 1),
+        STL.upper(),
+        STL.encode("utf-16"),
+    ],
+)
+def test_an_stl_in_ascii_is_read_whatever_its_solid_is_named(
+    tmp_path: Path, text: str | bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "table.stl").write_bytes(text if isinstance(text, bytes) else text.encode())
+    read = read_mesh(tmp_path / "table.stl", "stl")
+    np.testing.assert_allclose(read.vertices_m[read.triangles], TABLE.triangles)
+    assert not caplog.records  # nor does trimesh log a traceback
+
+
+@pytest.mark.parametrize("content", [SOLIDS[:-8], SOLIDS[:-200], TABLE.export(file_type="stl")[:-7], b""])
+def test_an_stl_that_is_cut_is_refused(tmp_path: Path, content: str | bytes) -> None:
+    (tmp_path / "cut.stl").write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match="ends within a solid"):
+        read_mesh(tmp_path / "cut.stl", "stl")
+
+
+def test_names_of_materials_that_are_no_utf8_are_never_taken_for_each_other(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\no {0}\nusemtl {1}\nf 1 2 3\no {2}\nusemtl {3}\nf 1 3 2\n"
+    for words, encoding in ((("门", "门", "窗", "窗"), "gbk"), (("a", "tür", "b", "tór"), "latin-1")):
+        with pytest.raises(SceneError, match="is no UTF-8; save the file as UTF-8"):
+            meshes_of(tmp_path, "door.obj", text.format(*words).encode(encoding))
+    unnamed = text.replace("usemtl {1}\n", "").replace("usemtl {3}\n", "")
+    with pytest.raises(SceneError, match="is no UTF-8"):
+        meshes_of(tmp_path, "door.obj", unnamed.format("门", "", "窗").encode("gbk"))
+    # of names that say nothing about materials, and comments, no letter ends a line with what is a backslash elsewhere
+    japanese = "# 表\n" + text.format("表", "itu_wood", "机", "itu_glass")
+    materials = [mesh.material for mesh in meshes_of(tmp_path, "door.obj", japanese.encode("shift-jis"))]
+    assert materials == ["wood", "glass"]
+    (tmp_path / "door.obj").write_bytes(text.format("门", "门", "窗", "窗").encode("gbk"))
+    assert len(read_mesh(tmp_path / "door.obj", "obj").triangles) == 2  # of a Mitsuba XML, which says the material
+
+
+def test_a_byte_order_mark_and_comments_in_any_language_are_passed_over(tmp_path: Path) -> None:
+    text = "o a\nusemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    for encoding in ("utf-8-sig", "utf-16"):
+        assert [mesh.name for mesh in meshes_of(tmp_path, "bom.obj", text.encode(encoding))] == ["a"]
+    ply = ply_bytes(placed(DOORWAY, 0), [list(range(8))], binary=True)
+    for changed in (ply.replace(b"1.0\n", "1.0\ncomment 门\n".encode("gbk"), 1), b"\xef\xbb\xbf" + ply):
+        (tmp_path / "door.ply").write_bytes(changed)
+        assert area_m2(read_mesh(tmp_path / "door.ply", "ply")) == pytest.approx(10, rel=1e-5)
 
 
 def test_up_is_for_files_that_do_not_say(tmp_path: Path) -> None:

@@ -215,6 +215,48 @@ def test_the_scenes_own_table_comes_first(folder: Path) -> None:
     assert only_mesh(folder, WOOD, TABLE_PLY, toml=everywhere).material == ConstantMaterial("wood", 2.5, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "inside", "message"),
+    [
+        ("itu-radio-material", '<float name="tickness" value="0.02"/>', "'itu_wood' .* 'tickness'.* mean 'thickness'"),
+        ("itu-radio-material", '<float name="scattering_coeff" value="1"/>', "mean 'scattering_coefficient'"),
+        ("itu-radio-material", '<string name="thickness" value="0.02"/>', r"<string>; give <float name='thickness'"),
+        ("itu-radio-material", '<integer name="thickness" value="2"/>', r"<integer>; give <float"),
+        ("itu-radio-material", '<float name="thickness" val="0.02"/>', r"<float>; give <float"),
+        ("itu-radio-material", '<float name="thickness" value="1"/>' * 2, "thickness: it is given twice"),
+        ("itu-radio-material", '<float name="conductivity" value="9"/>', "no property of a material of type 'itu-ra"),
+        ("radio-material", '<float name="electrical_conductivity" value="9"/>', "Did you mean 'conductivity'"),
+        ("radio-material", '<string name="type" value="wood"/>', "no property of a material of type 'radio-material'"),
+        ("twosided", '<float name="Thicknes" value="9"/>', "Did you mean 'thickness'"),
+        ("diffuse", '<float name="relative_permittivity" value="9"/>', "no property of a material of type 'diffuse'"),
+        ("diffuse", '<bsdf type="mask"><float name="permittivity" value="9"/></bsdf>', "called 'permittivity'"),
+        ("RadioMaterial", '<float name="relative_permittivity" value="9"/>', "Did you mean 'radio-material'"),
+        ("itu", '<string name="name" value="concrete"/>', "called 'itu'"),
+    ],
+)  # fmt: skip
+def test_properties_that_would_be_passed_over_are_refused(folder: Path, kind: str, inside: str, message: str) -> None:
+    """Though the material's name would say what it is."""
+    stated = '<string name="type" value="wood"/>' if kind == "itu-radio-material" else ""
+    stated += '<float name="relative_permittivity" value="2"/>' if kind == "radio-material" else ""
+    bsdf, table = named("itu_wood", kind, stated + inside)
+    with pytest.raises((SceneError, UnknownNameError), match=message):
+        only_mesh(folder, bsdf, table)
+
+
+def test_looks_of_materials_may_have_any_properties(folder: Path) -> None:
+    """As Mitsuba's own plugins have them, and exports of Blender and scenes of Sionna RT."""
+    numbers = ["roughness", "alpha_u", "int_ior", "flatness", "thin_film_thickness", "specular"]
+    looks = "".join(f'<float name="{name}" value="0.5"/>' for name in numbers) + (
+        '<rgb name="base_color" value="0.8 0.8 0.8"/><string name="distribution" value="ggx"/>'
+        '<texture type="bitmap" name="opacity"><string name="filename" value="none.png"/></texture>'
+    )
+    inside = f'<bsdf type="principled" id="inner">{looks}</bsdf><float name="thickness" value="0.03"/>'
+    mesh = only_mesh(folder, *named("mat-itu_wood", "twosided", inside))
+    assert (mesh.material, mesh.thickness_m) == ("wood", 0.03)
+    colour = '<rgb name="color" value="1 0 0"/><string name="type" value="metal"/>'
+    assert only_mesh(folder, *named("m", "itu-radio-material", colour)).material == "metal"
+
+
 def test_what_one_file_includes_is_as_if_it_stood_there(folder: Path) -> None:
     (folder / "parts").mkdir()
     (folder / "parts" / "materials.xml").write_text(f'<scene>{WOOD}<default name="z" value="2"/></scene>')

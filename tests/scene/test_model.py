@@ -1,16 +1,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
-from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Scattering
-from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
+from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import Scene, load_scene, parse_scene, shipped_scenes
+from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -127,9 +130,37 @@ max_m = [2.0, 2.0, -0.1]
     check_overlaps(Geometry(surface_meshes(parse_scene(BOX + beside))))
 
 
+def sheet(name: str, slab: str, low: float, high: float, x_m: float = 0.0, parts: int = 1) -> SurfaceMesh:
+    """A square of corners (x, low, low) and (x, high, high), of so many by so many parts."""
+    side = np.linspace(low, high, parts + 1)
+    vertices_m = np.stack([np.full((parts + 1) ** 2, x_m), *np.stack(np.meshgrid(side, side), -1).reshape(-1, 2).T], 1)
+    first = (np.arange(parts)[:, None] * (parts + 1) + np.arange(parts)).reshape(-1, 1)
+    triangles = np.concatenate([first + np.array(half) for half in ([0, 1, parts + 2], [0, parts + 2, parts + 1])])
+    return SurfaceMesh(name, slab, 0.1, vertices_m, triangles)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 33.0])
+@pytest.mark.parametrize("parts", [1, 7])
+def test_a_pane_on_a_wall_is_found_among_any_number_of_triangles(turn_deg: float, parts: int) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1).apply_translation([2.5, 1.5, 2.8])
+    lamp = SurfaceMesh("lamp", "glass", 0.1, np.array(ball.vertices), np.array(ball.faces, np.int64))
+    turn = trimesh.transformations.rotation_matrix(np.radians(turn_deg), [0.3, 0.5, 0.8], [40, 2, 0])
+    place = partial(trimesh.transformations.transform_points, matrix=turn)
+    wall, pane = sheet("wall", "concrete", 0, 3, parts=parts), sheet("pane", "glass", 1, 2)
+    near, beside = sheet("near", "glass", 1, 2, x_m=0.001), sheet("beside", "glass", 3, 4)
+    for meshes in ((wall, pane, lamp), (lamp, pane, wall), (pane, beside, wall, near)):
+        placed = [replace(mesh, vertices_m=place(mesh.vertices_m)) for mesh in meshes]
+        with pytest.raises(SceneError, match=r"'(wall|pane)' .* and '(wall|pane)' .* overlap in one plane, at \("):
+            check_overlaps(Geometry(placed))
+        check_overlaps(Geometry([mesh for mesh in placed if mesh.name != "pane"]))
+        same = [replace(mesh, material="concrete") if mesh.name == "pane" else mesh for mesh in placed]
+        check_overlaps(Geometry(same))
+
+
 def test_surfaces_that_scatter_otherwise_are_refused_where_they_overlap() -> None:
     floor = surface_meshes(parse_scene(BOX))[-1]
     check_overlaps(Geometry([floor, replace(floor, name="again")]))
+    check_overlaps(Geometry([replace(floor, triangles=floor.triangles[:1])]))  # nor does a triangle with itself
     rough = replace(floor, name="rough", scattering=Scattering(0.3))
     with pytest.raises(SceneError, match=r"'floor' .* and 'rough' .* overlap in one plane"):
         check_overlaps(Geometry([floor, rough]))

@@ -210,7 +210,10 @@ def test_scattering_without_sense_is_refused(tmp_path: Path, fields: dict[str, o
         parse_scene(f'name = "test"\n{PLACES}{rough_wood(**fields)}')
     write_meshes(tmp_path)
     names = {"coefficient": "scattering_coefficient", "pattern": "scattering_pattern"}
-    told = "".join(f'<float name="{names.get(key, key)}" value="{value}"/>' for key, value in fields.items())
+    tags = {"pattern": "string", "alpha_r": "integer"}
+    told = "".join(
+        f'<{tags.get(key, "float")} name="{names.get(key, key)}" value="{value}"/>' for key, value in fields.items()
+    )
     if "coefficient" in fields:
         with pytest.raises(SceneError, match=r"scene\.xml: material 'M', "):
             surface_meshes(

@@ -10,7 +10,6 @@ import pytest
 
 from tests.support.furnished_room import TX_M, furnished_room
 from tests.support.screened_room import SCENE as SCREENED
-from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface, load_scene
 from xfreqbench.scene.prepared import PreparedScene
@@ -114,9 +113,3 @@ def test_a_wave_reaches_each_element_at_the_distance_of_the_image() -> None:
     delays = element_delays_s(np.array([length_m / SPEED_OF_LIGHT_M_S]), offset_m[None] / length_m, element_m)
     distance_m = np.linalg.norm(receiver_m + element_m - image_m, axis=1)
     np.testing.assert_allclose(delays[0] * SPEED_OF_LIGHT_M_S, distance_m, rtol=1e-13)
-
-
-def test_facets_by_plane_keep_their_surfaces() -> None:
-    geometry = Geometry(surface_meshes(load_scene("office")))
-    order = np.argsort(geometry.planes[1], kind="stable")
-    assert geometry.surfaces_by_plane.tolist() == [geometry.facets[i].surface for i in order]

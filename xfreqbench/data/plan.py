@@ -15,10 +15,11 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
-from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import meshes_sha256, slabs_of
 from xfreqbench.scene.model import Scene
+from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.placement import (
     Placement,
     check_receiver,

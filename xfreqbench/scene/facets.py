@@ -1,4 +1,4 @@
-"""Planar facets of triangle meshes, the planes that they lie in, and the check that none overlap.
+"""Planar facets of triangle meshes, and the planes that they lie in.
 
 The image method reflects at facets and mirrors in planes.
 """
@@ -7,22 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
-from xfreqbench.errors import SceneError
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.types import FloatArray, IntArray
 
 PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
-MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
-MAX_CHECKED_TRIANGLES = 2000  # comparing the facets of more in pairs would take longer than the tracing
 
 
 class PlanarFacet(NamedTuple):
@@ -33,7 +29,7 @@ class PlanarFacet(NamedTuple):
 
 
 class Geometry:
-    """What rays can meet in a scene: its meshes, and their facets and planes, which are computed once."""
+    """What rays can meet in a scene: its meshes, and their facets and mirrors, which are computed once."""
 
     def __init__(self, meshes: Sequence[SurfaceMesh]) -> None:
         self.meshes = list(meshes)
@@ -74,17 +70,6 @@ class Geometry:
     def facets(self) -> list[PlanarFacet]:
         """Facets of all meshes, as `planar_facets` returns them."""
         return planar_facets(self.meshes)
-
-    @cached_property
-    def planes(self) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
-        """Planes of the facets, and the index of each facet's plane, as `group_by_plane` returns them."""
-        return group_by_plane(self.facets)
-
-    @property
-    def surfaces_by_plane(self) -> Int[IntArray, "Q"]:
-        """Index of each facet's mesh; the facets are sorted by plane."""
-        surface = np.array([facet.surface for facet in self.facets], dtype=np.int64)
-        return surface[np.argsort(self.planes[1], kind="stable")]
 
 
 def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
@@ -132,36 +117,3 @@ def _in_plane(
     tilt_rad = np.minimum(*(np.linalg.norm(normals + side, axis=1) for side in (normal, -normal)))
     distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
     return np.asarray((tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE))
-
-
-def check_overlaps(geometry: Geometry) -> None:
-    """Raise `SceneError` for the first two surfaces of different slabs that overlap in one plane.
-
-    Which of them a ray meets there would be undefined. Scenes of more than `MAX_CHECKED_TRIANGLES`
-    triangles are not checked.
-    """
-    if geometry.num_triangles > MAX_CHECKED_TRIANGLES:
-        return
-    facets, (_, plane) = geometry.facets, geometry.planes
-    for index in np.unique(plane):
-        for first, second in combinations(np.flatnonzero(plane == index), 2):
-            a, b = (geometry.meshes[facets[facet].surface] for facet in (first, second))
-            if a.slab != b.slab and _overlap(facets[first].corners_m, facets[second].corners_m):
-                raise SceneError(
-                    f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane: a ray could "
-                    "meet either. Cut the one out of the other, or set them at least 1 cm apart."
-                )
-
-
-def _overlap(first_m: Float[FloatArray, "m 3"], second_m: Float[FloatArray, "n 3"]) -> bool:
-    """Whether two convex facets of one plane share an area: no edge separates them."""
-    normal = np.cross(first_m[1] - first_m[0], first_m[-1] - first_m[0])
-    for corners in (first_m, second_m):
-        for edge in np.roll(corners, -1, axis=0) - corners:
-            axis = np.cross(normal, edge)
-            axis = axis / np.linalg.norm(axis)
-            along_first, along_second = first_m @ axis, second_m @ axis
-            shared_m = min(along_first.max(), along_second.max()) - max(along_first.min(), along_second.min())
-            if shared_m < MIN_OVERLAP_M:
-                return False
-    return True

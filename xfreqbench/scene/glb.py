@@ -24,19 +24,28 @@ _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _FLOAT = 5126
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_")
+_WHAT = {1: "index", 3: "position", 4: "rotation"}  # of accessors, by their number of columns
+_ROTATION_TYPES = {_FLOAT: "<f4", 5120: "<i1", 5122: "<i2"}
+_INSTANCES, _VISIBILITY = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
+_HANDLED = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_", _INSTANCES, _VISIBILITY)
+# say more about nodes and meshes, but move nothing; or have the meshes a second time, compressed
+_HARMLESS = (
+    *("KHR_audio", "KHR_collision", "KHR_interactivity", "KHR_node_hover", "KHR_node_select", "KHR_physics", "KHR_xmp"),
+    *("EXT_mesh_features", "EXT_instance_features", "EXT_structural_metadata", "EXT_mesh_manifold", "CESIUM_primitive"),
+    *("AGI_", "FB_", "GODOT_", "MOZ_", "MSFT_lod", "OMI_", "KHR_draco_mesh_compression", "EXT_meshopt_compression"),
+)
+_LOOKS, _SHAPES = ("materials", "textures", "images", "samplers"), ("nodes", "meshes", "accessors", "bufferViews")
 
 
 def read_glb(content: bytes, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
     """A shape for each node of the file's scene and each material of its mesh, in metres, with y upwards.
 
     `materials` is the scene's own table, by the names that the file uses. Raises `ValueError` for what is no GLB, or
-    holds geometry that is compressed, skinned or in another file, and others where parts are missing.
+    holds geometry that is compressed, skinned, in another file or changed by an extension that is not read, and others
+    where parts are missing. Hidden nodes are left out, instances and blend shapes are made.
     """
     header, binary = _chunks(content)
-    required = [name for name in header.get("extensionsRequired", []) if not name.startswith(_HARMLESS)]
-    if required:
-        raise ValueError(f"it needs {', '.join(required)}; export it without compression and instancing")
+    _check_extensions(header)
     for node, matrix in _nodes(header):
         if "mesh" in node:
             yield from _primitives(header, binary, node, matrix, materials)
@@ -61,8 +70,25 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     return header, chunks.get(_BINARY, b"")
 
 
+def _check_extensions(header: dict[str, Any]) -> None:
+    """Raise `ValueError` for extensions that may change the geometry: those of its parts, and required ones."""
+    looks, shapes = (
+        {name for kind in kinds for part in header.get(kind, []) for name in part.get("extensions", {})}
+        for kinds in (_LOOKS, _SHAPES)
+    )
+    primitives = (primitive for mesh in header.get("meshes", []) for primitive in mesh.get("primitives", []))
+    shapes = shapes.union(*(primitive.get("extensions", {}) for primitive in primitives))
+    unknown = [name for name in header.get("extensionsRequired", []) if name in shapes or name not in looks]
+    unknown += [name for name in sorted(shapes) if not name.startswith(_HARMLESS)]
+    refused = dict.fromkeys(name for name in unknown if not name.startswith(_HANDLED))
+    if refused:
+        raise ValueError(
+            f"it uses {', '.join(refused)}, of which nothing is read here; export it without compression and without it"
+        )
+
+
 def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[FloatArray, "4 4"]]]:
-    """Nodes of the file's scene, parents first, each with the matrix that takes it to the scene."""
+    """Nodes of the file's scene that are not hidden, parents first, each with the matrix that takes it to the scene."""
     nodes, scenes = header.get("nodes", []), header.get("scenes", [])
     children = {child for node in nodes for child in node.get("children", [])}
     top = [index for index in range(len(nodes)) if index not in children]
@@ -74,6 +100,8 @@ def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[Float
         if index in met or index < 0:
             raise ValueError(f"node {index} stands in two places of its tree")
         met.add(index)
+        if not nodes[index].get("extensions", {}).get(_VISIBILITY, {}).get("visible", True):
+            continue
         matrix = above @ _local_matrix(nodes[index])
         yield nodes[index], matrix
         waiting += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
@@ -87,6 +115,19 @@ def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
     matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64)
     matrix[:3, 3] = node.get("translation", [0, 0, 0])
     return matrix
+
+
+def _instances(header: dict[str, Any], binary: bytes, node: dict[str, Any]) -> Iterator[Float[FloatArray, "4 4"]]:
+    """Matrices that take the mesh of a node to each of its instances, or the one that leaves it where it is."""
+    kinds = {"TRANSLATION": ({_FLOAT: "<f4"}, 3), "ROTATION": (_ROTATION_TYPES, 4), "SCALE": ({_FLOAT: "<f4"}, 3)}
+    stated = node.get("extensions", {}).get(_INSTANCES, {}).get("attributes", {})
+    given = {name: index for name, index in stated.items() if name in kinds}
+    if not given:
+        yield np.eye(4)
+        return
+    values = [_accessor(header, binary, index, *kinds[name]).astype(np.float64) for name, index in given.items()]
+    for place in zip(*values, strict=True):
+        yield _local_matrix({name.lower(): value for name, value in zip(given, place, strict=True)})
 
 
 def _primitives(
@@ -106,32 +147,39 @@ def _primitives(
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             continue
         position_m = _accessor(header, binary, primitive["attributes"]["POSITION"], {_FLOAT: "<f4"}, 3)
-        vertices_m = position_m.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        position_m = position_m.astype(np.float64)
+        weights = node.get("weights", mesh.get("weights", []))
+        for target, weight in zip(primitive.get("targets", []), weights, strict=False):
+            if weight and "POSITION" in target:
+                position_m = position_m + weight * _accessor(header, binary, target["POSITION"], {_FLOAT: "<f4"}, 3)
         if "indices" in primitive:
             corners = _accessor(header, binary, primitive["indices"], _INDEX_TYPES, 1)[:, 0].astype(np.int64)
         else:
-            corners = np.arange(len(vertices_m))
-        if corners.max(initial=0) >= len(vertices_m):
-            raise ValueError(f"node {name!r} has a face with vertex {corners.max()} of {len(vertices_m)}")
+            corners = np.arange(len(position_m))
+        if corners.max(initial=0) >= len(position_m):
+            raise ValueError(f"node {name!r} has a face with vertex {corners.max()} of {len(position_m)}")
         stated = None
         if "material" in primitive:
             number = primitive["material"]
             stated = StatedMaterial(str(header["materials"][number].get("name") or f"material {number}"))
         where = f"node {name!r}"
-        triangles = Triangles(vertices_m, _triangles(corners, mode))
-        yield ImportedShape(name, slab_of(stated, materials, where, name), triangles, where)
+        slab, triangles = slab_of(stated, materials, where, name), _triangles(corners, mode)
+        for instance in _instances(header, binary, node):
+            whole = matrix @ instance
+            vertices_m = position_m @ whole[:3, :3].T + whole[:3, 3]
+            yield ImportedShape(name, slab, Triangles(vertices_m, triangles), where)
 
 
 def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int, str], columns: int) -> NDArray[Any]:
     """Values (N, columns) of an accessor into the file's own buffer, at most as many as the buffer holds."""
     accessor = header["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError(f"accessor {index} is sparse or empty; export the meshes as they are")
+        raise ValueError(f"accessor {index} is sparse or empty; export without sparse accessors or blend shapes")
     view = header["bufferViews"][accessor["bufferView"]]
     if view.get("buffer", 0) != 0 or "uri" in header["buffers"][0]:
         raise ValueError("its geometry is in another file; export it as one .glb")
-    if accessor["componentType"] not in types or accessor["type"] != {1: "SCALAR", 3: "VEC3"}[columns]:
-        raise ValueError(f"accessor {index} is no {'position' if columns == 3 else 'index'} of glTF 2.0")
+    if accessor["componentType"] not in types or accessor["type"] != {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[columns]:
+        raise ValueError(f"accessor {index} is no {_WHAT[columns]} of glTF 2.0")
     dtype = np.dtype(types[accessor["componentType"]])
     stride = view.get("byteStride", columns * dtype.itemsize)
     offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)

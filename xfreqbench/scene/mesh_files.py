@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -18,6 +18,7 @@ from xfreqbench.errors import SceneError
 from xfreqbench.scene.glb import read_glb
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, bounded, slab_of
 from xfreqbench.scene.materials import SceneMaterial
+from xfreqbench.scene.polygons import triangulated
 from xfreqbench.system.files import read_bytes
 from xfreqbench.types import FloatArray
 
@@ -25,6 +26,9 @@ MeshKind = Literal["ply", "stl", "obj"]
 UpAxis = Literal["y", "z"]
 _DEFAULT_UP: dict[str, UpAxis] = {".glb": "y", ".obj": "z"}  # glTF says y; OBJ says nothing, and Mitsuba takes z
 SCENE_SUFFIXES = tuple(_DEFAULT_UP)  # of files that are a whole scene
+_PLY_FACES = ("vertex_index", "vertex_indices")
+_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
+_UNEXPECTED = "unexpected length"  # what trimesh says of a binary PLY that is cut, or has faces of several sizes
 _UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 
 
@@ -33,20 +37,121 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
 
     Raises whatever the reading raises: an `OSError` for a file that cannot be read, and others for what is in it.
     """
+    content = read_bytes(path)
     if kind == "obj":
-        return _merged([part.triangles for part in _obj_parts(_text(path))])
+        return _merged([part.triangles for part in _obj_parts(content)])
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
-        content = io.BytesIO(read_bytes(path))  # not the path, beside which textures would be looked for
-        loaded = trimesh.load_mesh(content, file_type=kind, process=False, skip_materials=True)
-    vertices_m, triangles = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+        if kind == "ply":
+            return _read_ply(content)
+        return _loaded(trimesh.load_mesh(io.BytesIO(_whole_stl(content)), file_type="stl", process=False))
+
+
+def _loaded(mesh: trimesh.Trimesh) -> Triangles:
+    vertices_m, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if vertices_m.shape[1:] != (3,) or triangles.shape[1:] != (3,):
         raise ValueError("it is no list of triangles")
     return Triangles(vertices_m, triangles)
 
 
-def _text(path: Path) -> str:
-    """Text of an OBJ; what is no UTF-8, in comments and names, is replaced."""
-    return read_bytes(path).decode("utf-8-sig", "replace")
+def _in_utf8(content: bytes) -> bytes:
+    """A text without a byte order mark, and one in UTF-16, which is known by its mark, in UTF-8."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16").encode()
+    return content.removeprefix(codecs.BOM_UTF8)
+
+
+def _in_ascii(text: bytes) -> bytes:
+    """A text whose other letters are question marks, so that trimesh asks no further library what they are."""
+    return text if text.isascii() else text.decode("ascii", "replace").encode("ascii", "replace")
+
+
+def _whole_stl(content: bytes) -> bytes:
+    """An STL as trimesh understands it: in ASCII without words of the format in names of solids, on which it stumbles.
+
+    Raises `ValueError` where it is cut, of which trimesh says nothing.
+    """
+    if len(content) == 84 + 50 * int.from_bytes(content[80:84], "little"):  # a binary one
+        return content
+    text = _in_ascii(_in_utf8(content))
+    text = re.sub(rb"\r\n?", b"\n", text) if b"\r" in text else text
+    if not _is_whole(text.lower(), with_normals=True):
+        text = re.sub(rb"(?mi)^(\s*(?:end)?solid).*$", rb"\1", text)
+        if not _is_whole(text.lower()):
+            raise ValueError("it is no STL, or ends within a solid; export it again")
+    return text
+
+
+def _is_whole(words: bytes, with_normals: bool = False) -> bool:
+    """Whether the words of an STL in ASCII are in the numbers that belong together."""
+    ends, facets = words.count(b"endsolid"), words.count(b"endfacet")
+    counts = [words.count(word) for word in (b"solid", b"facet", b"vertex", b"normal")[: 3 + with_normals]]
+    return ends > 0 and counts == [2 * ends, 2 * facets, 3 * facets, facets][: 3 + with_normals]
+
+
+def _read_ply(content: bytes) -> Triangles:
+    """Triangles of a PLY, as trimesh reads them, but for concave faces, and for faces of several sizes in binary."""
+    header, end, body = content.partition(b"end_header")
+    content = _in_ascii(header) + end + body
+    try:  # from memory: no texture is looked for beside the file
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type="ply", process=False, skip_materials=True)
+        raw = mesh.metadata.get("_ply_raw", {})  # none where there are no faces
+        rows = raw.get("face", {}).get("data")
+        names = list(rows if isinstance(rows, dict) else getattr(rows, "dtype", np.dtype([])).names or ())
+        corners: Any = next((rows[name] for name in names if name in _PLY_FACES or len(names) == 1), np.zeros((0, 3)))
+        if corners.dtype.names:  # binary, each row read as if it were as long as the first
+            sizes, corners = corners["f0"], corners["f1"]
+            if (sizes != sizes[0]).any():
+                raise ValueError(_UNEXPECTED)
+        elif len(corners) < raw.get("face", {}).get("length", 0) or min(map(len, corners[-1:]), default=3) < 3:
+            raise ValueError("it ends within its faces; export it again")
+    except ValueError as error:
+        if _UNEXPECTED not in str(error):
+            raise
+        faces, vertices_m = _binary_polygons(content)
+        return Triangles(vertices_m, triangulated(vertices_m, faces)[0])
+    if corners.shape[1:] != (3,):
+        vertices_m = np.stack(
+            [np.asarray(raw["vertex"]["data"][axis], np.float64).reshape(-1) for axis in "xyz"], axis=1
+        )
+        triangles, are_fans = triangulated(vertices_m, [face.tolist() for face in corners])
+        if not are_fans:
+            return Triangles(vertices_m, triangles)
+    return _loaded(mesh)
+
+
+def _binary_polygons(content: bytes) -> tuple[list[list[int]], Float[FloatArray, "V 3"]]:
+    """Faces and vertices of a binary PLY whose faces differ in size; raises `ValueError` where it is cut."""
+    header, _, body = content.partition(b"end_header")
+    start = body.index(b"\n") + 1
+    order: Literal["<", ">"] = ">" if b"binary_big_endian" in header else "<"
+    elements = list[tuple[str, int, list[tuple[Any, ...]]]]()
+    for words in map(str.split, header.decode("ascii", "replace").splitlines()):
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            kinds = [np.dtype(_PLY_TYPES.get(word, word)).newbyteorder(order) for word in words[1:-1] if word != "list"]
+            elements[-1][2].append((words[-1], *kinds))
+    faces, vertices_m = list[list[int]](), np.zeros((0, 3))
+    for name, count, properties in elements:
+        if all(len(kinds) == 1 for _, *kinds in properties):
+            rows = np.frombuffer(body, np.dtype(properties), count, start)
+            start += rows.nbytes
+            if name == "vertex":
+                vertices_m = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
+            continue
+        for _ in range(count):
+            for label, *kinds in properties:
+                number = 1
+                if len(kinds) == 2:
+                    number = int(np.frombuffer(body, kinds[0], 1, start)[0])
+                    start += kinds[0].itemsize
+                values = np.frombuffer(body, kinds[-1], number, start)
+                start += values.nbytes
+                if name == "face" and label in _PLY_FACES:
+                    faces.append(values.tolist())
+    if start != len(body):
+        raise ValueError("it is longer than its header says")
+    return faces, vertices_m
 
 
 def _merged(parts: Sequence[Triangles]) -> Triangles:
@@ -71,7 +176,7 @@ def read_scene(
     suffix = path.suffix.lower()
     try:
         if suffix == ".obj":
-            parts = _obj_parts(_text(path))
+            parts = _obj_parts(read_bytes(path))
             read = iter([part.shape(materials) for part in parts])
         else:
             read = read_glb(read_bytes(path), materials)
@@ -113,38 +218,46 @@ class _ObjPart:
     name: str
     material: str
     vertices_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    corners: list[tuple[int, int, int]] = field(default_factory=list)
+    faces: list[list[int]] = field(default_factory=list)
 
     @property
     def triangles(self) -> Triangles:
-        used, triangles = np.unique(np.array(self.corners, np.int64).reshape(-1, 3), return_inverse=True)
+        used, triangles = np.unique(triangulated(self.vertices_m, self.faces)[0], return_inverse=True)
         return Triangles(self.vertices_m[used], triangles.reshape(-1, 3).astype(np.int64))
 
     def shape(self, materials: Mapping[str, SceneMaterial]) -> ImportedShape:
-        stated = StatedMaterial(self.material) if self.material else None
-        source = f"object {self.name!r}"
-        return ImportedShape(self.name, slab_of(stated, materials, source, self.name), self.triangles, source)
+        """The part in the scene; raises `ValueError` where the name that tells its material is no UTF-8."""
+        name, material = (
+            each.encode(errors="surrogateescape").decode(errors="replace") for each in (self.name, self.material)
+        )
+        if material != self.material or (not material and name != self.name):
+            raise ValueError(
+                f"the name {material or name!r}, which tells a material, is no UTF-8; save the file as UTF-8, as with "
+                "iconv -f GBK -t UTF-8, or give names in ASCII"
+            )
+        source = f"object {name!r}"
+        slab = slab_of(StatedMaterial(material) if material else None, materials, source, name)
+        return ImportedShape(name, slab, self.triangles, source)
 
 
-def _obj_parts(text: str) -> list[_ObjPart]:
+def _obj_parts(content: bytes) -> list[_ObjPart]:
     """Parts of a Wavefront OBJ, one for each object (`o`, or else `g`) and material (`usemtl`), in their order.
 
-    A face of n corners is a fan of n − 2 triangles. Negative indices count back from the latest vertex. Library
-    files, normals and textures are not read. Raises `ValueError` with the line.
+    Negative indices count back from the latest vertex. Library files, normals and textures are not read. Raises
+    `ValueError` with the line. Names that are no UTF-8 have surrogates, so that none is taken for another.
     """
     parts: dict[tuple[str, str], _ObjPart] = {}
     vertices: list[tuple[float, float, float]] = []
     name, material = "unnamed", ""
-    for number, line in _logical_lines(text):
+    for number, line in _logical_lines(_in_utf8(content).decode("utf-8", "surrogateescape")):
         keyword, _, rest = line.partition(" ")
         try:
             if keyword == "v":
                 x, y, z = map(float, rest.split()[:3])
                 vertices.append((x, y, z))
             elif keyword == "f":
-                part = parts.setdefault((name, material), _ObjPart(name, material))
-                corners = [_obj_index(word, len(vertices)) for word in rest.split()]
-                part.corners += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+                part = parts.get((name, material)) or parts.setdefault((name, material), _ObjPart(name, material))
+                part.faces.append([_obj_index(word, len(vertices)) for word in rest.split()])
         except ValueError as error:
             raise ValueError(f"line {number} is no vertex, or no face of the vertices before it") from error
         if keyword in ("o", "g"):
@@ -158,7 +271,8 @@ def _obj_parts(text: str) -> list[_ObjPart]:
 
 
 def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
-    for number, line in enumerate(re.sub(r"\\\r?\n", " ", text).splitlines(), start=1):
+    joined = re.sub(r"(?<![\udc80-\udcff])\\\r?\n", " ", text)  # letters of Shift JIS and GBK may end in a backslash
+    for number, line in enumerate(joined.splitlines(), start=1):
         words = re.sub(r"\s+", " ", line.partition("#")[0]).strip()
         if words:
             yield number, words

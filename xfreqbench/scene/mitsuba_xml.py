@@ -6,6 +6,7 @@ becomes, and refuses unknown properties only where shapes are made. Files of str
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import xml.etree.ElementTree as ElementTree
@@ -20,7 +21,7 @@ from jaxtyping import Float
 from pydantic import TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
-from xfreqbench.errors import SceneError
+from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, plain_name, slab_of
 from xfreqbench.scene.materials import (
     DEFAULT_THICKNESS_M,
@@ -49,6 +50,18 @@ _SCATTERING = {  # fields of `Scattering`, and their names in Sionna RT
     "pattern": "scattering_pattern",
     **{name: name for name in ("alpha_r", "alpha_i", "lambda_")},
 }
+_PROPERTIES = {  # of the types of material that Sionna RT has, and the element of each
+    "thickness": "float",
+    **dict.fromkeys(("scattering_coefficient", "xpd_coefficient", "lambda_"), "float"),
+    **dict.fromkeys(("alpha_r", "alpha_i"), "integer"),
+    "scattering_pattern": "string",
+}
+_OWN_PROPERTIES = {
+    "itu-radio-material": {"type": "string"},
+    "radio-material": {"relative_permittivity": "float", "conductivity": "float"},
+    "absorber-radio-material": {},
+}
+_COLOURS = ("color", "reflectance", "base_color")
 _FORMS = ("rectangle", "cube", "sphere")
 _FILES = get_args(MeshKind)
 FLAT = 1e-12  # a matrix is singular where its determinant is this share of its columns' lengths
@@ -63,6 +76,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
     elements = list(_Document(path).elements(path))
     bsdfs = _bsdfs(elements, path)
     meshes = cache(lambda file, kind: read_mesh(file, kind))
+    stated = cache(lambda bsdf: _stated_material(_nested(bsdf, bsdfs), path))
     shapes = [shape for element in elements for shape in element.iter("shape")]
     if not shapes:
         raise SceneError(f"{path} holds no <shape>. Give the Mitsuba scene that has the room's meshes.")
@@ -77,7 +91,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
                 f"{where} is a {kind!r}. Use {', '.join(_FORMS)}, or export it as one of "
                 f"{', '.join(_FILES)} in world coordinates."
             )
-        slab = slab_of(_material_of(shape, bsdfs, path, where), materials, where, name)
+        slab = slab_of(stated(_bsdf_of(shape, bsdfs, where)), materials, where, name)
         if kind in _FORMS:
             triangles, source = _form(shape, kind, where), where
         else:
@@ -182,12 +196,12 @@ def _are_alike(first: Element, second: Element) -> bool:
     )
 
 
-def _material_of(shape: Element, bsdfs: dict[str, Element], path: Path, where: str) -> StatedMaterial:
+def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
     referred = [bsdfs[ref.get("id", "")] for ref in shape.findall("./ref") if ref.get("id", "") in bsdfs]
     own = [*shape.findall("./bsdf"), *referred]
     if not own:
         raise SceneError(f"{where} refers to no material of this file; add <ref id='mat-…'/>.")
-    return _stated_material(_nested(own[0], bsdfs), path)
+    return own[0]
 
 
 def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
@@ -206,6 +220,7 @@ def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
     name = next((name for name in names if plain_name(name) in ITU_MATERIALS), names[0])
     stated = StatedMaterial(name)
     for each in nested:
+        _check_properties(each, name, path)
         stated = StatedMaterial(
             name,
             stated.material or _material(each, name, path),
@@ -213,6 +228,41 @@ def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
             stated.scattering or _scattering(each, name, path),
         )
     return stated
+
+
+def _check_properties(bsdf: Element, name: str, path: Path) -> None:
+    """Raise `SceneError` or `UnknownNameError` for a property that would be passed over, or taken for another.
+
+    Materials of looks alone (diffuse, principled, twosided, …) may have any others beside a thickness and a `type`.
+    """
+    kind = bsdf.get("type", "")
+    if kind not in _OWN_PROPERTIES and re.search("radio|^itu", kind, re.IGNORECASE):
+        raise UnknownNameError(f"type of material, as that of {name!r} in {path}, called", kind, _OWN_PROPERTIES)
+    known = {**_PROPERTIES, **_OWN_PROPERTIES.get(kind, _OWN_PROPERTIES["itu-radio-material"])}
+    met = set[str]()
+    for each in bsdf:
+        given = each.get("name", "")
+        if each.tag in ("bsdf", "ref") or given in _COLOURS:
+            continue
+        fault = None
+        if given not in known and (kind in _OWN_PROPERTIES or _is_slip(given)):
+            if not any(given in own for own in _OWN_PROPERTIES.values()):
+                raise UnknownNameError(f"property of material {name!r} in {path}, called", given, known)
+            fault = f"is no property of a material of type {kind!r}; change the type, or remove it"
+        elif given in known and (each.tag != known[given] or "value" not in each.attrib):
+            fault = f"is given as <{each.tag}>; give <{known[given]} name={given!r} value='…'/>"
+        elif given in met.intersection(known):
+            fault = "is given twice; remove one"
+        if fault:
+            raise SceneError(f"{path}: material {name!r}, {given}: it {fault}.")
+        met.add(given)
+
+
+def _is_slip(given: str) -> bool:
+    """Whether the name of a property, among any others, is meant for one of radio materials."""
+    longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # of which looks have none like them
+    is_own = any(word in given.lower() for word in ("permittivity", "conductivity"))
+    return is_own or bool(difflib.get_close_matches(given.lower(), longer, n=1, cutoff=0.75))
 
 
 def _material(bsdf: Element, name: str, path: Path) -> Material | None:
@@ -235,9 +285,9 @@ def _material(bsdf: Element, name: str, path: Path) -> Material | None:
 
 def _scattering(bsdf: Element, name: str, path: Path) -> Scattering | None:
     """How a material scatters, under the names that Sionna RT has for it; raises `SceneError`."""
-    if bsdf.find("./float[@name='scattering_coefficient']") is None:
-        return None
     values = {each.get("name", ""): each.get("value", "") for each in bsdf}
+    if "scattering_coefficient" not in values:
+        return None
     stated = {key: values[word] for key, word in _SCATTERING.items() if word in values}
     try:
         return TypeAdapter(Scattering).validate_python(stated)

@@ -63,7 +63,7 @@ class Patches:
         distinct = np.unique(_numbered(*np.sort(vertex, axis=1).T), return_index=True)[1]
         patch = self.index[distinct]
         self.area_m2 = np.bincount(patch, weights=doubled_m2[distinct] / 2, minlength=num_patches)
-        edge, length_m = _edges(vertex[distinct]), _sides_m(corners_m[distinct]).T.reshape(-1)
+        edge, length_m = _edges(vertex[distinct]), sides_m(corners_m[distinct]).T.reshape(-1)
         _, first, count = np.unique(_numbered(edge, np.tile(patch, 3)), return_index=True, return_counts=True)
         border = first[count == 1]
         perimeter_m = np.bincount(np.tile(patch, 3)[border], weights=length_m[border], minlength=num_patches)
@@ -85,10 +85,10 @@ def _coplanar(
     all triangles of a patch lie within `COPLANAR_M` of the plane through its largest along the mean normal; those
     beyond make others.
     """
-    height_m = doubled_m2 / _sides_m(corners_m).max(axis=1)
-    rounding_m = 2.0 * _rounding_m(corners_m)
+    height_m = doubled_m2 / sides_m(corners_m).max(axis=1)
+    uncertain_m = 2.0 * rounding_m(corners_m)
     tilt = np.linalg.norm(np.cross(normal[near], normal[far]), axis=1)
-    joined = tilt <= COPLANAR_M + rounding_m / np.minimum(height_m[near], height_m[far])
+    joined = tilt <= COPLANAR_M + uncertain_m / np.minimum(height_m[near], height_m[far])
     by_area, largest = np.argsort(doubled_m2, kind="stable"), np.zeros(len(normal), dtype=np.int64)
     while True:
         near, far = near[joined], far[joined]
@@ -106,12 +106,13 @@ def _coplanar(
         joined = is_beyond[near] == is_beyond[far]
 
 
-def _rounding_m(corners_m: Float[FloatArray, "K 3 3"]) -> float:
+def rounding_m(corners_m: Float[FloatArray, "K 3 3"]) -> float:
     """The step of float32 at the largest coordinate."""
     return float(np.spacing(np.float32(np.abs(corners_m).max(initial=1.0))))
 
 
-def _sides_m(corners_m: Float[FloatArray, "K 3 3"]) -> Float[FloatArray, "K 3"]:
+def sides_m(corners_m: Float[FloatArray, "K 3 3"]) -> Float[FloatArray, "K 3"]:
+    """Lengths of the three sides of each triangle."""
     return np.linalg.norm(corners_m - np.roll(corners_m, -1, axis=1), axis=2)
 
 
@@ -133,7 +134,7 @@ def _welded(corners_m: Float[FloatArray, "K 3 3"]) -> Int[IntArray, "K 3"]:
     _, first, vertex = np.unique(_numbered(*place_m.T), return_index=True, return_inverse=True)
     if not len(first):
         return np.zeros((0, 3), dtype=np.int64)
-    near = cKDTree(place_m[first]).query_pairs(2.0 * _rounding_m(corners_m), output_type="ndarray")
+    near = cKDTree(place_m[first]).query_pairs(2.0 * rounding_m(corners_m), output_type="ndarray")
     return _components(near[:, 0], near[:, 1], len(first))[vertex].reshape(-1, 3)
 
 

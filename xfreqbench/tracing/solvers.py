@@ -12,6 +12,7 @@ from pydantic import InstanceOf
 from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import Scene
+from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.tracing.tracer import (
@@ -97,10 +98,13 @@ def make_tracer(
 ) -> Tracer:
     """Load a scene into the solver that `settings` names, and shoot its rays.
 
-    `auto` is the solver that `resolve_solver` names. Raises `SceneError`, of which `MaterialBandError` is one.
+    `auto` is the solver that `resolve_solver` names. Raises `SceneError`, of which `MaterialBandError` is one, and for
+    surfaces of different slabs that overlap in one plane.
     """
     check_settings(settings)
-    return tracer_of(PreparedScene.of(scene), [ghz_to_hz(carrier) for carrier in freqs_ghz], settings)
+    prepared = PreparedScene.of(scene)
+    check_overlaps(prepared.geometry)
+    return tracer_of(prepared, [ghz_to_hz(carrier) for carrier in freqs_ghz], settings)
 
 
 def tracer_of(

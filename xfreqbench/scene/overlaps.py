@@ -1,0 +1,116 @@
+"""The check that no two surfaces of different slabs lie on one another, where a ray could meet either."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from xfreqbench.errors import SceneError
+from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
+from xfreqbench.scene.meshes import slabs_of, triangle_corners_m
+from xfreqbench.scene.patches import rounding_m, sides_m
+from xfreqbench.types import FloatArray, IntArray
+
+MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
+MAX_PAIRS = 250_000  # looked at together
+_MORTON_BITS = 10  # of each axis
+
+
+def check_overlaps(geometry: Geometry) -> None:
+    """Raise `SceneError` for two surfaces of different slabs that overlap in one plane.
+
+    They are parallel within `PLANE_TOLERANCE`, or what float32 leaves uncertain of the narrower triangle, and the
+    smaller triangle lies within as many metres of the plane of the larger.
+    """
+    corners_m = triangle_corners_m(geometry.meshes)
+    if not len(corners_m):
+        return
+    slabs = slabs_of(geometry.meshes)
+    slab = np.array([slabs.index(mesh.slab) for mesh in geometry.meshes])[geometry.mesh_of_triangle]
+    pair = _overlapping(corners_m, slab)
+    if pair is not None:
+        a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
+        place_m = ", ".join(f"{coordinate:.4g}" for coordinate in corners_m[pair[1]].mean(axis=0))
+        raise SceneError(
+            f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane, at ({place_m}) m: a ray "
+            "could meet either. Cut the one out of the other, set them at least 1 cm apart, or make both of one slab."
+        )
+
+
+def _overlapping(corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"]) -> tuple[int, int] | None:
+    """Two triangles of different slabs that overlap in one plane, the larger first, or None.
+
+    Halves of a sorted list of triangles are compared with each other, and with themselves, and halves of those as long
+    as the boxes about them meet. A box holds places, and the feet of perpendiculars from one point, which are the same
+    for triangles of one plane.
+    """
+    low_m, high_m = corners_m.min(axis=1), corners_m.max(axis=1)
+    least_m, extent_m = low_m.min(axis=0), np.ptp(corners_m, axis=(0, 1))
+    normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    doubled_m2 = np.linalg.norm(normal, axis=1)
+    normal /= doubled_m2[:, None]
+    longest_m = sides_m(corners_m).max(axis=1)
+    tilt_rad = PLANE_TOLERANCE + 2 * rounding_m(corners_m) * longest_m / doubled_m2
+    apart_m = corners_m[:, 0] - (least_m - 0.5 * extent_m - 1)  # from a point in no wall's plane, if they are upright
+    foot_m = np.einsum("kc,kc->k", apart_m, normal)[:, None] * normal
+    slack_m = PLANE_TOLERANCE + 2 * np.linalg.norm(apart_m, axis=1) * np.minimum(tilt_rad, 1)
+    low = np.hstack([low_m - PLANE_TOLERANCE, foot_m - slack_m[:, None], slab[:, None]])
+    high = np.hstack([high_m + PLANE_TOLERANCE, foot_m + slack_m[:, None], slab[:, None]])
+    order = np.lexsort([_morton((low_m + high_m) / 2 - least_m, extent_m), slab])
+    levels = [np.hstack([low, -high])[order]]
+    while len(levels[-1]) > 1:
+        padded = np.pad(levels[-1], ((0, len(levels[-1]) % 2), (0, 0)), constant_values=np.inf)
+        levels.append(np.minimum(padded[::2], padded[1::2]))
+    waiting = [(len(levels) - 1, _meeting(levels[-1], np.zeros((2, 1), np.int64)))]
+    while waiting:
+        level, pairs = waiting.pop()
+        if level > 0:
+            halves = (2 * pairs[:, None] + np.array([[0, 0, 1, 1], [0, 1, 0, 1]])[:, :, None]).reshape(2, -1)
+            meeting = _meeting(levels[level - 1], halves)
+            parts = np.array_split(meeting, len(meeting.T) // MAX_PAIRS + 1, axis=1)
+            waiting += [(level - 1, part) for part in parts if part.size]
+            continue
+        pairs = order[pairs]
+        is_smaller = longest_m[pairs[0]] < longest_m[pairs[1]]
+        large, small = np.where(is_smaller, pairs[::-1], pairs)
+        height_m = np.einsum("pkc,pc->pk", corners_m[small] - corners_m[large, :1], normal[large])
+        tilt = np.linalg.norm(np.cross(normal[large], normal[small]), axis=1)
+        in_plane = (np.abs(height_m).max(axis=1) < PLANE_TOLERANCE) & (tilt <= np.maximum(*tilt_rad[pairs]))
+        large, small = large[in_plane], small[in_plane]
+        shared_m = _shared_m(corners_m[large], corners_m[small], normal[large])
+        if (shared_m >= MIN_OVERLAP_M).any():
+            widest = shared_m.argmax()
+            return int(large[widest]), int(small[widest])
+    return None
+
+
+def _meeting(box: Float[FloatArray, "n 14"], pairs: Int[IntArray, "2 p"]) -> Int[IntArray, "2 m"]:
+    """Pairs of boxes, the first not after the second, that meet and do not hold one slab alone; a box is low, −high."""
+    pairs = pairs[:, (pairs[0] <= pairs[1]) & (pairs[1] < len(box))]
+    for axis in range(6):
+        low, high = box[pairs, axis], -box[pairs, axis + 7]
+        pairs = pairs[:, low.max(axis=0) <= high.min(axis=0)]
+    least, most = box[pairs, 6], -box[pairs, 13]
+    return pairs[:, least.min(axis=0) < most.max(axis=0)]
+
+
+def _morton(place_m: Float[FloatArray, "K 3"], extent_m: Float[FloatArray, "3"]) -> Int[IntArray, "K"]:
+    """Numbers that put neighbours in space next to each other: the bits of the coordinates in turn."""
+    cell = (place_m / np.maximum(extent_m, 1e-9) * (2**_MORTON_BITS - 1)).astype(np.int64)
+    bits = (cell[:, :, None] >> np.arange(_MORTON_BITS)) & 1
+    return np.asarray((bits << (3 * np.arange(_MORTON_BITS) + np.arange(3)[:, None])).sum(axis=(1, 2)))
+
+
+def _shared_m(
+    first_m: Float[FloatArray, "p 3 3"], second_m: Float[FloatArray, "p 3 3"], normal: Float[FloatArray, "p 3"]
+) -> Float[FloatArray, "p"]:
+    """Least width that two triangles of one plane share, seen along their edges; 0 or less where an edge separates."""
+    shared_m = np.full(len(normal), np.inf)
+    for corners_m in (first_m, second_m):
+        for edge in np.moveaxis(np.roll(corners_m, -1, axis=1) - corners_m, 1, 0):
+            across = np.cross(normal, edge)
+            across /= np.linalg.norm(across, axis=1, keepdims=True)
+            along = [np.einsum("pkc,pc->pk", each_m, across) for each_m in (first_m, second_m)]
+            most, least = (side([each.T for each in along], axis=1) for side in (np.max, np.min))
+            shared_m = np.minimum(shared_m, most.min(axis=0) - least.max(axis=0))
+    return shared_m
