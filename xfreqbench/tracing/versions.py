@@ -11,9 +11,9 @@ _PACKAGES: dict[SolverName, tuple[str, ...]] = {
     "sionna": ("sionna-rt", "mitsuba", "drjit"),
 }
 
-PHYSICS_VERSION = (
-    "1"  # of what a channel is, whichever solver traces it; raised where channels change by more than 1e-3
-)
+# Of what a channel is, whichever solver traces it; raised where channels change by more than 1e-3. Version 1 dropped
+# paths with a stretch under 1 cm, and interpolated near ones over the array.
+PHYSICS_VERSION = "2"
 SELECTION = "2"  # of chains by solver `sionna`: 1 lost paths that only some elements of the array see
 
 
