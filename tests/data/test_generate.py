@@ -59,9 +59,9 @@ def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) ->
     before = path.stat().st_mtime_ns
     generate_planned(small_plan(), path)
     assert path.stat().st_mtime_ns == before
-    with pytest.raises(OutputExistsError, match="holds another job"):
+    with pytest.raises(OutputExistsError, match="holds another data set"):
         generate_planned(small_plan(num_transmitters=30), path)
-    with pytest.raises(OutputExistsError, match="holds another job"):
+    with pytest.raises(OutputExistsError, match="holds another data set"):
         generate_planned(small_plan(pas_kind="amplitude"), path)
     assert path.stat().st_mtime_ns == before
 

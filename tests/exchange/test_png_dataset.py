@@ -79,6 +79,13 @@ def test_a_file_of_somebody_else_s_is_not_overwritten(tmp_path: Path, content: b
     assert path.read_bytes() == before
 
 
+def test_a_file_that_somebody_writes_during_the_import_stays(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    with pytest.raises(OutputExistsError, match="in the meantime"):
+        import_png_folder(read(write_folder(tmp_path / "small")), path, lambda done, total: path.write_text("theirs"))
+    assert path.read_text() == "theirs"
+
+
 def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "small")
     path = folder / "spectrum" / "00004.png"

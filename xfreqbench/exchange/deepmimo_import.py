@@ -84,13 +84,13 @@ def import_deepmimo(
     if not len(users):
         raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
     header = _header(folder, scenarios, users)
-    if holds_same_job(path, header.job_sha256(first.user_m[users]), "data set"):
+    if holds_same_job(path, header, first.user_m[users]):
         return False
     parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
     paths = [_ragged(scenarios, part) for part in parts]
     beam = BartlettBeam(header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
     done = 0
-    with PasWriter(path, header, paths=PathTotals.of(paths, ("unknown",))) as writer:
+    with PasWriter(path, header, paths=PathTotals.of(paths, ("unknown",)), replaces=False) as writer:
         for part, own in zip(parts, paths, strict=True):
             cfr, num_paths = _channels(own, header)
             samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)

@@ -55,10 +55,10 @@ def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback 
     holds something else, `DataError` and `StorageError`.
     """
     header = _header(source)
-    if holds_same_job(path, header.job_sha256(source.tx_position_m), "data set"):
+    if holds_same_job(path, header, source.tx_position_m):
         return False
     batch = max(1, min(_BATCH, _MAX_PIXELS // (len(source.carrier_hz) * math.prod(source.grid.shape))))
-    with PasWriter(path, header, source.grid) as writer:
+    with PasWriter(path, header, source.grid, replaces=False) as writer:
         for start in range(0, header.num_tx, batch):
             part = slice(start, start + batch)
             positions = source.tx_position_m[part]

@@ -10,7 +10,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -22,29 +22,52 @@ _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
 
 
 @contextmanager
-def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
+def atomic_path(target: Path, num_bytes: int = 0, replaces: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside `target`, which is renamed to `target` if the block ends without an exception.
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
-    exception the temporary file is removed and `target` is as it was. A killed process leaves a hidden file
-    `.NAME.HOST-PID.partial`, which the next writer of the same file removes. Raises `StorageError`.
+    exception the temporary file is removed and `target` is as it was. A killed process leaves hidden files
+    `.NAME.HOST-PID.partial` and `.NAME.lock`, which the next writer of the same file removes. Raises what `sole_writer`
+    raises, and `OutputExistsError` where somebody else has written `target` since the block began, or, unless it
+    `replaces` a file, at any time. Theirs stays.
     """
-    _remove_abandoned(target)
-    require_space(target, num_bytes)
-    temporary = _partial(target)
+    with sole_writer(target):
+        _remove_abandoned(target)
+        require_space(target, num_bytes)
+        temporary, before = _partial(target), _state(target) if replaces else None
+        _require_unchanged(target, before)
+        try:
+            with storage_errors(target, num_bytes):
+                if num_bytes and hasattr(os, "posix_fallocate"):
+                    # a quota or limit is an error here; within HDF5 it would be a crash
+                    with temporary.open("wb") as file:
+                        os.posix_fallocate(file.fileno(), 0, num_bytes)
+            yield temporary
+            with storage_errors(target, num_bytes):
+                sync(temporary)
+                _require_unchanged(target, before)
+                temporary.replace(target)
+                sync(target.parent)  # or the rename itself may be lost with the power
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _require_unchanged(target: Path, before: tuple[int, ...] | None) -> None:
+    """Raise `OutputExistsError` where `target` is there, and not in the state that it had before."""
+    if _state(target) not in (before, None):
+        raise OutputExistsError(
+            f"{target} was written by another process in the meantime, and stays as that one left it. Choose another "
+            "path for the output, or delete this one and do the same again."
+        )
+
+
+def _state(path: Path) -> tuple[int, ...] | None:
+    """Inode, size and time of what lies at a path, which differ after somebody has written it; None for nothing."""
     try:
-        with storage_errors(target, num_bytes):
-            if num_bytes and hasattr(os, "posix_fallocate"):
-                # a quota or limit is an error here; within HDF5 it would be a crash
-                with temporary.open("wb") as file:
-                    os.posix_fallocate(file.fileno(), 0, num_bytes)
-        yield temporary
-        with storage_errors(target, num_bytes):
-            sync(temporary)
-            temporary.replace(target)
-            sync(target.parent)  # or the rename itself may be lost with the power
-    finally:
-        temporary.unlink(missing_ok=True)
+        found = path.lstat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _partial(target: Path) -> Path:
@@ -82,18 +105,20 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """
     target = target.absolute()
     require_empty(target)
-    _remove_abandoned(target)
-    temporary = _partial(target)
-    with storage_errors(target):
-        temporary.mkdir(parents=True)
-    try:
-        yield temporary
+    with sole_writer(target):
+        _remove_abandoned(target)
+        temporary = _partial(target)
         with storage_errors(target):
-            os.sync()
-            temporary.replace(target)
-            sync(target.parent)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir(parents=True)
+        try:
+            yield temporary
+            with storage_errors(target):
+                os.sync()
+                require_empty(target)  # nor has somebody else written it in the meantime
+                temporary.replace(target)
+                sync(target.parent)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def require_own(
@@ -192,11 +217,12 @@ def exclusive(lock: Path) -> Iterator[None]:
 def sole_worker(lock: Path, output: Path) -> Iterator[None]:
     """Hold a lock during the block, or raise `StorageError` at once, which names the process that works on `output`.
 
-    The system releases the lock of a process that is killed, whose file stays. It may be removed during the block.
+    Within the block the same thread may hold it once more. The system releases the lock of a process that is killed,
+    whose file stays.
     """
-    with storage_errors(lock):
+    with storage_errors(output):
         lock.parent.mkdir(parents=True, exist_ok=True)
-        held = FileLock(lock)
+        held = FileLock(lock, is_singleton=True)
         try:
             held.acquire(blocking=False)
         except Timeout as error:
@@ -204,13 +230,24 @@ def sole_worker(lock: Path, output: Path) -> Iterator[None]:
                 f"{output} is being written by {lock.read_text(encoding='utf-8') or 'another process'}. Wait until "
                 "that one ends, or choose another output."
             ) from error
-        since = datetime.now().astimezone().isoformat(" ", "seconds")
-        lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
+        is_first = held.lock_counter == 1
+        if is_first:
+            since = datetime.now().astimezone().isoformat(" ", "seconds")
+            lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
     try:
         yield
     finally:
-        lock.unlink(missing_ok=True)
+        if is_first:
+            lock.unlink(missing_ok=True)
         held.release()
+
+
+def sole_writer(output: Path) -> AbstractContextManager[None]:
+    """Hold the one lock of an output, `.NAME.lock` beside it, during the block; see `sole_worker`.
+
+    Whoever works long between the look at an output and its writing holds it from before that look.
+    """
+    return sole_worker(output.with_name(f".{output.name}.lock"), output)
 
 
 def require_regular(path: Path) -> Path:
