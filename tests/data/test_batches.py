@@ -182,9 +182,9 @@ def test_one_process_at_a_time_writes_an_output(tmp_path: Path, whole: bytes) ->
 
 
 def test_what_a_kill_leaves_of_a_removal_goes_with_the_next_run(tmp_path: Path) -> None:
-    path = tmp_path / "rooms.h5"
+    path = tmp_path / "rooms[1].h5"
     folder = unfinished(OURS, path)
-    shutil.copytree(folder, tmp_path / ".rooms.h5.parts.killed.removed")
+    shutil.copytree(folder, tmp_path / ".rooms[1].h5.parts.killed.removed")
     generate_planned(OURS, path)
     assert list(tmp_path.iterdir()) == [path]
     unfinished(OURS, tmp_path / "again.h5").rename(folder)  # killed when the data set already had its name

@@ -60,7 +60,7 @@ def make_fingerprint(
     cfr = np.concatenate(rows).astype(np.complex64)
     about = {"scene": scene.name, "physics_sha256": recipe.physics_sha256, "software": header.software}
     with (
-        atomic_path(path, cfr.nbytes, replaces=False) as temporary,
+        atomic_path(path, cfr.nbytes) as temporary,
         storage_errors(path, cfr.nbytes),
         temporary.open("wb") as file,  # given a path, NumPy adds .npz to its name
     ):

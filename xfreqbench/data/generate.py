@@ -191,7 +191,7 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
         names = tuple(mesh.name for mesh in plan.geometry.meshes)
         parts = (store.read(index).paths for index in range(len(plan.batches)))
         totals = PathTotals.of((part for part in parts if part is not None), names)
-    with PasWriter(path, plan.header, prove=prove, paths=totals, replaces=False) as writer:
+    with PasWriter(path, plan.header, prove=prove, paths=totals) as writer:
         for index, rows in enumerate(plan.batches):
             channel = store.read(index)
             samples = SampleBlock.of_channels(channel.cfr, channel.num_paths, beam, plan.header.pas_kind)

@@ -106,16 +106,14 @@ def create_sealed(
     attributes: Mapping[str, str | int],
     groups: Mapping[str, Mapping[str, str]] | None = None,
     prove: Callable[[Path], None] | None = None,
-    replaces: bool = True,
 ) -> Iterator[SealedWriter]:
     """Write a sealed file: a context manager. The file appears at `path`, whole, when the block ends.
 
     `groups` are the attributes of the groups that variables are in, by the group's name. `prove` is called with the
-    sealed file before it gets its name; if it raises, there will be none. Raises as `atomic_path`, which is told
-    whether the file `replaces` another.
+    sealed file before it gets its name; if it raises, there will be none. Raises as `atomic_path` does.
     """
     num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
-    with atomic_path(path, num_bytes, replaces) as temporary:
+    with atomic_path(path, num_bytes) as temporary:
         with storage_errors(path, num_bytes):
             file = h5py.File(temporary, "w", libver=("v110", "v110"))
         try:

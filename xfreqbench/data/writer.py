@@ -67,7 +67,7 @@ class PasWriter:
     `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
     where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
     end, not before: `prove` is first called with the path of the sealed file, which is given up if that raises.
-    Raises `OutputExistsError` where somebody else has written `path` in the meantime, or, with `replaces=False`, ever.
+    Raises `OutputExistsError` where somebody else has written `path` in the meantime.
     """
 
     def __init__(
@@ -77,7 +77,6 @@ class PasWriter:
         grid: AngularGrid | None = None,
         prove: Callable[[Path], None] | None = None,
         paths: PathTotals | None = None,
-        replaces: bool = True,
     ) -> None:
         self._header = header
         self._grid = grid or AngularGrid.hemisphere()
@@ -88,7 +87,7 @@ class PasWriter:
             stored += path_variables(header.num_tx, len(header.carrier_hz), totals)
             groups[GROUP] = totals.attributes
         attributes: dict[str, str | int] = {**header.attributes(), "num_tx": header.num_tx}  # a number as such
-        self._context = create_sealed(path, stored, attributes, groups, prove, replaces)
+        self._context = create_sealed(path, stored, attributes, groups, prove)
 
     def __enter__(self) -> PasWriter:
         self._file = self._context.__enter__()

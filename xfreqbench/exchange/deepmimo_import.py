@@ -30,7 +30,7 @@ from xfreqbench.exchange.deepmimo import DIGITS
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, ReceiverArray
-from xfreqbench.system.files import read_bytes
+from xfreqbench.system.files import read_bytes, require_text
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
@@ -90,7 +90,7 @@ def import_deepmimo(
     paths = [_ragged(scenarios, part) for part in parts]
     beam = BartlettBeam(header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
     done = 0
-    with PasWriter(path, header, paths=PathTotals.of(paths, ("unknown",)), replaces=False) as writer:
+    with PasWriter(path, header, paths=PathTotals.of(paths, ("unknown",))) as writer:
         for part, own in zip(parts, paths, strict=True):
             cfr, num_paths = _channels(own, header)
             samples = SampleBlock.of_channels(cfr, num_paths, beam, header.pas_kind)
@@ -249,7 +249,7 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
 
 
 def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray) -> DatasetHeader:
-    name, first = folder.resolve().name, scenarios[0]
+    name, first = require_text(folder.resolve().name, "a data set"), scenarios[0]
     return DatasetHeader(
         scene_name=name,
         scene_json=json.dumps({"name": name}),

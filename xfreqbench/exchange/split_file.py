@@ -73,7 +73,7 @@ def write_handout(handout: Handout, path: Path, progress: ProgressCallback = ign
     groups = {split.name: _attributes(handout.dataset, split) for split in handout.splits}
     header = {"schema": SCHEMA, "content_sha256": handout.sha256}
     done = 0
-    with create_sealed(path, variables, header, groups, replaces=False) as writer:
+    with create_sealed(path, variables, header, groups) as writer:
         for split in handout.splits:
             _append_known(writer, handout.dataset, split)
         for split in handout.splits if handout.maps else ():

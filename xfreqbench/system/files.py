@@ -18,23 +18,24 @@ from filelock import FileLock, Timeout
 
 from xfreqbench.errors import OutputExistsError, StorageError
 
+_LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
 _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
 
 
 @contextmanager
-def atomic_path(target: Path, num_bytes: int = 0, replaces: bool = True) -> Iterator[Path]:
+def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
     """Yield a temporary path beside `target`, which is renamed to `target` if the block ends without an exception.
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
     exception the temporary file is removed and `target` is as it was. A killed process leaves hidden files
     `.NAME.HOST-PID.partial` and `.NAME.lock`, which the next writer of the same file removes. Raises what `sole_writer`
-    raises, and `OutputExistsError` where somebody else has written `target` since the block began, or, unless it
-    `replaces` a file, at any time. Theirs stays.
+    raises, and `OutputExistsError` where somebody else has written `target` since `require_own` looked at it, or since
+    the block began. Theirs stays.
     """
     with sole_writer(target):
         _remove_abandoned(target)
         require_space(target, num_bytes)
-        temporary, before = _partial(target), _state(target) if replaces else None
+        temporary, before = _partial(target), _looked_at.pop(target.absolute(), _state(target))
         _require_unchanged(target, before)
         try:
             with storage_errors(target, num_bytes):
@@ -50,6 +51,11 @@ def atomic_path(target: Path, num_bytes: int = 0, replaces: bool = True) -> Iter
                 sync(target.parent)  # or the rename itself may be lost with the power
         finally:
             temporary.unlink(missing_ok=True)
+
+
+_looked_at: dict[
+    Path, tuple[int, ...] | None
+] = {}  # states of outputs when `require_own` looked, until they are written
 
 
 def _require_unchanged(target: Path, before: tuple[int, ...] | None) -> None:
@@ -131,10 +137,12 @@ def require_own(
     This is the only place that makes the decision. `fault_of(path)` reads the file and returns None where the
     command may replace it or leave it as it is; otherwise it returns words that go on after "PATH exists and".
     Raises `OutputExistsError` with those words and `advice`, and `StorageError` for what is not a regular file
-    or cannot be read.
+    or cannot be read. What appears at the path after this look is not replaced, see `atomic_path`.
     """
     with storage_errors(path):
+        _looked_at[path.absolute()] = _state(path)
         if not path.exists() and not path.is_symlink():
+            require_name(path)
             return False
         if not path.is_file():
             raise StorageError(f"{path} is not a file, and nothing can be written in its place. {advice}")
@@ -146,15 +154,18 @@ def require_own(
 
 def require_empty(folder: Path) -> None:
     """As `require_own`, for a whole folder: raise `OutputExistsError` unless it is absent or empty."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise OutputExistsError(
-            f"{folder} exists and is no empty folder; nothing is written over it. Choose another, or empty it."
-        )
+    with storage_errors(folder):
+        if not folder.exists():
+            require_name(folder)
+        elif not folder.is_dir() or any(folder.iterdir()):
+            raise OutputExistsError(
+                f"{folder} exists and is no empty folder; nothing is written over it. Choose another, or empty it."
+            )
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically; raises `StorageError`."""
-    content = text.encode()
+    """Write a text file atomically, with names of files that are no UTF-8 escaped; raises `StorageError`."""
+    content = text.encode(errors="backslashreplace")
     with atomic_path(target, len(content)) as temporary, storage_errors(target, len(content)):
         temporary.write_bytes(content)
 
@@ -172,6 +183,35 @@ def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
         ) from error
 
 
+def require_name(target: Path) -> None:
+    """Raise `StorageError` where the name of a new output is too long for what is beside it while it is written."""
+    names = _partial(target), target.with_name(f".{target.name}.parts.01234567.removed")
+    longest = max(names, key=lambda path: len(os.fsencode(path.name)))
+    with storage_errors(target):
+        folder = next(parent for parent in target.absolute().parents if parent.exists())
+        for given, kept, limit in (
+            (target.name, longest.name, os.pathconf(folder, "PC_NAME_MAX")),
+            (target, longest, os.pathconf(folder, "PC_PATH_MAX") - _LONGEST_BATCH),
+        ):
+            surplus = len(os.fsencode(kept)) - limit
+            if surplus > 0:
+                raise StorageError(
+                    f"{given} has {len(os.fsencode(given))} bytes, {surplus} more than can be written there: what is "
+                    "kept beside it meanwhile has longer names. Choose a shorter name or another place."
+                )
+
+
+def require_text(given: str | Path, use: str = "a record") -> str:
+    """A path or another text as it is stored; raises `StorageError` for bytes that are no UTF-8."""
+    try:
+        str(given).encode()
+    except UnicodeEncodeError as error:
+        raise StorageError(
+            f"{str(given)!r} is no UTF-8, and {use} cannot hold it. Rename it, in letters of UTF-8."
+        ) from error
+    return str(given)
+
+
 def require_space(target: Path, num_bytes: int) -> None:
     """Make the folder of a file; raises `StorageError` if there is no room or no permission for `num_bytes` in it."""
     with storage_errors(target, num_bytes):
@@ -179,6 +219,7 @@ def require_space(target: Path, num_bytes: int) -> None:
         free_bytes = shutil.disk_usage(target.parent).free
     if target.is_dir():
         raise StorageError(f"{target} is a folder; give the path of a file.")
+    require_name(target)
     if free_bytes < num_bytes:
         raise StorageError(
             f"{target} needs {num_bytes:,} bytes, but its disk has {free_bytes:,} free. "
