@@ -53,9 +53,8 @@ def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-_looked_at: dict[
-    Path, tuple[int, ...] | None
-] = {}  # states of outputs when `require_own` looked, until they are written
+# States of outputs when `require_own` looked at them, until they are written.
+_looked_at: dict[Path, tuple[int, ...] | None] = {}
 
 
 def _require_unchanged(target: Path, before: tuple[int, ...] | None) -> None:
