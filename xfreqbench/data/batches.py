@@ -54,7 +54,7 @@ class BatchStore:
         np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index), **paths)
         content = buffer.getvalue()
         path = self.folder / f"{self._name(index)}-{hashlib.sha256(content).hexdigest()}.npz"
-        with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
+        with atomic_path(path, len(content), is_claimed=True) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
         self._paths[index] = path
 

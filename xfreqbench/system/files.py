@@ -10,7 +10,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
 
@@ -23,16 +23,16 @@ _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
 
 
 @contextmanager
-def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
+def atomic_path(target: Path, num_bytes: int = 0, is_claimed: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `target`, which is renamed to `target` if the block ends without an exception.
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
     exception the temporary file is removed and `target` is as it was. A killed process leaves hidden files
     `.NAME.HOST-PID.partial` and `.NAME.lock`, which the next writer of the same file removes. Raises what `sole_writer`
-    raises, and `OutputExistsError` where somebody else has written `target` since `require_own` looked at it, or since
-    the block began. Theirs stays.
+    raises, unless the caller has claimed the folder for itself, and `OutputExistsError` where somebody else has written
+    `target` since `require_own` looked at it, or since the block began. Theirs stays.
     """
-    with sole_writer(target):
+    with nullcontext() if is_claimed else sole_writer(target):
         _remove_abandoned(target)
         require_space(target, num_bytes)
         temporary, before = _partial(target), _looked_at.pop(target.absolute(), _state(target))
