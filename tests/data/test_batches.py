@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.support.plans import small_plan
 from xfreqbench.data import batches
+from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan
-from xfreqbench.errors import OutputExistsError, StorageError
-from xfreqbench.system.files import sole_worker
+from xfreqbench.errors import DataError, OutputExistsError, StorageError
+from xfreqbench.system.files import sole_writer
 
 OURS, OTHER = small_plan(num_transmitters=20), small_plan(num_transmitters=20, pas_kind="amplitude")
 
@@ -41,15 +45,49 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path, left_by_other: Path) -> None:
     folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
     names = {path.name for path in folder.iterdir()}
-    with pytest.raises(OutputExistsError, match="other settings"):
+    with pytest.raises(OutputExistsError, match=r"unfinished run with pas_kind amplitude \(here power\)\. Run"):
         generate_planned(OURS, tmp_path / "rooms.h5")
     assert {path.name for path in folder.iterdir()} == names
+
+
+def test_batches_of_other_code_or_software_are_refused_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bytes
+) -> None:
+    path = tmp_path / "rooms.h5"
+    monkeypatch.setattr("xfreqbench.data.plan.package_sha256", lambda: "edited")
+    monkeypatch.setattr("xfreqbench.data.plan.software_versions", lambda solver: OURS.header.software | {"numba": "9"})
+    folder = unfinished(small_plan(num_transmitters=20), path)
+    with pytest.raises(
+        OutputExistsError, match=r"run with software\.code edited \(here \w{16}\), software\.numba 9 \("
+    ):
+        generate_planned(OURS, path)
+    shutil.rmtree(folder)
+    assert generate_planned(OURS, path).read_bytes() == whole
+
+
+def test_a_sample_of_every_batch_that_was_kept_is_traced_again(tmp_path: Path) -> None:
+    plan, path = small_plan(num_transmitters=96), tmp_path / "rooms.h5"
+    folder = unfinished(plan, path)
+    store, third = BatchStore(folder, plan), next(folder.glob("000002-*"))
+    channel = store.read(2)
+    third.unlink()
+    store.write(2, replace(channel, cfr=2 * channel.cfr))  # whole, and yet not what this code traces
+    with pytest.raises(DataError, match=r"transmitter (3[2-9]|4[0-7]) at .* differs by"):
+        generate_planned(plan, path)
+    assert not path.exists()
+
+
+def test_a_file_that_somebody_writes_in_the_meantime_stays(tmp_path: Path) -> None:
+    path = tmp_path / "rooms.h5"
+    with pytest.raises(OutputExistsError, match="in the meantime"):
+        generate_planned(OURS, path, write_progress=lambda done, total: path.write_text("theirs"))
+    assert path.read_text() == "theirs"
 
 
 def test_batches_without_a_marker_are_refused(tmp_path: Path, left_by_other: Path) -> None:
     """A removal that was killed left such a folder, and every job took it for its own."""
     folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
-    (folder / "job.sha256").unlink()
+    (folder / "job.json").unlink()
     with pytest.raises(OutputExistsError, match=r"no folder of unfinished batches"):
         generate_planned(OURS, tmp_path / "rooms.h5")
     assert len(list(folder.glob("*.npz"))) == 2
@@ -60,7 +98,7 @@ def test_batches_of_another_job_are_not_taken_even_with_our_marker(
     tmp_path: Path, left_by_other: Path, whole: bytes, named: str
 ) -> None:
     folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
-    (folder / "job.sha256").write_text(OURS.sha256)
+    (folder / "job.json").write_text(json.dumps(OURS.job))
     for path in folder.glob("*.npz") if named == "ours" else ():
         path.rename(folder / path.name.replace(OTHER.sha256[:16], OURS.sha256[:16]))
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
@@ -89,10 +127,11 @@ def test_a_damaged_batch_is_traced_again(tmp_path: Path, whole: bytes) -> None:
 def test_a_kill_before_the_folder_is_marked_does_not_block_it(tmp_path: Path, whole: bytes) -> None:
     folder = tmp_path / "rooms.h5.parts"
     folder.mkdir()
-    (folder / "lock").write_text("process 1 on elsewhere", encoding="utf-8")
-    (folder / ".job.sha256.elsewhere-1.partial").write_text("half", encoding="utf-8")
+    (tmp_path / ".rooms.h5.lock").write_text("process 1 on elsewhere", encoding="utf-8")
+    (folder / ".job.json.lock").write_text("process 1 on elsewhere", encoding="utf-8")
+    (folder / ".job.json.elsewhere-1.partial").write_text("half", encoding="utf-8")
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
-    assert not folder.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["rooms.h5"]
 
 
 def test_a_folder_of_somebody_else_is_refused_by_name(tmp_path: Path) -> None:
@@ -135,17 +174,17 @@ def test_a_link_in_the_folders_place_is_not_followed(tmp_path: Path) -> None:
 
 
 def test_one_process_at_a_time_writes_an_output(tmp_path: Path, whole: bytes) -> None:
-    folder = unfinished(OURS, tmp_path / "rooms.h5")
+    unfinished(OURS, tmp_path / "rooms.h5")
     refusal = r"rooms\.h5 is being written by process \d+ on .*, since .*\. Wait"
-    with sole_worker(folder / "lock", tmp_path / "rooms.h5"), pytest.raises(StorageError, match=refusal):
-        generate_planned(OURS, tmp_path / "rooms.h5")
+    with sole_writer(tmp_path / "rooms.h5"), ThreadPoolExecutor(1) as other, pytest.raises(StorageError, match=refusal):
+        other.submit(generate_planned, OURS, tmp_path / "rooms.h5").result()
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
 
 
 def test_what_a_kill_leaves_of_a_removal_goes_with_the_next_run(tmp_path: Path) -> None:
-    path = tmp_path / "rooms.h5"
+    path = tmp_path / "rooms[1].h5"
     folder = unfinished(OURS, path)
-    shutil.copytree(folder, tmp_path / ".rooms.h5.parts.killed.removed")
+    shutil.copytree(folder, tmp_path / ".rooms[1].h5.parts.killed.removed")
     generate_planned(OURS, path)
     assert list(tmp_path.iterdir()) == [path]
     unfinished(OURS, tmp_path / "again.h5").rename(folder)  # killed when the data set already had its name

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -12,14 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import xfreqbench
 from tests.support.forked import command_line
 from tests.support.plans import SETTINGS, small_plan
+from xfreqbench.data.batches import batch_folder
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate, generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import OutputExistsError, StorageError
 from xfreqbench.scene.meshes import SurfaceMesh
-from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene, shipped_folder
 from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -59,9 +62,9 @@ def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) ->
     before = path.stat().st_mtime_ns
     generate_planned(small_plan(), path)
     assert path.stat().st_mtime_ns == before
-    with pytest.raises(OutputExistsError, match="holds another job"):
+    with pytest.raises(OutputExistsError, match="holds another data set"):
         generate_planned(small_plan(num_transmitters=30), path)
-    with pytest.raises(OutputExistsError, match="holds another job"):
+    with pytest.raises(OutputExistsError, match="holds another data set"):
         generate_planned(small_plan(pas_kind="amplitude"), path)
     assert path.stat().st_mtime_ns == before
 
@@ -105,6 +108,27 @@ def test_a_generation_killed_at_random_moments_ends_in_the_same_bytes(tmp_path: 
     assert num_kills  # mostly seven, two of them while the file is written
     assert broken.read_bytes() == unbroken.read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.h5", "unbroken.h5"]
+
+
+@pytest.mark.slow
+def test_a_killed_generation_does_not_go_on_with_edited_code(tmp_path: Path) -> None:
+    path, package = tmp_path / "rooms.h5", tmp_path / "copy" / "xfreqbench"
+    shutil.copytree(Path(xfreqbench.__file__).parent, package)  # with what Numba has compiled
+    shutil.copytree(shipped_folder(), package / "scenes", dirs_exist_ok=True)
+    script = f"import sys; sys.path.insert(0, {str(package.parent)!r}); from xfreqbench.cli.main import main; main()"
+    command = [sys.executable, "-c", script, *generate_command(path)[1:]]
+    process = subprocess.Popen(command)
+    wait_for_batches(process, path, 3)
+    process.kill()
+    process.wait()
+    kept = sorted(batch_folder(path).glob("*.npz"))
+    tracer = package / "tracing" / "image" / "tracer.py"
+    tracer.write_text(tracer.read_text() + "# edited\n")
+    refused = subprocess.run(command, capture_output=True, text=True)
+    assert refused.returncode == 2
+    assert re.search(r"unfinished run with software\.code \w{16} \(here \w{16}\)", refused.stderr)
+    assert sorted(batch_folder(path).glob("*.npz")) == kept
+    assert not path.exists()
 
 
 def wait_for_writing(process: subprocess.Popen[Any], path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import xfreqbench as xb
 from xfreqbench.cli import data as commands
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
+from xfreqbench.tracing.versions import software_versions
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
 OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
@@ -67,7 +68,7 @@ def test_transmitters_stand_where_they_are_put(tmp_path: Path) -> None:
 def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
     at_receiver = np.array([xb.load_scene("empty").receiver.position_m])
     small(tmp_path / "data.h5")
-    with pytest.raises(OutputExistsError, match="holds another job"):
+    with pytest.raises(OutputExistsError, match="holds another data set"):
         small(tmp_path / "data.h5", seed=2)
     with pytest.raises(XFreqBenchError, match="Did you mean 'refraction'"):
         small(tmp_path / "x.h5", interactions=["refracton"])
@@ -76,6 +77,23 @@ def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
     with pytest.raises(PlacementError):
         small(tmp_path / "x.h5", tx=None, tx_positions=at_receiver)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data.h5"]
+
+
+def test_data_of_other_software_are_used_where_the_same_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = software_versions("image")
+    with monkeypatch.context() as patch:
+        patch.setattr("xfreqbench.data.plan.software_versions", lambda solver: known | {"numpy": "0.1"})
+        small(tmp_path / "data.h5")
+    before = (tmp_path / "data.h5").stat().st_mtime_ns
+    said: list[str] = []
+    described = replace(xb.load_scene("empty"), description="said in other words")
+    xb.generate(described, tmp_path / "data.h5", **SMALL, tell=said.append)  # type: ignore[arg-type]
+    assert (tmp_path / "data.h5").stat().st_mtime_ns == before
+    assert f"by other software, numpy 0.1 (here {known['numpy']})" in said[-1]
+    with pytest.raises(OutputExistsError, match=r"another data set, with settings\.seed 1 \(here 2\), tx_p.*Choose"):
+        small(tmp_path / "data.h5", seed=2)
 
 
 def test_bars_are_drawn_where_they_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

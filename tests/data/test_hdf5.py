@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import fcntl
+import subprocess
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -8,9 +11,11 @@ import numpy as np
 import pytest
 
 from tests.support.damage import data_offset, flip
+from tests.support.plans import small_plan
 from tests.support.synthetic import write_dataset
-from xfreqbench.data.dataset import open_dataset, verify
-from xfreqbench.errors import DataError
+from xfreqbench.data.dataset import holds_same_job, open_dataset, verify
+from xfreqbench.data.hdf5 import open_foreign
+from xfreqbench.errors import DataError, StorageError
 
 
 def test_verify_accepts_what_was_written(tmp_path: Path) -> None:
@@ -68,6 +73,24 @@ def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * share)])
     with pytest.raises(DataError):
+        open_dataset(path)
+
+
+def test_a_file_that_another_program_has_opened_to_write_is_in_use_not_damaged(tmp_path: Path) -> None:
+    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    with path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5 does
+        for read in (open_dataset, verify, lambda path: open_foreign(path).__enter__()):
+            with pytest.raises(StorageError, match=r"data\.h5 is in use: .*h5clear"):
+                read(path)
+        header, places = small_plan().header, small_plan().tx_position_m
+        with pytest.raises(StorageError, match=r"data\.h5 is in use: .*h5clear"):
+            holds_same_job(path, header, places)
+    open_dataset(path)
+    subprocess.run(
+        [sys.executable, "-c", f"import h5py, os; file = h5py.File({str(path)!r}, 'r+'); os.kill(os.getpid(), 9)"]
+    )
+    with pytest.raises(StorageError, match="is in use"):  # as a mark in the file says, which the killed program left
         open_dataset(path)
 
 

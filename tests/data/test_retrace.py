@@ -15,7 +15,7 @@ from xfreqbench.data import retrace
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.retrace import require_origin, traced_scene
+from xfreqbench.data.retrace import drawn_rows, require_origin, traced_scene
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
@@ -42,15 +42,16 @@ def rewritten(dataset: PasDataset, path: Path, cfr: object = None, tx_position_m
 
 
 def test_what_was_traced_is_found_again(traced: PasDataset) -> None:
-    assert require_origin(traced, 40).difference < 3e-4  # maps are stored in 16 bits
-    worst = require_origin(traced, 3, seed=5)
+    assert require_origin(traced, drawn_rows(traced, 40)).difference < 3e-4  # maps are stored in 16 bits
+    worst = require_origin(traced, drawn_rows(traced, 3, seed=5))
     assert worst.carrier_hz in traced.header.carrier_hz
     assert 0 <= worst.tx < 20
-    assert {require_origin(traced, 1, seed).tx for seed in range(6)} != {worst.tx}
+    assert {require_origin(traced, drawn_rows(traced, 1, seed)).tx for seed in range(6)} != {worst.tx}
 
 
 def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp_path: Path) -> None:
     cfr, position_m = traced.tables["cfr"], traced.tables["tx_position_m"]
+    rows = drawn_rows(traced, 2)
     refusal = r"does not hold what its header says: traced again, transmitter \d+ at .* GHz differs by"
     for name, changes in {
         "swapped": {"cfr": np.roll(cfr, 1, axis=0)},
@@ -59,14 +60,14 @@ def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp
         "moved": {"tx_position_m": position_m + np.array([0.001, 0, 0])},
     }.items():
         with pytest.raises(DataError, match=refusal):
-            require_origin(rewritten(traced, tmp_path / f"{name}.h5", **changes), 2)
-    require_origin(rewritten(traced, tmp_path / "same.h5"), 2)
+            require_origin(rewritten(traced, tmp_path / f"{name}.h5", **changes), rows)
+    require_origin(rewritten(traced, tmp_path / "same.h5"), rows)
 
 
 def test_a_sample_that_is_traced_to_no_number_is_found_out(traced: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retrace, "_apart", lambda stored, again: float("nan"))
     with pytest.raises(DataError, match="differs by nan"):
-        require_origin(traced, 3)
+        require_origin(traced, drawn_rows(traced, 3))
 
 
 def test_a_generation_whose_channels_are_not_its_own_leaves_no_file(
@@ -96,7 +97,7 @@ def test_info_traces_samples_again(traced: PasDataset) -> None:
 def test_without_its_meshes_nothing_can_be_traced(traced: PasDataset) -> None:
     other = replace(traced, header=replace(traced.header, scene_sha256="0" * 64))
     with pytest.raises(SceneError, match="not those that the data were traced among"):
-        require_origin(other, 1)
+        require_origin(other, np.zeros(1, int))
 
 
 def test_the_meshes_of_a_shipped_scene_are_found_wherever_the_data_are(tmp_path: Path) -> None:

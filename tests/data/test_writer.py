@@ -83,7 +83,7 @@ def test_a_killed_writer_leaves_the_target_alone(tmp_path: Path) -> None:
     killed = subprocess.run(_script(path, before=before), check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not path.exists()
-    assert [file.suffix for file in tmp_path.iterdir()] == [".partial"]
+    assert sorted(file.suffix for file in tmp_path.iterdir()) == [".lock", ".partial"]
 
 
 def test_a_disk_that_fills_up_is_a_storage_error_and_leaves_nothing(tmp_path: Path) -> None:

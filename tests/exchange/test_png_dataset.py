@@ -9,7 +9,7 @@ from PIL import Image
 from tests.support.png_folders import TRANSMITTERS, imported, levels, read, write_folder
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import open_dataset, verify
-from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.exchange import png_dataset
 from xfreqbench.exchange.png_dataset import import_png_folder
 
@@ -77,6 +77,18 @@ def test_a_file_of_somebody_else_s_is_not_overwritten(tmp_path: Path, content: b
     with pytest.raises(OutputExistsError):
         import_png_folder(read(write_folder(tmp_path / "small")), path)
     assert path.read_bytes() == before
+
+
+def test_a_file_that_somebody_writes_during_the_import_stays(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    with pytest.raises(OutputExistsError, match="in the meantime"):
+        import_png_folder(read(write_folder(tmp_path / "small")), path, lambda done, total: path.write_text("theirs"))
+    assert path.read_text() == "theirs"
+
+
+def test_a_folder_whose_name_no_data_set_can_hold_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"'caf\\udce9' is no UTF-8, and a data set cannot hold it"):
+        import_png_folder(read(write_folder(tmp_path / "caf\udce9")), tmp_path / "data.h5")
 
 
 def test_a_png_that_is_cut_short_leaves_no_file(tmp_path: Path) -> None:

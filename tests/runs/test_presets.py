@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -121,9 +122,10 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
     results = tmp_path / "results"
     with (
         Benchmark("small", SMALL, tmp_path / "data", results).alone(),
+        ThreadPoolExecutor(1) as other,
         pytest.raises(StorageError, match=r"results is being written by process \d+"),
     ):
-        _run(tmp_path)
+        other.submit(_run, tmp_path).result()
     assert not (tmp_path / "data").exists()
     assert not results.exists() or not list(results.iterdir())
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,12 +19,15 @@ from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError, StorageError, UnknownNameError, XFreqBenchError
+from xfreqbench.exchange.score_file import score_file
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import fit, records
+from xfreqbench.runs.benchmark import plan_benchmark
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.records import Job
+from xfreqbench.runs.run import run
 from xfreqbench.system import machine
 
 ON_A_TERMINAL = {"FORCE_COLOR": "1", "TTY_INTERACTIVE": "1", "COLUMNS": "200"}  # as Rich is told
@@ -185,6 +189,20 @@ def test_a_record_says_what_data_it_is_of(dataset: PasDataset, tmp_path: Path) -
     record = run_job(lofo_job(dataset), tmp_path)
     assert record.pas_kind == dataset.header.pas_kind == "power"
     assert record.settings == dataset.header.settings
+
+
+def test_a_name_that_no_record_can_hold_is_told_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
+    path, results = tmp_path / "caf\udce9.h5", tmp_path / "results"  # 0xE9, é of Latin-1, as Python reads file names
+    shutil.copyfile(dataset.path, path)
+    for refused in (
+        lambda: run(path, "nearest", targets_ghz=24.25, results=results),
+        lambda: run(dataset, {"nearest": ["neighbours=\udce9"]}, results=results),
+        lambda: score_file(dataset.path, path, results),
+        lambda: plan_benchmark("quick", path, results),
+    ):
+        with pytest.raises(StorageError, match=r"udce9.*' is no UTF-8, and a record cannot hold it\. Rename it"):
+            refused()
+    assert not results.exists()
 
 
 @pytest.mark.parametrize("name", ["", "predictions"])

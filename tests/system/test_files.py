@@ -2,13 +2,24 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import platform
 import time
 from pathlib import Path
 
 import pytest
 
 from xfreqbench.errors import OutputExistsError, StorageError
-from xfreqbench.system.files import exclusive, read_bytes, read_text, require_own
+from xfreqbench.system.files import (
+    atomic_folder,
+    atomic_path,
+    exclusive,
+    read_bytes,
+    read_text,
+    require_empty,
+    require_own,
+    require_space,
+    write_text,
+)
 
 
 def _count_up(folder: Path) -> None:
@@ -60,6 +71,66 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
     with exclusive(tmp_path / "lock"):
         pass
     assert not (tmp_path / "lock").exists()
+
+
+def _write_for_ever(path: Path) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("half")
+        time.sleep(600)
+
+
+def test_one_process_at_a_time_writes_a_file_and_after_its_kill_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "office[1].h5"
+    process = multiprocessing.get_context("fork").Process(target=_write_for_ever, args=(path,))
+    process.start()
+    while not list(tmp_path.glob("*.partial")):
+        time.sleep(0.01)
+    with pytest.raises(StorageError, match=rf"office\[1\]\.h5 is being written by process {process.pid} on .*Wait"):
+        write_text(path, "other")
+    process.kill()
+    process.join()
+    write_text(path, "whole")
+    assert [(left.name, left.read_text()) for left in tmp_path.iterdir()] == [(path.name, "whole")]
+
+
+def test_what_others_write_in_the_meantime_stays(tmp_path: Path) -> None:
+    path = tmp_path / "output"
+    for before in (None, "ours"):
+        if before:
+            path.write_text(before)
+        with pytest.raises(OutputExistsError, match="in the meantime"), atomic_path(path) as temporary:
+            temporary.write_text("new")
+            path.write_text("theirs")
+        assert [(left.name, left.read_text()) for left in tmp_path.iterdir()] == [("output", "theirs")]
+    require_own(path, lambda file: None)
+    path.write_text("theirs, after the look")
+    with pytest.raises(OutputExistsError, match="in the meantime"), atomic_path(path):
+        pytest.fail("nothing is to be done in vain")
+    write_text(path, "new caf\udce9.h5")  # the name of a file that is no UTF-8
+    assert path.read_text() == "new caf\\udce9.h5"
+    folder = tmp_path / "folder"
+    with pytest.raises(OutputExistsError, match="is no empty folder"), atomic_folder(folder) as temporary:
+        (temporary / "file").write_text("new")
+        folder.mkdir()
+        (folder / "file").write_text("theirs")
+    assert (folder / "file").read_text() == "theirs"
+
+
+def test_a_name_that_is_too_long_is_refused_before_the_work(tmp_path: Path) -> None:
+    limit = os.pathconf(tmp_path, "PC_NAME_MAX")
+    path = tmp_path / ("é" * (limit // 2 - 6) + ".h5")
+    with pytest.raises(StorageError, match=rf"é\.h5 has {len(os.fsencode(path.name))} bytes, \d+ more than can be"):
+        require_own(path, lambda file: None)
+    surplus = max(24, len(f"..{platform.node()}-{os.getpid()}.partial"))
+    longest = tmp_path / ("n" * (limit - surplus))
+    with pytest.raises(StorageError, match=", 1 more than can be written"):
+        require_own(longest.with_name(longest.name + "n"), lambda file: None)
+    require_own(longest, lambda file: None)
+    write_text(longest, "whole")
+    deep = tmp_path.joinpath(*[200 * "d"] * (os.pathconf(tmp_path, "PC_PATH_MAX") // 201 - 2))
+    for refuse in (require_empty, lambda path: require_space(path, 1)):
+        with pytest.raises(StorageError, match=r"dd has \d+ bytes, \d+ more than|File name too long"):
+            refuse(deep / (200 * "d"))
 
 
 def test_nothing_may_be_written_over_but_what_is_known_to_be_ours(tmp_path: Path) -> None:

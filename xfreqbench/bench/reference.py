@@ -25,7 +25,7 @@ from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.array_files import read_arrays
-from xfreqbench.system.files import atomic_path, require_own, storage_errors
+from xfreqbench.system.files import atomic_path, require_own, sole_writer, storage_errors
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.tracing.versions import software_versions
@@ -96,33 +96,35 @@ def _read(path: Path) -> Reference:
 def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None:
     """Compute and store the reference, transmitter by transmitter; it continues what a killed run left.
 
-    Raises `OutputExistsError` where the file holds a reference of another scene or other settings.
+    Raises `OutputExistsError` where the file holds a reference of another scene or other settings, and `StorageError`
+    where another process makes it.
     """
     from xfreqbench.tracing.sionna.plain import plain_channel
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
 
-    reference = _unfinished_reference(scene, path)
-    if scene.scene is not None and np.isnan(reference.cfr).any():
-        settings = replace(REFERENCE_SETTINGS, solver="image")
-        tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
-        reference.cfr[:] = tracer.channel(reference.tx_position_m).cfr
-        _write_reference(path, reference)
-    missing = np.argwhere(np.isnan(reference.cfr[..., 0]))
-    total = reference.cfr.shape[0] * reference.cfr.shape[1]
-    progress(total - len(missing), total)
-    for done, (t, f) in enumerate(missing, start=total - len(missing) + 1):
-        with roomy_hash_table():
-            reference.cfr[t, f] = plain_channel(
-                scene,
-                float(reference.carrier_hz[f]),
-                reference.tx_position_m[t : t + 1],
-                REFERENCE_SETTINGS.named_interactions,
-                REFERENCE_SETTINGS.max_depth,
-                REFERENCE_SETTINGS.rays,
-                REFERENCE_SETTINGS.seed,
-            )[0]
-        _write_reference(path, reference)
-        progress(done, total)
+    with sole_writer(path):
+        reference = _unfinished_reference(scene, path)
+        if scene.scene is not None and np.isnan(reference.cfr).any():
+            settings = replace(REFERENCE_SETTINGS, solver="image")
+            tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
+            reference.cfr[:] = tracer.channel(reference.tx_position_m).cfr
+            _write_reference(path, reference)
+        missing = np.argwhere(np.isnan(reference.cfr[..., 0]))
+        total = reference.cfr.shape[0] * reference.cfr.shape[1]
+        progress(total - len(missing), total)
+        for done, (t, f) in enumerate(missing, start=total - len(missing) + 1):
+            with roomy_hash_table():
+                reference.cfr[t, f] = plain_channel(
+                    scene,
+                    float(reference.carrier_hz[f]),
+                    reference.tx_position_m[t : t + 1],
+                    REFERENCE_SETTINGS.named_interactions,
+                    REFERENCE_SETTINGS.max_depth,
+                    REFERENCE_SETTINGS.rays,
+                    REFERENCE_SETTINGS.seed,
+                )[0]
+            _write_reference(path, reference)
+            progress(done, total)
 
 
 def _unfinished_reference(scene: Scene, path: Path) -> Reference:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from xfreqbench.runs.records import BenchFigure, BenchRecord, append, read
-from xfreqbench.system.files import require_regular, storage_errors
+from xfreqbench.system.files import require_name, require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
 
@@ -20,6 +20,8 @@ def require_records(output: Path | None) -> None:
         output.parent.mkdir(parents=True, exist_ok=True)
         if output.exists():
             require_regular(output)
+        else:
+            require_name(output)
         output.open("ab").close()
     read(output)
 

@@ -174,7 +174,7 @@ def info(
     """Print what a data set holds, verify every byte of it against its hashes, and compare it with a fingerprint."""
     from xfreqbench.data.dataset import open_dataset, verify
     from xfreqbench.data.fingerprint import compare_fingerprint
-    from xfreqbench.data.retrace import require_origin
+    from xfreqbench.data.retrace import drawn_rows, require_origin
     from xfreqbench.report.view.describe import describe
 
     if min(retrace, seed) < 0:
@@ -187,7 +187,7 @@ def info(
     print(compare_fingerprint(open_dataset(file)).verdict)
     if retrace:
         dataset = open_dataset(file)
-        worst = require_origin(dataset, retrace, seed)
+        worst = require_origin(dataset, drawn_rows(dataset, retrace, seed))
         print(f"{min(retrace, len(dataset))} samples traced again: {worst}, the others by less")
     if glints:
         from xfreqbench.data.glints import glints as left_out

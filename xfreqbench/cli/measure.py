@@ -28,12 +28,13 @@ def _bench(name: str, output: Path | None, *arguments: str, kind: str | None = N
     import shlex
 
     from xfreqbench.bench.tables import Bench
+    from xfreqbench.system.files import require_text
 
     words = ["xfreqbench", "bench", name, *arguments]
     for option, value in options.items():
         flag = f"--{option.replace('_', '-')}"
         words += [] if value is None or value is False else [flag] if value is True else [flag, str(value)]
-    return Bench(kind or name, shlex.join(words), say, output)
+    return Bench(kind or name, require_text(shlex.join(words)), say, output)
 
 
 @bench.command(name="generate", help_epilogue=example("bench generate office --solvers image"))

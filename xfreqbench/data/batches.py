@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import io
+import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,16 +16,19 @@ import numpy as np
 from xfreqbench.data.plan import Plan
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.system.array_files import unpacked
-from xfreqbench.system.files import atomic_path, require_own, sole_worker, storage_errors, write_text
+from xfreqbench.system.cluster import differences
+from xfreqbench.system.files import atomic_path, require_own, sole_writer, storage_errors, write_text
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import Channel
 
-_MARKER, _LOCK, _BATCHES = "job.sha256", "lock", "[0-9]*-*.npz"
+_MARKER, _BATCHES = "job.json", "[0-9]*-*.npz"
 _ADVICE = "Rename it, or choose another output with -o."
 
 
 class BatchStore:
     """Finished batches of one job in a folder, which `claimed_batches` gives to one process at a time.
+
+    `kept` are the numbers of those that were there at the beginning, from processes before this one.
 
     A file's name carries the number of the batch, the digest of its job and the sha256 of its bytes, and these bytes
     hold number and job once more. It is written under another name, synced and renamed. One that has its sha256 and
@@ -36,6 +41,7 @@ class BatchStore:
         self.plan = plan
         pattern = f"[0-9]*-{plan.sha256[:16]}-*.npz"
         self._paths = {_index(path): path for path in folder.glob(pattern) if self._channel(path)}
+        self.kept = sorted(self._paths)
 
     def missing(self) -> list[tuple[int, slice]]:
         """Batches that have to be traced, each with its index and its transmitters."""
@@ -48,7 +54,7 @@ class BatchStore:
         np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index), **paths)
         content = buffer.getvalue()
         path = self.folder / f"{self._name(index)}-{hashlib.sha256(content).hexdigest()}.npz"
-        with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
+        with atomic_path(path, len(content), is_claimed=True) as temporary, storage_errors(path, len(content)):
             temporary.write_bytes(content)
         self._paths[index] = path
 
@@ -84,11 +90,11 @@ def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
     """The batches of a job, beside its output in `OUTPUT.parts`, for this process alone during the block.
 
     They are removed when the block ends without an exception. Raises `OutputExistsError` where the folder is
-    another job's or somebody else's, and `StorageError` where another process is at it.
+    another job's or somebody else's, and `StorageError` where another process is at the output.
     """
     folder = batch_folder(output)
-    _require_ours(folder)
-    with sole_worker(folder / _LOCK, output):
+    with sole_writer(output):
+        _require_ours(folder)
         _mark(folder, plan)
         yield BatchStore(folder, plan)
         with storage_errors(folder):
@@ -103,11 +109,20 @@ def batch_folder(output: Path) -> Path:
 def holds_batches_of(output: Path, plan: Plan) -> bool:
     """Whether a process that was killed at its very end left the batches of a job beside the output."""
     folder = batch_folder(output)
-    return not folder.is_symlink() and _is_marked(folder / _MARKER, plan)
+    marker = folder / _MARKER
+    return not folder.is_symlink() and marker.is_file() and not _fault_of_marker(marker, plan)
 
 
-def _is_marked(marker: Path, plan: Plan) -> bool:
-    return marker.is_file() and marker.read_bytes() == plan.sha256.encode()
+def _fault_of_marker(marker: Path, plan: Plan) -> str | None:
+    """In words, how the job that a marker names differs from a plan's; None if it is the same."""
+    try:
+        marked = json.loads(marker.read_bytes())
+    except (ValueError, RecursionError):
+        return "is damaged"
+    if marked == plan.job:
+        return None
+    differing = differences(plan.job, marked) if isinstance(marked, dict) else "nothing that can be read"
+    return f"marks batches of an unfinished run with {differing}"
 
 
 def _require_ours(folder: Path) -> None:
@@ -119,8 +134,7 @@ def _require_ours(folder: Path) -> None:
             return
         if not folder.is_dir():
             raise OutputExistsError(f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}")
-        started = (_LOCK, f".{_MARKER}.*.partial")  # all that is there before the marker is
-        foreign = sorted(path.name for path in folder.iterdir() if not any(map(path.match, started)))
+        foreign = sorted(path.name for path in folder.iterdir() if not path.match(f".{_MARKER}.*"))  # not yet a marker
         if foreign and not (folder / _MARKER).is_file():
             raise OutputExistsError(
                 f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is no folder of unfinished batches. {_ADVICE}"
@@ -129,11 +143,9 @@ def _require_ours(folder: Path) -> None:
 
 def _mark(folder: Path, plan: Plan) -> None:
     """Make a folder this job's, or raise `OutputExistsError` where it is another's."""
-    marker = folder / _MARKER
-    fault = "marks batches of an unfinished run with other settings, software or transmitters"
     advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
-    if not require_own(marker, lambda file: None if _is_marked(file, plan) else fault, advice):
-        write_text(marker, plan.sha256)
+    if not require_own(folder / _MARKER, lambda file: _fault_of_marker(file, plan), advice):
+        write_text(folder / _MARKER, json.dumps(plan.job))
 
 
 def _remove(folder: Path) -> None:
@@ -143,7 +155,7 @@ def _remove(folder: Path) -> None:
     """
     doomed = Path(tempfile.mkdtemp(".removed", f".{folder.name}.", folder.parent))
     folder.replace(doomed)
-    for each in folder.parent.glob(f".{folder.name}.*.removed"):
+    for each in folder.parent.glob(f".{glob.escape(folder.name)}.*.removed"):
         if not each.is_symlink():
             _empty(each)
     if doomed.exists():
@@ -151,8 +163,8 @@ def _remove(folder: Path) -> None:
 
 
 def _empty(folder: Path) -> None:
-    """Remove batches, marker and lock from a folder, and the folder if nothing else is in it."""
-    for pattern in (_BATCHES, f".{_BATCHES}.*.partial", _MARKER, f".{_MARKER}.*.partial", _LOCK):
+    """Remove batches and marker from a folder, and the folder if nothing else is in it."""
+    for pattern in (_BATCHES, f".{_BATCHES}.*", _MARKER, f".{_MARKER}.*"):
         for path in folder.glob(pattern):
             if path.is_symlink() or path.is_file():
                 path.unlink(missing_ok=True)

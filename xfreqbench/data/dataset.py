@@ -43,7 +43,7 @@ from xfreqbench.data.paths import (
     stored_offsets,
     stored_totals,
 )
-from xfreqbench.data.recipe import Recipe
+from xfreqbench.data.recipe import Recipe, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
 from xfreqbench.errors import DataError
@@ -52,6 +52,7 @@ from xfreqbench.maps.drawing import map_figure
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.system.arguments import FilePath, checked
+from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_own
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
@@ -404,11 +405,13 @@ def verify(path: str | Path) -> None:
     verify_sealed(Path(path), SCHEMA)
 
 
-def holds_same_job(path: Path, sha256: str, kind: str) -> bool:
-    """Whether `path` holds the whole data set whose `DatasetHeader.job_sha256` is `sha256`; False if it is absent.
+def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> bool:
+    """Whether `path` holds the whole data set of a header and transmitters; False if it is absent.
 
-    Raises `OutputExistsError` for another file; `kind` is what its message calls the data set.
+    Which software made it makes no difference: see `job_of`. Raises `OutputExistsError`, which says what differs, for
+    another file, and `StorageError` for one that another program holds open.
     """
+    asked = job_of(header, tx_position_m)
 
     def fault_of(file: Path) -> str | None:
         try:
@@ -416,11 +419,8 @@ def holds_same_job(path: Path, sha256: str, kind: str) -> bool:
             existing = open_dataset(file)
         except DataError as error:
             return f"holds no data set that can be read: {error}"
-        header = existing.header
-        if header.job_sha256(existing.tables["tx_position_m"]) == sha256:
-            return None
-        content = f"{header.scene_name}, {header.num_tx} transmitters, settings {header.settings}"
-        return f"holds another {kind} ({content})"
+        differing = differences(asked, job_of(existing.header, existing.tables["tx_position_m"]))
+        return f"holds another data set, with {differing}" if differing else None
 
     return require_own(path, fault_of)
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +33,12 @@ from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_
 from xfreqbench.tracing.solvers import interactions_named, tracer_of
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
+from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 _FEW_RAYS = 1000  # which meet all that has to be compiled
 
-NUM_RETRACED = 4  # samples of every data set that are traced again before it gets its name
+NUM_RETRACED = 4  # samples of every data set that are traced again before it gets its name, or more after a kill
 
 
 @checked
@@ -89,7 +90,10 @@ def generate(
         open_workers(executor) as workers,
         progress_bars("transmitters", ["tracing", "writing"], not progress) as (tracing, writing),
     ):
-        return open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
+        dataset = open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
+    if tell and (differing := differences(plan.header.software, dataset.header.software)):
+        tell(f"{output} was traced by other software, {differing}, and has the same recipe: it stays as it is.")
+    return dataset
 
 
 def plan_of(
@@ -130,21 +134,22 @@ def generate_planned(
     `progress` and `write_progress` are told, for either stage, how many transmitters are done and how many there
     are. `workers` trace; the file is written in this process, and is the same whoever traced.
 
-    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole. Before the file gets its
-    name, four of its samples are traced again from its own header. An output that already holds this job is left as
-    it is. Raises `OutputExistsError` for one that holds another, `StorageError` where there is no room or another
-    process writes it, `DataError` where a sample differs, and `ClusterError` for workers whose solvers differ, or
-    that die.
+    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole; only the same code and
+    software go on with them. Before the file gets its name, four of its samples are traced again from its own header,
+    and one of each batch that a process before this one has traced. An output that already holds this job is left as
+    it is, whichever software made it. Raises `OutputExistsError` for one that holds another, `StorageError` where there
+    is no room or another process writes it, `DataError` where a sample differs, and `ClusterError` for workers whose
+    solvers differ, or that die.
     """
     num_tx = len(plan.tx_position_m)
-    is_whole = holds_same_job(path, plan.sha256, "job")
+    is_whole = holds_same_job(path, plan.header, plan.tx_position_m)
     if not is_whole:
         require_space(path, plan.num_bytes)
         _require_same_software(plan, workers)
     if not is_whole or holds_batches_of(path, plan):
         try:
             with claimed_batches(path, plan) as store:
-                if not holds_same_job(path, plan.sha256, "job"):  # nor did another process write it in the meantime
+                if not holds_same_job(path, plan.header, plan.tx_position_m):  # nor did another process write it
                     _trace_missing(plan, store, progress, workers)
                     _write(plan, store, path, write_progress, workers)
         finally:
@@ -179,8 +184,7 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
     beam = BartlettBeam(plan.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
 
     def prove(written: Path) -> None:
-        seed, folder = int(plan.sha256[:8], 16), plan.scene.folder
-        require_origin(open_dataset(written), NUM_RETRACED, seed, folder=folder, workers=workers)
+        require_origin(open_dataset(written), _sampled(plan, store.kept), folder=plan.scene.folder, workers=workers)
 
     totals = None
     if plan.header.paths:
@@ -193,6 +197,15 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
             samples = SampleBlock.of_channels(channel.cfr, channel.num_paths, beam, plan.header.pas_kind)
             writer.append(plan.tx_position_m[rows], plan.line_of_sight[rows], samples, channel.paths)
             report(rows.stop, len(plan.tx_position_m))
+
+
+def _sampled(plan: Plan, kept: Sequence[int]) -> IntArray:
+    """Rows of the samples that are traced again: one of each batch that was kept, and four at least."""
+    generator = np.random.default_rng(int(plan.sha256[:8], 16))
+    others = generator.permutation([index for index in range(len(plan.batches)) if index not in kept]).tolist()
+    number, num_carriers = max(NUM_RETRACED, len(kept)), len(plan.header.carrier_hz)
+    batches = [plan.batches[index] for index in islice(cycle([*kept, *others]), number)]
+    return np.unique([generator.integers(num_carriers * rows.start, num_carriers * rows.stop) for rows in batches])
 
 
 def estimate_seconds(plan: Plan, probes: int = 4) -> float:

@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, StorageError
 from xfreqbench.system.files import atomic_path, storage_errors
 
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
@@ -31,6 +31,7 @@ _SEAL = "data_sha256"
 _CONVENTIONS = {"Conventions": "CF-1.11"}  # for other programs; not hashed by the seal, so that equal data keep theirs
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
+_LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 _MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: the limit of deflate
 
@@ -110,7 +111,7 @@ def create_sealed(
     """Write a sealed file: a context manager. The file appears at `path`, whole, when the block ends.
 
     `groups` are the attributes of the groups that variables are in, by the group's name. `prove` is called with the
-    sealed file before it gets its name; if it raises, there will be none. Raises `StorageError`.
+    sealed file before it gets its name; if it raises, there will be none. Raises as `atomic_path` does.
     """
     num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
     with atomic_path(path, num_bytes) as temporary:
@@ -139,7 +140,8 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema.
 
     Whatever is read of it is checked: headers, and data in chunks, by the checksums of HDF5, other data by
-    `read_array`. A file that another program opened to write is refused.
+    `read_array`. A file that another program opened to write is refused. Raises `StorageError` for one that another
+    program holds open to write, or that may not be read.
     """
     with read_errors(path):  # a path that is too long raises an error too
         is_there, is_folder = path.is_file(), path.is_dir()
@@ -163,9 +165,13 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
 
 @contextmanager
 def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
-    """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read."""
+    """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
+
+    Raises what `_readable` does, too.
+    """
     try:
-        yield
+        with _readable(path):
+            yield
     except _READ_FAILURES as error:
         fault = getattr(error, "strerror", None) or error
         raise DataError(
@@ -174,12 +180,29 @@ def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
 
 
 @contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn errors that do not speak of damaged data, but of a lock or a missing permission, into a `StorageError`."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, PermissionError):
+            raise StorageError(f"{path} cannot be read: {error.strerror}. Mend its permissions.") from error
+        if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
+            raise StorageError(
+                f"{path} is in use: another program has opened it to write. Close it there and do the same again; if "
+                "that program was killed, run: h5clear -s FILE"
+            ) from error
+        raise
+
+
+@contextmanager
 def open_foreign(path: Path) -> Iterator[Any]:
     """Open an HDF5 file that another program wrote, to read; raises `DataError` if it is missing or not HDF5."""
     if not path.is_file():
         raise DataError(f"There is no file {path}. Mend the path.")
     try:
-        file = h5py.File(path, "r")
+        with _readable(path):
+            file = h5py.File(path, "r")
     except OSError as error:
         raise DataError(
             f"{path} is not HDF5, or was not written to its end ({error.strerror or error}). Write it again with "

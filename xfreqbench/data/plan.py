@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +13,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from xfreqbench.data.recipe import job_of
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
@@ -31,6 +34,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.machine import available_memory_mib
+from xfreqbench.system.source import package_sha256
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
@@ -112,9 +116,15 @@ class Plan:
         )
 
     @cached_property
+    def job(self) -> dict[str, str]:
+        """What is asked for, as `job_of` has it, and by what: versions of software, and this package's code."""
+        software = {f"software.{name}": version for name, version in self.header.software.items()}
+        return {**job_of(self.header, self.tx_position_m), **software, "software.code": package_sha256()[:16]}
+
+    @cached_property
     def sha256(self) -> str:
-        """Name of the job: two plans with the same digest give the same data."""
-        return self.header.job_sha256(self.tx_position_m)
+        """Hash of `job`: plans of the same hash give the same bytes."""
+        return hashlib.sha256(json.dumps(self.job, sort_keys=True).encode()).hexdigest()
 
     @property
     def batches(self) -> list[slice]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from xfreqbench.types import FloatArray
 
 OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
 _SHOWN_DIGITS = 8
+_SHOWN_LETTERS = 40  # of a value in a message; a longer one is told by its hash
 _NOT_PHYSICS = {"name", "description", "transmitters", "folder"}  # positions of transmitters are told by the data
 _TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
 
@@ -88,6 +90,35 @@ class Recipe:
 
     def __str__(self) -> str:
         return self.name
+
+
+def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> dict[str, str]:
+    """What a data set was asked for, by names such as `settings.seed`; long values are told by their hashes.
+
+    Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and what of
+    the scene's file changes no channel.
+    """
+    told = {each.name: getattr(header, each.name) for each in fields(header)} | {
+        "scene_json": json.loads(header.scene_json),
+        "receiver": asdict(header.receiver),
+        "carrier_hz": header.carrier_hz.tolist(),
+        "tx_position_um": micrometres(tx_position_m).tolist(),
+    }
+    left_out = ("software", "rejected", "scene_json.receiver", *(f"scene_json.{name}" for name in _NOT_PHYSICS))
+    return {
+        name: text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+        for name, text in _flat("", told)
+        if not any(name == other or name.startswith(f"{other}.") for other in left_out)
+    }
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """The values in nested dictionaries as texts, by names such as `settings.seed`."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _flat(f"{name}.{key}" if name else key, each)
+    else:
+        yield name, value if isinstance(value, str) else json.dumps(value, sort_keys=True)
 
 
 def recipe_name(scene_name: str, recipe_id: str) -> str:

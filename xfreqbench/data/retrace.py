@@ -43,16 +43,15 @@ class Retraced:
 
 
 def require_origin(
-    dataset: PasDataset, number: int, seed: int = 0, *, folder: Path | None = None, workers: Workers = HERE
+    dataset: PasDataset, rows: Int[IntArray, "n"], *, folder: Path | None = None, workers: Workers = HERE
 ) -> Retraced:
-    """Trace samples of a whole data set again, `number` of them as `seed` draws them, and return the worst.
+    """Trace samples of a whole data set again, those of n rows, and return the worst.
 
     Scene, carriers and settings are those of the header, so that whatever went wrong on the way to the file is
     found. The scene's meshes are in `folder`, or where `traced_scene` looks for them. `workers` trace. Raises
     `DataError` where a sample differs by more than `TOLERANCE` or nothing says how it was traced, and `SceneError`
     where the scene's meshes are not at hand.
     """
-    rows = np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
     worst = max(
         _retraced(dataset, rows, folder, workers), key=lambda each: (np.isnan(each.difference), each.difference)
     )
@@ -62,6 +61,11 @@ def require_origin(
             "It was damaged before it was sealed, or other software wrote it. Generate it again."
         )
     return worst
+
+
+def drawn_rows(dataset: PasDataset, number: int, seed: int = 0) -> Int[IntArray, "n"]:
+    """Rows of `number` samples of a data set, or of all where there are fewer, as `seed` draws them."""
+    return np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
 
 
 def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:

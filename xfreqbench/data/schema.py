@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -106,13 +105,6 @@ class DatasetHeader:
             fault = error.errors()[0]
             where = f"header attribute {fault['loc'][0]!r}: " if fault["loc"] else ""
             raise ValueError(f"{where}{fault['msg']}") from error
-
-    def job_sha256(self, tx_position_m: Float[FloatArray, "T 3"]) -> str:
-        """Hash of everything that determines the data set's content: header, carriers and transmitters."""
-        digest = hashlib.sha256(json.dumps(self.attributes(), sort_keys=True).encode())
-        digest.update(self.carrier_hz.tobytes())
-        digest.update(np.ascontiguousarray(tx_position_m).tobytes())
-        return digest.hexdigest()
 
 
 def variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:

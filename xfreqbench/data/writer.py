@@ -67,6 +67,7 @@ class PasWriter:
     `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
     where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
     end, not before: `prove` is first called with the path of the sealed file, which is given up if that raises.
+    Raises `OutputExistsError` where somebody else has written `path` in the meantime.
     """
 
     def __init__(

@@ -30,7 +30,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.runs.records import fault_of_fields
 from xfreqbench.scene.model import FAR_M, ReceiverArray
 from xfreqbench.system.array_files import read_arrays
-from xfreqbench.system.files import read_bytes
+from xfreqbench.system.files import read_bytes, require_text
 from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
@@ -108,7 +108,7 @@ def import_deepmimo(
     if not len(users):
         raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
     header = _header(folder, scenarios, users, elevations)
-    if holds_same_job(path, header.job_sha256(first.user_m[users]), "data set"):
+    if holds_same_job(path, header, first.user_m[users]):
         return False
     parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
     paths = [_ragged(scenarios, part) for part in parts]
@@ -278,7 +278,7 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
 
 
 def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray, elevations: Elevations) -> DatasetHeader:
-    name, first = folder.resolve().name, scenarios[0]
+    name, first = require_text(folder.resolve().name, "a data set"), scenarios[0]
     told = {} if elevations == "zenith" else {"elevations": f"counted from the {elevations} in the scenario"}
     return DatasetHeader(
         scene_name=name,

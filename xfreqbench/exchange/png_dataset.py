@@ -41,7 +41,7 @@ from xfreqbench.exchange.png_folder import (
     write_levels,
 )
 from xfreqbench.maps.bartlett import BartlettBeam
-from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
+from xfreqbench.system.files import atomic_folder, require_empty, require_text, storage_errors
 from xfreqbench.types import IntArray, ProgressCallback, ignore_progress
 
 _BATCH = 16  # transmitters, or maps to export, that are in memory at once
@@ -55,7 +55,7 @@ def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback 
     holds something else, `DataError` and `StorageError`.
     """
     header = _header(source)
-    if holds_same_job(path, header.job_sha256(source.tx_position_m), "data set"):
+    if holds_same_job(path, header, source.tx_position_m):
         return False
     batch = max(1, min(_BATCH, _MAX_PIXELS // (len(source.carrier_hz) * math.prod(source.grid.shape))))
     with PasWriter(path, header, source.grid) as writer:
@@ -70,7 +70,7 @@ def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback 
 
 def _header(source: PngFolder) -> DatasetHeader:
     """The header of the data set; nothing is known of the scene but the hash of the folder's files."""
-    name = source.folder.resolve().name
+    name = require_text(source.folder.resolve().name, "a data set")
     return DatasetHeader(
         scene_name=name,
         scene_json=json.dumps({"name": name}),

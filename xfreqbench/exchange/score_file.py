@@ -40,7 +40,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
 from xfreqbench.runs.scoring import FitOutcome, scored_record
-from xfreqbench.system.files import require_space
+from xfreqbench.system.files import require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
 _STORED_DTYPE = np.dtype("<f2")  # of a map in a file of predictions
@@ -102,6 +102,7 @@ def score_file(
     Raises `DataError` or `UnknownNameError` for anything wrong with the file, before a map is scored, and
     `StorageError`.
     """
+    data_name = require_text(data)
     dataset = open_dataset(data)
     parts = read_parts(path, dataset, method)
     require_fingerprint(dataset)
@@ -109,7 +110,7 @@ def score_file(
     num_maps = sum(len(part.split.test) for part in parts)
     require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * _STORED_DTYPE.itemsize)
     maps_sha256, has_power = zip(*_each(parts, lambda part: _checked(part, dataset.grid.shape), checking), strict=True)
-    submission = _Submission(dataset, str(data), parts, maps_sha256)
+    submission = _Submission(dataset, data_name, parts, maps_sha256)
     scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
     given = {part.split.name for part in parts}

@@ -27,7 +27,7 @@ from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
-from xfreqbench.system.files import sole_worker
+from xfreqbench.system.files import require_text, sole_worker
 from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, all_cores, open_workers, own_cores
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -128,6 +128,7 @@ def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "
     if name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
     preset = PRESETS[name]
+    require_text(data_dir)
     for setting in dict.fromkeys(setting for block in preset.blocks for setting in block.settings):
         build_method(setting.method, setting.overrides)
     return Benchmark(name, preset, data_dir, results_dir, device)

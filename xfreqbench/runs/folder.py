@@ -124,9 +124,9 @@ class ResultsFolder:
 
     def require_writable(self) -> None:
         """Make the folders; raises `StorageError` where a record or predictions could not be stored in them."""
-        for folder in (self.path, self.path / _PREDICTIONS):
-            require_space(folder / RECORDS_NAME, 1)
-            with storage_errors(folder), tempfile.TemporaryFile(dir=folder):
+        for path in (self.records_path, self.predictions_path("any")):
+            require_space(path, 1)
+            with storage_errors(path.parent), tempfile.TemporaryFile(dir=path.parent):
                 pass
         if self.records_path.exists():
             with storage_errors(self.records_path), require_regular(self.records_path).open("ab"):

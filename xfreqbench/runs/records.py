@@ -32,7 +32,7 @@ from pydantic import (
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.sealed import SealedModel
-from xfreqbench.system.files import exclusive, read_bytes, require_regular, storage_errors
+from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
 
 NUM_QUANTILES = 101
@@ -143,6 +143,10 @@ class Job:
     overrides: tuple[str, ...] = ()
     seed: Count = 0
     budget: Budget = field(default_factory=Budget)
+
+    def __post_init__(self) -> None:
+        for text in (self.dataset, self.method, *self.overrides):
+            require_text(text)
 
 
 class Summary(BaseModel):

@@ -11,7 +11,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
 
@@ -19,33 +19,61 @@ from filelock import FileLock, Timeout
 
 from xfreqbench.errors import OutputExistsError, StorageError
 
+_LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
 _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
 
 
 @contextmanager
-def atomic_path(target: Path, num_bytes: int = 0) -> Iterator[Path]:
+def atomic_path(target: Path, num_bytes: int = 0, is_claimed: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `target`, which is renamed to `target` if the block ends without an exception.
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
-    exception the temporary file is removed and `target` is as it was. A killed process leaves a hidden file
-    `.NAME.HOST-PID.partial`, which the next writer of the same file removes. Raises `StorageError`.
+    exception the temporary file is removed and `target` is as it was. A killed process leaves hidden files
+    `.NAME.HOST-PID.partial` and `.NAME.lock`, which the next writer of the same file removes. Raises what `sole_writer`
+    raises, unless the caller has claimed the folder for itself, and `OutputExistsError` where somebody else has written
+    `target` since `require_own` looked at it, or since the block began. Theirs stays.
     """
-    _remove_abandoned(target)
-    require_space(target, num_bytes)
-    temporary = _partial(target)
+    with nullcontext() if is_claimed else sole_writer(target):
+        _remove_abandoned(target)
+        require_space(target, num_bytes)
+        temporary, before = _partial(target), _looked_at.pop(target.absolute(), _state(target))
+        _require_unchanged(target, before)
+        try:
+            with storage_errors(target, num_bytes):
+                if num_bytes and hasattr(os, "posix_fallocate"):
+                    # a quota or limit is an error here; within HDF5 it would be a crash
+                    with temporary.open("wb") as file:
+                        os.posix_fallocate(file.fileno(), 0, num_bytes)
+            yield temporary
+            with storage_errors(target, num_bytes):
+                sync(temporary)
+                _require_unchanged(target, before)
+                temporary.replace(target)
+                sync(target.parent)  # or the rename itself may be lost with the power
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+# States of outputs when `require_own` looked at them, until they are written.
+_looked_at: dict[Path, tuple[int, ...] | None] = {}
+
+
+def _require_unchanged(target: Path, before: tuple[int, ...] | None) -> None:
+    """Raise `OutputExistsError` where `target` is there, and not in the state that it had before."""
+    if _state(target) not in (before, None):
+        raise OutputExistsError(
+            f"{target} was written by another process in the meantime, and stays as that one left it. Choose another "
+            "path for the output, or delete this one and do the same again."
+        )
+
+
+def _state(path: Path) -> tuple[int, ...] | None:
+    """Inode, size and time of what lies at a path, which differ after somebody has written it; None for nothing."""
     try:
-        with storage_errors(target, num_bytes):
-            if num_bytes and hasattr(os, "posix_fallocate"):
-                # a quota or limit is an error here; within HDF5 it would be a crash
-                with temporary.open("wb") as file:
-                    os.posix_fallocate(file.fileno(), 0, num_bytes)
-        yield temporary
-        with storage_errors(target, num_bytes):
-            sync(temporary)
-            temporary.replace(target)
-            sync(target.parent)  # or the rename itself may be lost with the power
-    finally:
-        temporary.unlink(missing_ok=True)
+        found = path.lstat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _partial(target: Path) -> Path:
@@ -83,18 +111,20 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """
     target = target.absolute()
     require_empty(target)
-    _remove_abandoned(target)
-    temporary = _partial(target)
-    with storage_errors(target):
-        temporary.mkdir(parents=True)
-    try:
-        yield temporary
+    with sole_writer(target):
+        _remove_abandoned(target)
+        temporary = _partial(target)
         with storage_errors(target):
-            os.sync()
-            temporary.replace(target)
-            sync(target.parent)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir(parents=True)
+        try:
+            yield temporary
+            with storage_errors(target):
+                os.sync()
+                require_empty(target)  # nor has somebody else written it in the meantime
+                temporary.replace(target)
+                sync(target.parent)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def require_own(
@@ -107,10 +137,12 @@ def require_own(
     This is the only place that makes the decision. `fault_of(path)` reads the file and returns None where the
     command may replace it or leave it as it is; otherwise it returns words that go on after "PATH exists and".
     Raises `OutputExistsError` with those words and `advice`, and `StorageError` for what is not a regular file
-    or cannot be read.
+    or cannot be read. What appears at the path after this look is not replaced, see `atomic_path`.
     """
     with storage_errors(path):
+        _looked_at[path.absolute()] = _state(path)
         if not path.exists() and not path.is_symlink():
+            require_name(path)
             return False
         if not path.is_file():
             raise StorageError(f"{path} is not a file, and nothing can be written in its place. {advice}")
@@ -122,15 +154,18 @@ def require_own(
 
 def require_empty(folder: Path) -> None:
     """As `require_own`, for a whole folder: raise `OutputExistsError` unless it is absent or empty."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise OutputExistsError(
-            f"{folder} exists and is no empty folder; nothing is written over it. Choose another, or empty it."
-        )
+    with storage_errors(folder):
+        if not folder.exists():
+            require_name(folder)
+        elif not folder.is_dir() or any(folder.iterdir()):
+            raise OutputExistsError(
+                f"{folder} exists and is no empty folder; nothing is written over it. Choose another, or empty it."
+            )
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically; raises `StorageError`."""
-    content = text.encode()
+    """Write a text file atomically, with names of files that are no UTF-8 escaped; raises `StorageError`."""
+    content = text.encode(errors="backslashreplace")
     with atomic_path(target, len(content)) as temporary, storage_errors(target, len(content)):
         temporary.write_bytes(content)
 
@@ -148,6 +183,35 @@ def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
         ) from error
 
 
+def require_name(target: Path) -> None:
+    """Raise `StorageError` where the name of a new output is too long for what is beside it while it is written."""
+    names = _partial(target), target.with_name(f".{target.name}.parts.01234567.removed")
+    longest = max(names, key=lambda path: len(os.fsencode(path.name)))
+    with storage_errors(target):
+        folder = next(parent for parent in target.absolute().parents if parent.exists())
+        for given, kept, limit in (
+            (target.name, longest.name, os.pathconf(folder, "PC_NAME_MAX")),
+            (target, longest, os.pathconf(folder, "PC_PATH_MAX") - _LONGEST_BATCH),
+        ):
+            surplus = len(os.fsencode(kept)) - limit
+            if surplus > 0:
+                raise StorageError(
+                    f"{given} has {len(os.fsencode(given))} bytes, {surplus} more than can be written there: what is "
+                    "kept beside it meanwhile has longer names. Choose a shorter name or another place."
+                )
+
+
+def require_text(given: str | Path, use: str = "a record") -> str:
+    """A path or another text as it is stored; raises `StorageError` for bytes that are no UTF-8."""
+    try:
+        str(given).encode()
+    except UnicodeEncodeError as error:
+        raise StorageError(
+            f"{str(given)!r} is no UTF-8, and {use} cannot hold it. Rename it, in letters of UTF-8."
+        ) from error
+    return str(given)
+
+
 def require_space(target: Path, num_bytes: int) -> None:
     """Make the folder of a file; raises `StorageError` if there is no room or no permission for `num_bytes` in it."""
     with storage_errors(target, num_bytes):
@@ -155,6 +219,7 @@ def require_space(target: Path, num_bytes: int) -> None:
         free_bytes = shutil.disk_usage(target.parent).free
     if target.is_dir():
         raise StorageError(f"{target} is a folder; give the path of a file.")
+    require_name(target)
     if free_bytes < num_bytes:
         raise StorageError(
             f"{target} needs {num_bytes:,} bytes, but its disk has {free_bytes:,} free. "
@@ -193,11 +258,12 @@ def exclusive(lock: Path) -> Iterator[None]:
 def sole_worker(lock: Path, output: Path) -> Iterator[None]:
     """Hold a lock during the block, or raise `StorageError` at once, which names the process that works on `output`.
 
-    The system releases the lock of a process that is killed, whose file stays. It may be removed during the block.
+    Within the block the same thread may hold it once more. The system releases the lock of a process that is killed,
+    whose file stays.
     """
-    with storage_errors(lock):
+    with storage_errors(output):
         lock.parent.mkdir(parents=True, exist_ok=True)
-        held = FileLock(lock)
+        held = FileLock(lock, is_singleton=True)
         try:
             held.acquire(blocking=False)
         except Timeout as error:
@@ -205,13 +271,24 @@ def sole_worker(lock: Path, output: Path) -> Iterator[None]:
                 f"{output} is being written by {lock.read_text(encoding='utf-8') or 'another process'}. Wait until "
                 "that one ends, or choose another output."
             ) from error
-        since = datetime.now().astimezone().isoformat(" ", "seconds")
-        lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
+        is_first = held.lock_counter == 1
+        if is_first:
+            since = datetime.now().astimezone().isoformat(" ", "seconds")
+            lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
     try:
         yield
     finally:
-        lock.unlink(missing_ok=True)
+        if is_first:
+            lock.unlink(missing_ok=True)
         held.release()
+
+
+def sole_writer(output: Path) -> AbstractContextManager[None]:
+    """Hold the one lock of an output, `.NAME.lock` beside it, during the block; see `sole_worker`.
+
+    Whoever works long between the look at an output and its writing holds it from before that look.
+    """
+    return sole_worker(output.with_name(f".{output.name}.lock"), output)
 
 
 def require_regular(path: Path) -> Path:

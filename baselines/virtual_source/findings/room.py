@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, StorageError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import GlbModel
@@ -91,7 +91,7 @@ def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, S
     try:
         predicted = ResultsFolder.holding(results).predictions(record).maps_of(rows, BATCH_SIZE)
         scores[f"{record.job.method}, as predicted"] = ssim(predicted, truth, samples.grid)
-    except (DataError, KeyError):  # not kept, or of other rows
+    except (DataError, StorageError, KeyError):  # not kept, in use, or of other rows
         pass
     for label, room in rooms.items():
         cfr = channels_in(room, samples, settings_in_room(samples))

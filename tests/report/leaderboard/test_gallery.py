@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import xfreqbench as xb
 from tests.support.synthetic import paper_dataset
 from xfreqbench.cli.main import app
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.gallery import gallery
+from xfreqbench.report.leaderboard.gallery import gallery, open_data
 
 
 @pytest.mark.parametrize("on", ["test", "validation"])
@@ -25,3 +26,12 @@ def test_the_command_that_stores_missing_predictions_makes_the_same_records(tmp_
     again = {"protocol": "lofo", "on": "test"} | given.arguments
     (split,) = xb.make_splits(data, again["protocol"], [24.25], again["on"])
     assert split.sha256 == record.split_sha256
+
+
+def test_data_that_another_program_holds_open_are_passed_over(tmp_path: Path) -> None:
+    data = paper_dataset(tmp_path / "data.h5")
+    (board,) = boards(xb.run(data, "nearest", results=tmp_path / "results", targets_ghz=[24.25]))
+    assert open_data(board) is not None
+    with data.path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5 does to write
+        assert open_data(board) is None

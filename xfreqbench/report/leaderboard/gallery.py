@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, StorageError
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
 from xfreqbench.runs.folder import ResultsFolder
@@ -146,7 +146,7 @@ def open_data(board: Board) -> PasDataset | None:
     for path in dict.fromkeys(record.job.dataset for record in board.records):
         try:
             dataset = open_dataset(path)
-        except DataError:
+        except (DataError, StorageError):
             continue
         if board.is_of(dataset):
             return dataset
@@ -159,7 +159,7 @@ def _predictions(folders: Sequence[ResultsFolder], record: RunRecord, dataset: P
         try:
             predictions = folder.predictions(record)
             predictions.require_of(dataset)
-        except DataError:
+        except (DataError, StorageError):
             continue
         return predictions
     return None

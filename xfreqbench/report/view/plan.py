@@ -10,9 +10,11 @@ from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.plan import plan_generation
+from xfreqbench.data.recipe import Recipe
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
+from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.view.room import ShownRoom, strongest_rays
 from xfreqbench.report.view.summary import known_line_of_sight
 from xfreqbench.scene.facets import Geometry
@@ -93,8 +95,8 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
         meshes=plan.geometry.meshes,
         rays=[],
     )
-    subject = plan.header.job_sha256(plan.tx_position_m)
-    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.settings, subject)
+    recipe = Recipe.of_scene(scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
+    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.settings, recipe.sha256)
 
 
 def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | None) -> ViewPlan:
