@@ -24,6 +24,7 @@ from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
+NEAR_M = 32.0  # from the origin, where single precision holds coordinates to 4 µm
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
@@ -147,6 +148,16 @@ class ReceiverArray:
         rotation = self.rotation[:, [1, 2, 0]]
         x, y, z = rotation[:, 2].tolist()
         return replace(self, plane="xy", boresight=(x, y, z), orientation=rotation_quaternion(rotation))
+
+    @property
+    def local_origin_m(self) -> Float[FloatArray, "3"]:
+        """Where coordinates count from that single precision holds: whole metres, 0 where the array is near the origin.
+
+        Single precision holds a place to .5 m at UTM coordinates. Along each axis this is the array's coordinate,
+        rounded, where that is beyond `NEAR_M`.
+        """
+        position_m = np.asarray(self.position_m)
+        return np.where(np.abs(position_m) > NEAR_M, np.round(position_m), 0.0)
 
     def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
         """Element positions in the world, in metres, at one wavelength."""
