@@ -17,10 +17,11 @@ from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import Geometry, check_overlaps
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
-from xfreqbench.scene.meshes import meshes_sha256, slabs_of
+from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import (
     Placement,
+    are_outside,
     check_receiver,
     check_transmitters,
     choose_transmitters,
@@ -88,7 +89,27 @@ class Plan:
             f"{' and the paths' if self.header.paths else ''}\n"
             f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
-            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}" + self._material_notes
+            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
+            + self._mesh_notes
+            + self._material_notes
+        )
+
+    @property
+    def _mesh_notes(self) -> str:
+        """A line on the size of a scene with a mesh file, and on what of it mirrors; else empty."""
+        if self.scene.scene is None:
+            return ""
+        geometry = self.geometry
+        x, y, z = (f"{extent:,.2f}" for extent in np.ptp(bounds_m(geometry.meshes), axis=0))
+        sides_m = np.diff(triangle_corners_m(geometry.meshes), axis=1)
+        area_m2 = np.linalg.norm(np.cross(sides_m[:, 0], sides_m[:, 1]), axis=1) / 2
+        patch, mirrors = geometry.mirror_patch, geometry.mirrors
+        patches_m2 = np.bincount(patch[mirrors], weights=area_m2[mirrors], minlength=1)
+        num_outside = np.count_nonzero(are_outside(geometry.meshes, self.tx_position_m))
+        return (
+            f"\nmeshes: {x} × {y} m, {z} m high; {patches_m2.sum():,.2f} of {area_m2.sum():,.2f} m² mirror, the "
+            f"largest patch is {patches_m2.max():,.2f} m²; {np.count_nonzero(~mirrors):,} of {len(mirrors):,} "
+            "triangles do not" + (f"; {num_outside:,} transmitters stand outside" if num_outside else "")
         )
 
     @property

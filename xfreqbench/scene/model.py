@@ -33,8 +33,12 @@ Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 _STRICT = ConfigDict(extra="forbid")
+Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
+UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _SAID_IF_GIVEN = {
     "up",
+    "unit",
+    "outside",
     "material",
     "rooms",
     "closed",
@@ -213,9 +217,11 @@ class Scene:
     """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
 
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
-    or `sionna:NAME` for a scene that Sionna RT brings. In a GLB or OBJ the axis `up` points upwards, by default y in
-    a GLB, as glTF demands, and z in an OBJ. `material` names materials. `rooms` names closed meshes whose inside is
-    free space; without it, they are found. `closed` promises that nothing leads out of the room of the receiver.
+    or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
+    as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
+    or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
+    meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
+    of the receiver.
 
     `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
     `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
@@ -229,6 +235,8 @@ class Scene:
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
     up: Literal["y", "z"] | None = None
+    unit: Unit | None = None
+    outside: bool = False
     material: tuple[SceneMaterial, ...] = ()
     rooms: tuple[str, ...] = ()
     closed: bool = False
