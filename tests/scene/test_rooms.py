@@ -160,6 +160,15 @@ def test_a_room_in_another_unit_is_asked_about(tmp_path: Path, unit: str, scale:
     assert "meshes: 5.00 × 4.00 m, 3.00 m high; 94.00 of 94.00 m² mirror" in plan_generation(told, [10e9]).summary
 
 
+def test_the_plan_names_panes_that_nothing_passes() -> None:
+    pane, door = (box(name, [2.5, 0.5, 0.5], [2.5 + thick, 2, 2]) for name, thick in (("pane", 0.006), ("door", 0.04)))
+    assert (
+        "\nthinner than 10 mm, so that nothing passes both faces: pane; "
+        in plan_generation(scene_of(ROOM, pane), [10e9]).summary
+    )
+    assert "thinner" not in plan_generation(scene_of(ROOM, door), [10e9]).summary
+
+
 def test_the_plan_says_what_of_meshes_mirrors(tmp_path: Path) -> None:
     scene = room_of_file(tmp_path, toml="least_patch_area_m2 = 16")
     told = "40.00 of 94.00 m² mirror, the largest patch is 20.00 m²; 8 of 12 triangles do not"

@@ -15,11 +15,12 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
-from xfreqbench.scene.facets import Geometry, check_overlaps
+from xfreqbench.scene.facets import MIN_OVERLAP_M, Geometry, check_overlaps
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import (
+    MIN_SEPARATION_M,
     Placement,
     are_outside,
     check_receiver,
@@ -29,7 +30,7 @@ from xfreqbench.scene.placement import (
 )
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
-from xfreqbench.scene.visibility import sees
+from xfreqbench.scene.visibility import is_closed, sees
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
@@ -91,6 +92,7 @@ class Plan:
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
             + self._mesh_notes
+            + self._thin_notes
             + self._material_notes
         )
 
@@ -111,6 +113,19 @@ class Plan:
             f"largest patch is {patches_m2.max():,.2f} m²; {np.count_nonzero(~mirrors):,} of {len(mirrors):,} "
             "triangles do not" + (f"; {num_outside:,} transmitters stand outside" if num_outside else "")
         )
+
+    @property
+    def _thin_notes(self) -> str:
+        """A line on closed meshes so thin that tracers drop all paths through both of their faces; else empty."""
+        thin = [
+            mesh.name
+            for mesh in self.geometry.meshes
+            if MIN_OVERLAP_M < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
+            and mesh.material != "metal"
+            and is_closed(mesh)
+        ]
+        told = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that nothing passes both faces: {', '.join(thin)}; "
+        return f"{told}a rectangle with its thickness_m lets through what it should" if thin else ""
 
     @property
     def _material_notes(self) -> str:
