@@ -15,7 +15,7 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
-from xfreqbench.scene.facets import MIN_OVERLAP_M, Geometry, check_overlaps
+from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry, check_overlaps
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
@@ -120,7 +120,7 @@ class Plan:
         thin = [
             mesh.name
             for mesh in self.geometry.meshes
-            if MIN_OVERLAP_M < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
+            if PLANE_TOLERANCE < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
             and mesh.material != "metal"
             and is_closed(mesh)
         ]
