@@ -13,6 +13,7 @@ import pytest
 from tests.support.fuzzing.common import fuzz
 from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_file
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
+from tests.support.sionna_scenes import moved
 from xfreqbench.data import batches
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
@@ -22,6 +23,7 @@ from xfreqbench.data.plan import Plan
 from xfreqbench.data.retrace import require_origin
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.scene.meshes import surface_meshes
+from xfreqbench.scene.model import load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, TraceSettings
@@ -33,9 +35,12 @@ def plan_with_paths(**changes: object) -> Plan:
     return small_plan(**{"num_transmitters": NUM_TX, "maps": False, "paths": True, **changes})  # type: ignore[arg-type]
 
 
-@pytest.fixture(scope="module", params=["image", pytest.param("sionna", marks=pytest.mark.sionna)])
+@pytest.fixture(scope="module", params=["image", "far", pytest.param("sionna", marks=pytest.mark.sionna)])
 def stored(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> PasDataset:
-    plan = plan_with_paths(num_transmitters=4, settings=replace(SETTINGS, solver=request.param))
+    solver = "image" if request.param == "far" else request.param
+    offset_m = (691608.25, 5334762.5, 519.0) if request.param == "far" else (0.0, 0.0, 0.0)
+    scene = moved(load_scene("two_rooms"), offset_m)
+    plan = plan_with_paths(scene=scene, num_transmitters=4, settings=replace(SETTINGS, solver=solver))
     return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("paths") / "rooms.h5"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.mesh_scenes import PLACES, ROOM, TABLE, glb_bytes, glb_content, obj_text, packed_glb, scene_of_file
+from tests.support.mesh_scenes import (
+    PLACES,
+    ROOM,
+    TABLE,
+    WOOD,
+    file_shape,
+    glb_bytes,
+    glb_content,
+    obj_text,
+    packed_glb,
+    scene_of_file,
+)
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported
@@ -424,9 +436,48 @@ def test_a_byte_order_mark_and_comments_in_any_language_are_passed_over(tmp_path
         assert area_m2(read_mesh(tmp_path / "door.ply", "ply")) == pytest.approx(10, rel=1e-5)
 
 
-def test_up_is_for_files_that_do_not_say(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="which is for a GLB or OBJ"):
-        meshes_of(tmp_path, "room.xml", "<scene/>", 'up = "y"\n')
+FORMATS = ["obj", "glb", "ply", "stl"]  # the last two within a Mitsuba XML
+HALL = trimesh.creation.box(bounds=[[-10, -10, 0], [10, 10, 8]])
+UPRIGHT, Y_UP = np.eye(3), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def saved(folder: Path, suffix: str, mesh: trimesh.Trimesh, turn: np.ndarray) -> str:
+    """Name of a scene's file with a mesh, its vertices multiplied by a matrix."""
+    turned, name = trimesh.Trimesh(mesh.vertices @ turn.T, mesh.faces, process=False), f"room.{suffix}"
+    if suffix == "obj":
+        (folder / name).write_text(obj_text(turned, "room", "itu_wood"))
+    elif suffix == "glb":
+        content = glb_bytes([{"mesh": 0}], [(turned.vertices, turned.faces.ravel(), TRIANGLES, "itu_wood")])
+        (folder / name).write_bytes(content)
+    else:
+        turned.export(folder / name)
+        (folder / "room.xml").write_text(f'<scene version="3.0.0">{WOOD}{file_shape(name)}</scene>')
+        return "room.xml"
+    return name
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize(("unit", "length_m"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])
+def test_a_file_may_have_either_axis_upwards_and_any_unit(
+    tmp_path: Path, suffix: str, unit: str, length_m: float
+) -> None:
+    for up, turn in (("y", Y_UP), ("z", UPRIGHT)):
+        name = saved(tmp_path, suffix, ROOM, turn / length_m)
+        (room,) = surface_meshes(scene_of_file(tmp_path, name, f'up = "{up}"\nunit = "{unit}"\n'))
+        np.testing.assert_allclose(bounds_m(room), ROOM.bounds, atol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("mesh", [ROOM, HALL])  # the hall is about the receiver, however it lies
+def test_a_room_of_any_format_that_lies_on_its_side_is_noticed(
+    tmp_path: Path, suffix: str, mesh: trimesh.Trimesh
+) -> None:
+    turn, read, right = (UPRIGHT, "y", "z") if suffix == "glb" else (Y_UP, "z", "y")
+    scene = scene_of_file(tmp_path, saved(tmp_path, suffix, mesh, turn))
+    with pytest.raises(SceneError, match=rf"read with {read} upwards.* if {right} were up. Say which is right"):
+        surface_meshes(scene)
+    assert surface_meshes(replace(scene, up=read))  # it was said
+    assert surface_meshes(scene_of_file(tmp_path, saved(tmp_path, suffix, mesh, Y_UP if suffix == "glb" else UPRIGHT)))
 
 
 @pytest.mark.parametrize("name", ["room.glb", "room.obj"])

@@ -243,6 +243,21 @@ def test_a_mitsuba_scene_that_cannot_be_used_says_why(tmp_path: Path) -> None:
         load('<scene><shape type="cylinder" id="ball"/></scene>')
 
 
+def test_a_cabinet_encloses_whichever_way_its_faces_are_turned_and_however_often_they_are_given() -> None:
+    whole = surface_meshes(parse_scene(BOX))[0]
+    turned = whole.triangles[:, ::-1]
+    points = np.array([[2.0, 2.0, 0.6], [1.1, 1.2, 1.1], [2.9, 1.1, 0.1], [2.0, 2.0, 1.3], [0.9, 2.0, 0.6]])
+    for flipped in ([0], [0, 1, 2, 3], range(6), range(0, 12, 2), range(12)):
+        faces = np.where(np.isin(np.arange(12), flipped)[:, None], turned, whole.triangles)
+        for triangles in (faces, np.vstack([faces, turned]), np.vstack([faces, faces[:5]])):
+            mesh = replace(whole, triangles=triangles)
+            assert enclosing_mesh([mesh], points).tolist() == [0, 0, 0, -1, -1], (flipped, len(triangles))
+    assert enclosing_mesh([replace(whole, triangles=whole.triangles[1:])], points).tolist() == [-1] * 5
+    both_m = np.vstack([whole.vertices_m, 0.9 * whole.vertices_m + [0.2, 0.2, 0.06]])  # a hollow one of thick walls
+    hollow = replace(whole, vertices_m=both_m, triangles=np.vstack([turned[:1], whole.triangles[1:], 8 + turned]))
+    assert enclosing_mesh([hollow], points).tolist() == [-1, 0, 0, -1, -1]
+
+
 def test_geometry_queries_agree_with_closed_forms() -> None:
     scene = parse_scene(BOX)
     cabinet, floor = surface_meshes(scene)

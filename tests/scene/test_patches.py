@@ -27,8 +27,9 @@ def ring(inner_m: float, outer_m: float, sections: int = 400) -> trimesh.Trimesh
     return trimesh.Trimesh(np.vstack([inner_m * circle, outer_m * circle]), faces, process=False)
 
 
-def test_a_box_is_six_patches_and_a_squares_width_is_its_side() -> None:
-    patches = patches_of(trimesh.creation.box(extents=[2.0, 2.0, 0.5]))
+@pytest.mark.parametrize("middle_m", [(0.0, 0.0, 0.0), (691608.3, 5334762.7, 519.1)])  # the second is in UTM
+def test_a_box_is_six_patches_and_a_squares_width_is_its_side(middle_m: tuple[float, float, float]) -> None:
+    patches = patches_of(trimesh.creation.box(extents=[2.0, 2.0, 0.5]).apply_translation(middle_m))
     np.testing.assert_allclose(np.sort(patches.area_m2), [1, 1, 1, 1, 4, 4])
     square = patches.area_m2 > 2
     np.testing.assert_allclose(patches.width_m[square], 2.0)

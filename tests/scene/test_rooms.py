@@ -17,6 +17,7 @@ from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, parse_scene
 from xfreqbench.scene.placement import check_receiver, check_transmitters, place_transmitters
 from xfreqbench.scene.rooms import check_closed, objects_of
+from xfreqbench.tracing.tracer import TraceSettings
 
 
 def box(name: str, low_m: list[float], high_m: list[float]) -> str:
@@ -126,3 +127,50 @@ def test_a_hole_in_what_is_promised_closed_is_found() -> None:
     empty = scene_of(top=promise)
     with pytest.raises(PlacementError, match="10,000 of 10,000 rays"):
         check_closed(empty, surface_meshes(empty))
+
+
+def room_of_file(folder: Path, scale: float = 1.0, toml: str = "") -> Scene:
+    mesh_scenes.ROOM.copy().apply_scale(scale).export(folder / "room.ply")
+    return scene_with(folder, WOOD, file_shape("room.ply"), toml=toml)
+
+
+def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None:
+    scene = room_of_file(tmp_path)
+    meshes = surface_meshes(scene)
+    for x, y, z in ((7.0, 1.0, 1.5), (1.0, -0.5, 1.5), (1.0, 1.0, -2.0), (1.0, 1.0, 2300.0)):
+        astray = replace(scene, receiver=replace(scene.receiver, position_m=(x, y, z)))
+        with pytest.raises(PlacementError, match=r"The receiver .*outside of all meshes, at .*5\.00 × 4\.00 × 3\.00 m"):
+            check_receiver(astray, meshes, 10e9)
+        check_receiver(replace(astray, outside=True), meshes, 10e9)
+    grid = replace(scene.transmitters, min_m=(7.0, 3.0, 1.5), max_m=(8.0, 3.0, 1.5))
+    with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
+        plan_generation(replace(scene, transmitters=grid), [10e9])
+    with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
+        plan_generation(scene, [10e9], tx_position_m=grid.lattice_m)
+    some = plan_generation(scene, [10e9], tx_position_m=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
+    assert some.summary.endswith("; 1 transmitters stand outside")
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("cm", 100.0), ("in", 1 / 0.0254)])
+def test_a_room_in_another_unit_is_asked_about(tmp_path: Path, unit: str, scale: float) -> None:
+    scene = room_of_file(tmp_path, scale)
+    with pytest.raises(SceneError, match=rf"measures {5 * scale:,.2f} × .* its room is more than 60 m high"):
+        plan_generation(scene, [10e9])
+    check_receiver(replace(scene, unit="m"), surface_meshes(scene), 10e9)  # it was said
+    told = room_of_file(tmp_path, scale, f'unit = "{unit}"')
+    assert "meshes: 5.00 × 4.00 m, 3.00 m high; 94.00 of 94.00 m² mirror" in plan_generation(told, [10e9]).summary
+
+
+def test_the_plan_names_panes_that_nothing_passes() -> None:
+    pane, door = (box(name, [2.5, 0.5, 0.5], [2.5 + thick, 2, 2]) for name, thick in (("pane", 0.006), ("door", 0.04)))
+    settings = TraceSettings("sionna")
+    told = plan_generation(scene_of(ROOM, pane), [10e9], settings).summary
+    assert "\nthinner than 10 mm, so that in Sionna RT nothing passes both faces: pane; " in told
+    assert "thinner" not in plan_generation(scene_of(ROOM, door), [10e9], settings).summary
+    assert "thinner" not in plan_generation(scene_of(ROOM, pane), [10e9]).summary
+
+
+def test_the_plan_says_what_of_meshes_mirrors(tmp_path: Path) -> None:
+    scene = room_of_file(tmp_path, toml="least_patch_area_m2 = 16")
+    told = "40.00 of 94.00 m² mirror, the largest patch is 20.00 m²; 8 of 12 triangles do not"
+    assert plan_generation(scene, [10e9], maps=False).summary.endswith(f"\nmeshes: 5.00 × 4.00 m, 3.00 m high; {told}")

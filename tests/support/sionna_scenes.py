@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 
 GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
@@ -20,6 +23,23 @@ WOODEN_BOX = Surface(name="wooden box", material="wood", thickness_m=0.02, min_m
 
 def scene_of(*surfaces: Surface, receiver: ReceiverArray = RECEIVER) -> Scene:
     return Scene(name="test", receiver=receiver, transmitters=GRID, surface=surfaces)
+
+
+def moved(scene: Scene, offset_m: tuple[float, float, float]) -> Scene:
+    """The scene without its mesh file, everything shifted."""
+
+    def shifted(point_m: tuple[float, float, float]) -> Any:
+        return tuple(here + by for here, by in zip(point_m, offset_m, strict=True))
+
+    def box(part: Any) -> Any:
+        return replace(part, min_m=shifted(part.min_m), max_m=shifted(part.max_m))
+
+    return replace(
+        scene,
+        receiver=replace(scene.receiver, position_m=shifted(scene.receiver.position_m)),
+        transmitters=box(scene.transmitters),
+        surface=tuple(map(box, scene.surface)),
+    )
 
 
 def simple_scenes(receiver: ReceiverArray = RECEIVER) -> dict[str, Scene]:

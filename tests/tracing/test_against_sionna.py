@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.support.sionna_scenes import ONE_ELEMENT, simple_scenes
+from tests.support.sionna_scenes import CONCRETE_WALL, ONE_ELEMENT, RECEIVER, moved, scene_of, simple_scenes
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -109,6 +109,41 @@ def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName)
         assert error.median_psnr_db > 40
         assert error.fifth_percentile_psnr_db > 30
         assert error.median_ssim > 0.99
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("offset_m", [(100.25, -70.5, 0.0), (691608.25, 5334762.5, 519.0)])  # the second is in UTM
+def test_channels_do_not_depend_on_where_the_origin_is(
+    offset_m: tuple[float, float, float], solver: SolverName
+) -> None:
+    scene, settings = simple_scenes()["a wall and a pane between"], replace(SETTINGS, solver=solver)
+    here, there = (tracer_of(PreparedScene.of(each), CARRIERS_HZ, settings) for each in (scene, moved(scene, offset_m)))
+    channel, same = here.channel(TRANSMITTERS_M), there.channel(TRANSMITTERS_M + offset_m)
+    np.testing.assert_array_equal(same.num_paths, channel.num_paths)
+    error = np.linalg.norm(same.cfr - channel.cfr, axis=2) / np.linalg.norm(channel.cfr, axis=2)
+    assert error.max() < 2e-4  # float32 within some metres of the receiver
+    paths, shifted = here.paths(TRANSMITTERS_M[1]), there.paths(TRANSMITTERS_M[1] + offset_m)
+    np.testing.assert_allclose(shifted.vertices_m - offset_m, paths.vertices_m, atol=1e-5)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("polarization", POLARIZATIONS)
+@pytest.mark.parametrize("elements_per_side", [1, 3])
+def test_the_field_right_below_an_element_is_that_beside_it(
+    elements_per_side: int, polarization: Any, solver: SolverName
+) -> None:
+    floor = replace(CONCRETE_WALL, name="floor", min_m=(-4.0, -4.0, 0.0), max_m=(6.0, 6.0, 0.0))
+    receiver = replace(RECEIVER, rows=elements_per_side, cols=elements_per_side, polarization=polarization)
+    prepared = PreparedScene.of(scene_of(CONCRETE_WALL, floor, receiver=receiver))
+    tx = np.array([[2.0, 1.5 + aside, z] for z in (0.7, 2.9) for aside in (0.0, 1e-7, 5e-6)])
+    beside = np.array(
+        [[2.0, 1.5 + 1e-4, z] for z in (0.7, 2.9) for _ in range(3)]
+    )  # no path is longer by more than 1e-8
+    truth = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver="image")).channel(beside).cfr
+    tracer = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    largest = np.abs(truth).max(axis=(0, 2), keepdims=True)
+    np.testing.assert_allclose(tracer.channel(tx).cfr / largest, truth / largest, atol=1e-3)
+    assert (tracer.paths(tx[0]).gain[:, 1].real > 0).all()  # by the floor
 
 
 def tilted(mesh: SurfaceMesh) -> SurfaceMesh:

@@ -37,18 +37,19 @@ _CHUNK = 4096  # rows that are compressed together
 
 
 class PathTotals(NamedTuple):
-    """How many paths and interactions a data set stores, and the names of the surfaces that may be met."""
+    """How many paths and interactions a data set stores, names of the surfaces met, and the precision of vertices."""
 
     num_paths: int
     num_points: int
     surface_names: tuple[str, ...]
+    has_double_vertices: bool = False
 
     @classmethod
     def of(cls, parts: Iterable[RaggedPaths], surface_names: tuple[str, ...]) -> PathTotals:
         """The totals of paths that are stored one part after another."""
-        sizes = np.array([(len(part.delay_s), len(part.interaction)) for part in parts]).reshape(-1, 2)
-        num_paths, num_points = sizes.sum(axis=0).tolist()
-        return cls(num_paths, num_points, surface_names)
+        sizes = [(len(part.delay_s), len(part.interaction), part.vertex_m.dtype == np.float64) for part in parts]
+        num_paths, num_points, num_double = np.array(sizes).reshape(-1, 3).sum(axis=0).tolist()
+        return cls(num_paths, num_points, surface_names, num_double > 0)
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -179,7 +180,13 @@ def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[V
         ("departure_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {ahead}"),
         ("interaction", "u1", (_POINT,), "1", "code of an interaction, in order from the transmitter"),
         ("surface", "<i4", (_POINT,), "1", "surface that is met, by its place in surfaces_json"),
-        ("vertex_m", "<f4", (_POINT, "axis"), "m", "where it is met in the world"),
+        (
+            "vertex_m",
+            "<f8" if totals.has_double_vertices else "<f4",
+            (_POINT, "axis"),
+            "m",
+            "where it is met in the world",
+        ),
     ]
     size = {_PATH: P, _POINT: N, "carrier_hz": num_carriers, "axis": 3}
     first_path = "first path of each transmitter, then the number of all paths"
@@ -208,7 +215,8 @@ def _rows(name: str, dtype: str, shape: tuple[int, ...], axes: tuple[str, ...], 
 def stored_totals(file: Any) -> PathTotals:
     """What an open data set stores; raises `ValueError` or another error of reading where it is damaged."""
     names = json.loads(text_attributes(file[GROUP])["surfaces_json"])
-    return PathTotals(file[_PATH].shape[0], file[_POINT].shape[0], tuple(map(str, names)))
+    is_double = file[f"{GROUP}/vertex_m"].dtype == np.float64
+    return PathTotals(file[_PATH].shape[0], file[_POINT].shape[0], tuple(map(str, names)), bool(is_double))
 
 
 def stored_offsets(file: Any, num_paths: int) -> Int[IntArray, "T1"]:

@@ -18,13 +18,15 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
-from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
-from xfreqbench.scene.meshes import meshes_sha256, slabs_of
+from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.placement import (
+    MIN_SEPARATION_M,
     Placement,
+    are_outside,
     check_receiver,
     check_transmitters,
     choose_transmitters,
@@ -32,7 +34,7 @@ from xfreqbench.scene.placement import (
 )
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
-from xfreqbench.scene.visibility import sees
+from xfreqbench.scene.visibility import is_closed, sees
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.system.source import package_sha256
 from xfreqbench.tracing.solvers import resolve_solver
@@ -94,9 +96,45 @@ class Plan:
             f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
             f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
+            + self._mesh_notes
+            + self._thin_notes
             + self._material_notes
             + ("" if self.header.receiver.resolves_directions else "\nmaps are constant: the array has no extent")
         )
+
+    @property
+    def _mesh_notes(self) -> str:
+        """A line on the size of a scene with a mesh file, and on what of it mirrors; else empty."""
+        if self.scene.scene is None:
+            return ""
+        geometry = self.geometry
+        x, y, z = (f"{extent:,.2f}" for extent in np.ptp(bounds_m(geometry.meshes), axis=0))
+        sides_m = np.diff(triangle_corners_m(geometry.meshes), axis=1)
+        area_m2 = np.linalg.norm(np.cross(sides_m[:, 0], sides_m[:, 1]), axis=1) / 2
+        patch, mirrors = geometry.mirror_patch, geometry.mirrors
+        patches_m2 = np.bincount(patch[mirrors], weights=area_m2[mirrors], minlength=1)
+        num_outside = np.count_nonzero(are_outside(geometry.meshes, self.tx_position_m))
+        return (
+            f"\nmeshes: {x} × {y} m, {z} m high; {patches_m2.sum():,.2f} of {area_m2.sum():,.2f} m² mirror, the "
+            f"largest patch is {patches_m2.max():,.2f} m²; {np.count_nonzero(~mirrors):,} of {len(mirrors):,} "
+            "triangles do not" + (f"; {num_outside:,} transmitters stand outside" if num_outside else "")
+        )
+
+    @property
+    def _thin_notes(self) -> str:
+        """A line on closed meshes so thin that Sionna RT drops all paths through both of their faces; else empty."""
+        if self.settings.solver != "sionna":
+            return ""
+        thin = [
+            mesh.name
+            for mesh in self.geometry.meshes
+            if PLANE_TOLERANCE < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
+            and mesh.material != "metal"
+            and is_closed(mesh)
+        ]
+        told = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
+        advice = "a rectangle with its thickness_m, or solver image, lets through what it should"
+        return f"{told}{', '.join(thin)}; {advice}" if thin else ""
 
     @property
     def _material_notes(self) -> str:

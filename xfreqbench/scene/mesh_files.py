@@ -23,13 +23,10 @@ from xfreqbench.system.files import read_bytes
 from xfreqbench.types import FloatArray
 
 MeshKind = Literal["ply", "stl", "obj"]
-UpAxis = Literal["y", "z"]
-_DEFAULT_UP: dict[str, UpAxis] = {".glb": "y", ".obj": "z"}  # glTF says y; OBJ says nothing, and Mitsuba takes z
-SCENE_SUFFIXES = tuple(_DEFAULT_UP)  # of files that are a whole scene
+SCENE_SUFFIXES = (".glb", ".obj")  # of files that are a whole scene
 _PLY_FACES = ("vertex_index", "vertex_indices")
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 _UNEXPECTED = "unexpected length"  # what trimesh says of a binary PLY that is cut, or has faces of several sizes
-_UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 
 
 def read_mesh(path: Path, kind: MeshKind) -> Triangles:
@@ -164,18 +161,14 @@ def _merged(parts: Sequence[Triangles]) -> Triangles:
     )
 
 
-def read_scene(
-    path: Path, materials: Mapping[str, SceneMaterial], up: UpAxis | None, receiver_m: Float[FloatArray, "3"]
-) -> list[ImportedShape]:
-    """Shapes of a GLB or OBJ, one for each object and material, turned so that `up` is z.
+def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[ImportedShape]:
+    """Shapes of a GLB or OBJ, one for each object and material, as the file has them.
 
     `materials` is the scene's own table, by the names that the file uses. Raises `SceneError` for a file that cannot
-    be read, and where `up` is not stated and the receiver stands outside of everything, but inside if the other axis
-    were up.
+    be read.
     """
-    suffix = path.suffix.lower()
     try:
-        if suffix == ".obj":
+        if path.suffix.lower() == ".obj":
             parts = _obj_parts(read_bytes(path))
             read = iter([part.shape(materials) for part in parts])
         else:
@@ -192,23 +185,7 @@ def read_scene(
         raise SceneError(f"The scene {path} cannot be read: {fault}.") from error
     if not shapes:
         raise SceneError(f"The scene {path} holds no triangles. Export it with its meshes.")
-    assumed = up or _DEFAULT_UP[suffix]
-    turned = [shape.transformed(_UPWARDS) for shape in shapes] if assumed == "y" else shapes
-    if up is None:
-        other = shapes if assumed == "y" else [shape.transformed(_UPWARDS) for shape in shapes]
-        if not _surrounds(turned, receiver_m) and _surrounds(other, receiver_m):
-            raise SceneError(
-                f"The receiver at {receiver_m.tolist()} stands outside of all that {path} holds, which is read with "
-                f"{assumed} upwards. It would stand inside if {'z' if assumed == 'y' else 'y'} were up: say which is "
-                f"right with up = 'y' or up = 'z' in the scene's TOML."
-            )
-    return turned
-
-
-def _surrounds(shapes: Sequence[ImportedShape], point_m: Float[FloatArray, "3"]) -> bool:
-    vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
-    low_m, high_m = vertices_m.min(axis=0, initial=np.inf), vertices_m.max(axis=0, initial=-np.inf)
-    return bool(((low_m <= point_m) & (point_m <= high_m)).all())
+    return shapes
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import metadata
@@ -21,11 +21,13 @@ from xfreqbench.scene.imported import ImportedShape, Slab, Triangles, bounded, r
 from xfreqbench.scene.materials import ConstantMaterial, Material, Scattering
 from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
-from xfreqbench.scene.model import FAR_M, PatchSize, Scene, Surface
+from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
 from xfreqbench.types import FloatArray, IntArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
 PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
+_UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
+FLOOR_M = 0.3  # the most that a floor is thick, or a room off the middle where it is centred
 SLIVER = 1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 
 
@@ -103,6 +105,16 @@ def triangle_corners_m(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "K 3 
     return np.concatenate([np.zeros((0, 3, 3)), *(mesh.corners_m for mesh in meshes)])
 
 
+def bounds_m(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "2 3"]:
+    """The lowest and the highest corner of the box about some meshes, one at least."""
+    return np.array(
+        [
+            np.min([mesh.vertices_m.min(axis=0) for mesh in meshes], axis=0),
+            np.max([mesh.vertices_m.max(axis=0) for mesh in meshes], axis=0),
+        ]
+    )
+
+
 def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
     """One mesh for every surface of a scene, then those of its mesh file.
 
@@ -148,18 +160,54 @@ def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_],
     return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
 
 
-def _imported_shapes(scene: Scene) -> Iterator[ImportedShape]:
-    """Shapes of the scene's mesh file, if it names one; raises `SceneError`."""
+def _imported_shapes(scene: Scene) -> list[ImportedShape]:
+    """Shapes of the scene's mesh file, if it names one, in metres and with z upwards; raises `SceneError`."""
     if scene.scene is None:
-        return
+        return []
     path = _mesh_file(scene.scene, scene.folder)
-    is_one_file = path.suffix.lower() in SCENE_SUFFIXES
-    if scene.up is not None and not is_one_file:
-        raise SceneError(f"The scene states up = {scene.up!r}, which is for a GLB or OBJ; {path} has z upwards.")
-    if is_one_file:
-        yield from read_scene(path, scene.materials, scene.up, np.asarray(scene.receiver.position_m))
+    if path.suffix.lower() in SCENE_SUFFIXES:
+        shapes = read_scene(path, scene.materials)
     else:
-        yield from bounded(read_xml(path, scene.materials), path)
+        shapes = list(bounded(read_xml(path, scene.materials), path))
+    up = scene.up or ("y" if path.suffix.lower() == ".glb" else "z")  # glTF says y; OBJ says nothing, Mitsuba takes z
+    turns = {"y": _UPWARDS, "z": np.eye(3)}
+    if scene.up is None and not scene.scene.startswith(SIONNA):
+        _require_upright(scene, path, shapes, turns, up)
+    matrix = UNIT_M[scene.unit or "m"] * turns[up]
+    return shapes if (matrix == np.eye(3)).all() else [shape.transformed(matrix) for shape in shapes]
+
+
+def _require_upright(
+    scene: Scene, path: Path, shapes: Sequence[ImportedShape], turns: dict[str, Float[FloatArray, "3 3"]], up: str
+) -> None:
+    """Raise `SceneError` where what a file holds seems to lie on its side when it is read with `up` upwards.
+
+    So it does where the receiver, or receiver and grid, stand outside of the box about everything, and inside if the
+    other axis were up; and where its middle is at height 0, on which it would stand if the other axis were up.
+    """
+    vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
+    bounds_m = np.array([vertices_m.min(axis=0, initial=np.inf), vertices_m.max(axis=0, initial=-np.inf)])
+    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
+        boxes_m = {axis: np.sort(UNIT_M[scene.unit or "m"] * bounds_m @ turn.T, axis=0) for axis, turn in turns.items()}
+    other = "z" if up == "y" else "y"
+    (low_m, high_m), (turned_low_m, _) = boxes_m[up][:, 2], boxes_m[other][:, 2]
+    points_m = np.array([scene.receiver.position_m, scene.transmitters.min_m, scene.transmitters.max_m])
+
+    def holds(axis: str, points_m: FloatArray) -> bool:
+        places = [boxes_m[axis], *(np.array([surface.min_m, surface.max_m]) for surface in scene.surface)]
+        all_m = np.concatenate(places)
+        return bool(((all_m.min(axis=0) <= points_m) & (points_m <= all_m.max(axis=0))).all())
+
+    if any(holds(other, some) and not holds(up, some) for some in (points_m[:1], points_m)):
+        fault = f"the receiver at {points_m[0].tolist()}, or the grid, stands outside of all that it holds, and inside"
+    elif abs(turned_low_m) < FLOOR_M < -low_m and abs(low_m + high_m) < FLOOR_M and holds(other, points_m):
+        fault = f"its height goes from {low_m:.4g} to {high_m:.4g} m, and it would stand on height 0"
+    else:
+        return
+    raise SceneError(
+        f"{path} is read with {up} upwards: {fault} if {other} were up. Say which is right, with up = 'y' or up = 'z' "
+        "in the scene's TOML."
+    )
 
 
 def _mesh_file(name: str, folder: Path) -> Path:

@@ -25,6 +25,7 @@ from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
 LEAST_EXTENT_WAVELENGTHS = 0.01  # of an array; maps of a smaller one vary by less than half a percent
+NEAR_M = 32.0  # from the origin, where single precision holds coordinates to 4 µm
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
@@ -33,8 +34,12 @@ Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 _STRICT = ConfigDict(extra="forbid")
+Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
+UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _SAID_IF_GIVEN = {
     "up",
+    "unit",
+    "outside",
     "material",
     "rooms",
     "closed",
@@ -154,6 +159,16 @@ class ReceiverArray:
         x, y, z = rotation[:, 2].tolist()
         return replace(self, plane="xy", boresight=(x, y, z), orientation=rotation_quaternion(rotation))
 
+    @property
+    def local_origin_m(self) -> Float[FloatArray, "3"]:
+        """Where coordinates count from that single precision holds: whole metres, 0 where the array is near the origin.
+
+        Single precision holds a place to .5 m at UTM coordinates. Along each axis this is the array's coordinate,
+        rounded, where that is beyond `NEAR_M`.
+        """
+        position_m = np.asarray(self.position_m)
+        return np.where(np.abs(position_m) > NEAR_M, np.round(position_m), 0.0)
+
     def element_position_m(self, wavelength_m: float) -> Float[FloatArray, "M 3"]:
         """Element positions in the world, in metres, at one wavelength."""
         offset_m = self.element_position_wavelengths @ self.rotation.T * wavelength_m
@@ -208,9 +223,11 @@ class Scene:
     """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
 
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
-    or `sionna:NAME` for a scene that Sionna RT brings. In a GLB or OBJ the axis `up` points upwards, by default y in
-    a GLB, as glTF demands, and z in an OBJ. `material` names materials. `rooms` names closed meshes whose inside is
-    free space; without it, they are found. `closed` promises that nothing leads out of the room of the receiver.
+    or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
+    as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
+    or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
+    meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
+    of the receiver.
 
     `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
     `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
@@ -224,6 +241,8 @@ class Scene:
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
     up: Literal["y", "z"] | None = None
+    unit: Unit | None = None
+    outside: bool = False
     material: tuple[SceneMaterial, ...] = ()
     rooms: tuple[str, ...] = ()
     closed: bool = False

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
+from xfreqbench.scene.model import NEAR_M
 from xfreqbench.types import FloatArray, IntArray
 
 COPLANAR_M = 1e-4  # and radians: neighbours that differ by less lie in one plane, as in `scene.facets`
@@ -107,8 +108,11 @@ def _coplanar(
 
 
 def rounding_m(corners_m: Float[FloatArray, "K 3 3"]) -> float:
-    """The step of float32 at the largest coordinate."""
-    return float(np.spacing(np.float32(np.abs(corners_m).max(initial=1.0))))
+    """The step of float32 at the largest coordinate, or, far from the origin, at the extent of what is no float32."""
+    reach_m = np.abs(corners_m).max(initial=1.0)
+    if reach_m > NEAR_M and (corners_m.astype(np.float32) != corners_m).any():
+        reach_m = min(reach_m, max(NEAR_M, np.ptp(corners_m, axis=(0, 1)).max()))
+    return float(np.spacing(np.float32(reach_m)))
 
 
 def sides_m(corners_m: Float[FloatArray, "K 3 3"]) -> Float[FloatArray, "K 3"]:

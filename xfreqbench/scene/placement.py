@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 
-from xfreqbench.errors import PlacementError
-from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.errors import PlacementError, SceneError
+from xfreqbench.scene.meshes import SIONNA, SurfaceMesh, bounds_m
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.rooms import objects_of
-from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh
+from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
+HIGHEST_ROOM_M, HIGHEST_SCENE_M = 60.0, 1000.0  # what is higher is asked for its unit
+FLAT = 0.01  # a scene is a single wall where its least extent is this share of its largest
 MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
 
 
@@ -52,6 +55,7 @@ def place_transmitters(
             f"None of the {len(lattice_m)} transmitter positions of scene {scene.name!r} is usable "
             f"({rejected}). Move the grid into free space or lower clearance_m."
         )
+    _check_inside(scene, meshes, lattice_m[usable], "Every transmitter")
     return Placement(lattice_m[usable], rejected)
 
 
@@ -96,6 +100,7 @@ def check_transmitters(
             f"Transmitter {row} stands at {_metres(tx_position_m[row])}; give finite metres, up to {FAR_M:g}."
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
+    _check_inside(scene, meshes, tx_position_m, "Every transmitter")
     for carrier in carrier_hz:
         _check_off_the_array(scene, tx_position_m, carrier)
 
@@ -116,11 +121,62 @@ def _check_off_the_array(scene: Scene, tx_position_m: Float[FloatArray, "T 3"], 
 def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float) -> None:
     """Raise `PlacementError` where an element of the array stands in an object or on a surface.
 
-    It is checked at the lowest carrier, where the array is widest.
+    It is checked at the lowest carrier, where the array is widest. With a mesh file the array may not stand outside of
+    everything either, and a room that is too high raises `SceneError`.
     """
+    _check_inside(scene, meshes, np.array([scene.receiver.position_m]), "The receiver")
+    _check_height(scene, meshes)
     element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / lowest_carrier_hz)
     points_m = np.vstack([scene.receiver.position_m, element_m])
     _check_free(scene, meshes, points_m, "Receiver array point", lowest_carrier_hz)
+
+
+def _check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:
+    """Raise `PlacementError` where all points stand outside of a mesh file's scene, unless it says `outside`."""
+    if _has_file(scene) and not scene.outside and are_outside(meshes, points_m).all():
+        raise PlacementError(
+            f"{what} of scene {scene.name!r} stands outside of all meshes, at {_metres(points_m[0])}; they measure "
+            f"{_size(meshes)} from {_metres(bounds_m(meshes)[0])}. Move it, or say in the scene's TOML how the file is "
+            "meant, as in unit = 'mm' and up = 'y', or outside = true where it is to stand there."
+        )
+
+
+def _check_height(scene: Scene, meshes: Sequence[SurfaceMesh]) -> None:
+    """Raise `SceneError` where the room of a mesh file is so high that its unit, which is not stated, is no metre."""
+    if not _has_file(scene) or scene.unit is not None:
+        return
+    receiver_m, (low_m, high_m) = np.asarray(scene.receiver.position_m), bounds_m(meshes)
+    beyond_m = 2 * float(np.abs([low_m - receiver_m, high_m - receiver_m]).max())
+    height_m = np.outer([HIGHEST_ROOM_M, beyond_m, -HIGHEST_ROOM_M, -beyond_m], [0.0, 0.0, 1.0])
+    free_above, has_no_roof, free_below, has_no_floor = sees(meshes, receiver_m + height_m, receiver_m)
+    is_high_room = (free_above or free_below) and not (has_no_roof or has_no_floor)
+    if is_high_room or high_m[2] - low_m[2] > HIGHEST_SCENE_M:
+        raise SceneError(
+            f"Scene {scene.name!r} measures {_size(meshes)}; its room is more than {HIGHEST_ROOM_M:g} m high. Say in "
+            "its TOML what its mesh file is in: unit = 'mm', 'cm', 'in' or 'ft', or unit = 'm' if it is in metres."
+        )
+
+
+def _has_file(scene: Scene) -> bool:
+    """Whether the meshes are of somebody's file, and not of Sionna RT."""
+    return scene.scene is not None and not scene.scene.startswith(SIONNA)
+
+
+def _size(meshes: Sequence[SurfaceMesh]) -> str:
+    return " × ".join(f"{extent:,.2f}" for extent in np.ptp(bounds_m(meshes), axis=0)) + " m"
+
+
+def are_outside(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Bool[NDArray[np.bool_], "N"]:
+    """Whether each of N points is beside or below all meshes, or farther above them than they are large.
+
+    Nothing is outside of a single wall or ground, which holds nothing.
+    """
+    low_m, high_m = bounds_m(meshes)
+    extent_m = high_m - low_m
+    if extent_m.min() < FLAT * extent_m.max():
+        return np.zeros(len(points_m), dtype=bool)
+    high_m[2] += extent_m.max()
+    return np.asarray(((points_m < low_m) | (points_m > high_m)).any(axis=1))
 
 
 def _check_free(

@@ -8,6 +8,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from xfreqbench.scene import visibility_kernels
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
@@ -23,21 +25,52 @@ def distance_to_surfaces(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArr
 def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Int[IntArray, "N"]:
     """Index of a closed mesh that encloses each of N points, or −1.
 
-    A mesh encloses a point where its winding number is above one half. A rectangle or any other open mesh encloses
-    nothing.
+    A mesh encloses a point where its winding number is above one half, whichever way its faces are turned and however
+    often they are given. A rectangle or any other open mesh encloses nothing.
     """
     enclosing = np.full(len(points_m), -1)
     for index, mesh in enumerate(meshes):
         low_m, high_m = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
         near = np.flatnonzero(((points_m >= low_m) & (points_m <= high_m)).all(axis=1))
-        if len(near) and is_closed(mesh):
-            enclosing[near[np.abs(_winding_number(mesh.corners_m, points_m[near])) > 0.5]] = index
+        if len(near) and (shell := _shell(mesh)).is_watertight:
+            corners_m = np.asarray(shell.triangles)
+            if not shell.is_winding_consistent:
+                corners_m = shell.vertices[_turned_alike(np.asarray(shell.faces), shell.area_faces)]
+            enclosing[near[np.abs(_winding_number(corners_m, points_m[near])) > 0.5]] = index
     return enclosing
 
 
 def is_closed(mesh: SurfaceMesh) -> bool:
     """Whether every edge of a mesh belongs to two of its triangles, so that it has an inside."""
-    return bool(trimesh.Trimesh(mesh.vertices_m, mesh.triangles).is_watertight)
+    return bool(_shell(mesh).is_watertight)
+
+
+def _shell(mesh: SurfaceMesh) -> trimesh.Trimesh:
+    """A mesh with every vertex and every triangle once, whichever side the others of a triangle show."""
+    shell = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
+    if not shell.is_watertight:
+        shell.update_faces(shell.unique_faces())
+    return shell
+
+
+def _turned_alike(triangles: Int[IntArray, "K 3"], area_m2: Float[FloatArray, "K"]) -> Int[IntArray, "K 3"]:
+    """Triangles of a closed mesh, those turned round that face another side than most of their connected part, by area.
+
+    Two triangles of one edge are turned alike where they run along it in opposite directions. The graph has each
+    triangle twice, as it is and turned round, and links those that go together.
+    """
+    edge, number = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(triangles)
+    is_ascending = edge[:, 0] < edge[:, 1]
+    pair = np.lexsort(np.sort(edge, axis=1).T).reshape(-1, 2)  # every edge belongs to two
+    first, second = pair.T // 3
+    other = number * (is_ascending[pair[:, 0]] == is_ascending[pair[:, 1]])
+    ends = np.concatenate([first, first + number]), np.concatenate([second + other, second + number - other])
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * number, 2 * number))
+    as_it_is, turned = connected_components(links, directed=False)[1].reshape(2, number)
+    area_of_part_m2 = np.bincount(as_it_is, weights=area_m2, minlength=2 * number)
+    more_m2 = area_of_part_m2[turned] - area_of_part_m2[as_it_is]
+    is_turned = (more_m2 > 0) | ((more_m2 == 0) & (turned < as_it_is))
+    return np.where(is_turned[:, None], triangles[:, ::-1], triangles)
 
 
 def _winding_number(

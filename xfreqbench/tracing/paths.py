@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int, UInt8
 from numpy.typing import NDArray
 
+from xfreqbench.scene.model import NEAR_M
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -50,7 +51,8 @@ class RaggedPaths:
 
     `num_paths` are those of each transmitter, and `num_interactions` those of each path. `gain` and `delay_s` are
     those of `Paths`. Azimuths and elevations are of unit vectors in world axes, which point from the receiver
-    towards the last interaction (arrival), and from the transmitter towards the first (departure).
+    towards the last interaction (arrival), and from the transmitter towards the first (departure). `vertex_m` is in
+    single precision where the receiver is within `NEAR_M` of the origin, and in double beyond.
     """
 
     num_paths: Int[NDArray[np.int64], "T"]
@@ -63,7 +65,7 @@ class RaggedPaths:
     num_interactions: Int[NDArray[np.int64], "P"]
     interaction: UInt8[NDArray[np.uint8], "I"]
     surface: Int[NDArray[np.int32], "I"]
-    vertex_m: Float[NDArray[np.float32], "I 3"]
+    vertex_m: Float[NDArray[np.floating], "I 3"]
 
     @classmethod
     def of(
@@ -75,6 +77,7 @@ class RaggedPaths:
         arrival = angles_rad(np.concatenate([each.arrival for each in paths]))
         departure = angles_rad(np.concatenate([each.departure(tx, receiver_m) for each, tx in starts]))
         kept = list(zip(paths, is_met, strict=True))
+        precision = np.float64 if (np.abs(receiver_m) > NEAR_M).any() else np.float32
         return cls(
             num_paths=np.array([len(each.delay_s) for each in paths], np.int64),
             gain=np.concatenate([each.gain.T for each in paths]).astype(np.complex64),
@@ -86,7 +89,7 @@ class RaggedPaths:
             num_interactions=np.concatenate([met.sum(axis=1) for met in is_met]).astype(np.int64),
             interaction=np.concatenate([each.interactions[met] for each, met in kept]).astype(np.uint8),
             surface=np.concatenate([each.surfaces[met] for each, met in kept]).astype(np.int32),
-            vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(np.float32),
+            vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(precision),
         )
 
 

@@ -22,6 +22,8 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 FieldCalculator = rt.path_solvers.field_calculator.FieldCalculator
 ImageMethod = rt.path_solvers.image_method.ImageMethod
 
+BESIDE_M = 1e-4  # a ray this far off the vertical has an azimuth in Sionna RT, if it is no longer than some 30 m
+
 
 class Field:
     """Solves buffers of paths from T transmitters to R targets, all with the receiver's antenna."""
@@ -46,7 +48,7 @@ class Field:
             paths=buffer,
             diffraction=diffraction,
             diffraction_lit_region=True,
-            src_positions=point3f(tx_position_m),
+            src_positions=_sources(tx_position_m, target_m),
             tgt_positions=point3f(target_m),
         )
         if not self.radio_scene.mirrors.all():
@@ -87,7 +89,7 @@ class Field:
             paths=buffer,
             samples_per_src=rays,
             diffraction=diffraction,
-            src_positions=point3f(tx_position_m),
+            src_positions=_sources(tx_position_m, target_m),
             tgt_positions=point3f(target_m),
             src_orientations=dr.zeros(mi.Point3f, len(tx_position_m)),
             tgt_orientations=dr.zeros(mi.Point3f, len(target_m)),
@@ -108,6 +110,17 @@ class Field:
                 "precision. Make thick ones thinner; through a metre of metal nothing passes either."
             )
         return gains
+
+
+def _sources(tx_position_m: Float[FloatArray, "T 3"], target_m: Float[FloatArray, "R 3"]) -> Any:
+    """Transmitters as Sionna RT gets them: those right above or below a target stand twice `BESIDE_M` aside.
+
+    Sionna RT takes 0 as the azimuth of both ends of a vertical ray. They are opposite, as those of all rays beside it,
+    and the field would have the wrong sign.
+    """
+    offset_m = np.linalg.norm(tx_position_m[:, None, :2] - target_m[:, :2], axis=2)
+    is_aligned = offset_m.min(axis=1, keepdims=True) < BESIDE_M
+    return point3f(tx_position_m + is_aligned * 2 * BESIDE_M * np.array([0.8, 0.6, 0.0]))
 
 
 def with_travel_phase(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +30,8 @@ class SionnaTracer:
     shot from each transmitter at each carrier, which is some fifty times slower.
 
     Every element of the array is solved at its own position. On one machine with the same libraries, the same
-    seed gives the same channel to the last bit, whichever other transmitters are asked for with it.
+    seed gives the same channel to the last bit, whichever other transmitters are asked for with it. Sionna RT is in
+    single precision: it gets coordinates that count from `ReceiverArray.local_origin_m`.
     Raises `MaterialBandError` before any ray is
     shot; the import of this module raises `MissingLLVMError` where there is no LLVM library.
     """
@@ -42,17 +44,22 @@ class SionnaTracer:
     ) -> None:
         carriers, settings = np.asarray(carrier_hz, dtype=np.float64), settings.by("sionna")
         prepared = PreparedScene.of(scene)
-        meshes = prepared.geometry.meshes
+        receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
         check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
         shooting = ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
-        self._rays = shooting(RadioScene(meshes, settings.materials), prepared.scene.receiver, carriers, settings)
+        self._origin_m = receiver.local_origin_m
+        x, y, z = (receiver.position_m - self._origin_m).tolist()
+        moved = [replace(mesh, vertices_m=mesh.vertices_m - self._origin_m) for mesh in meshes]
+        radio_scene = RadioScene(moved, settings.materials)
+        self._rays = shooting(radio_scene, replace(receiver, position_m=(x, y, z)), carriers, settings)
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
-        return self._rays.channel(tx_position_m)
+        return self._rays.channel(tx_position_m - self._origin_m)
 
     @checked
     def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
-        return self._rays.paths(tx_position_m)
+        paths = self._rays.paths(tx_position_m - self._origin_m)
+        return replace(paths, vertices_m=paths.vertices_m - (0.0 - self._origin_m))  # which leaves −0 as it is
