@@ -113,7 +113,7 @@ def test_another_processor_or_number_of_threads_changes_digits_alone(
     command = [sys.executable, "-m", "xfreqbench.cli", *words.split()]
     done = subprocess.run(command, cwd=tmp_path, env=os.environ | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "fingerprint of two_rooms@1-" in done.stdout
+    assert "fingerprint of two_rooms@2-" in done.stdout
     other = open_dataset(tmp_path / "rooms.h5")
     assert other.recipe == usual.recipe
     assert apart(other, usual) < BY_PROCESSOR
@@ -172,7 +172,7 @@ def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tm
 
     forged = rewritten(usual, tmp_path / "forged.h5", other.tables["cfr"])
     assert forged.recipe == usual.recipe
-    with pytest.raises(DataError, match=r"says that it is two_rooms@1-.* a median relative field error of 2\.\de-01"):
+    with pytest.raises(DataError, match=r"says that it is two_rooms@2-.* a median relative field error of 2\.\de-01"):
         require_fingerprint(forged)
     told = xfreqbench("info", forged.path)
     assert (told.code, "is refused by run and score" in told.stdout) == (0, True)

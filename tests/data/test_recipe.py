@@ -130,12 +130,12 @@ def test_another_grid_of_maps_is_another_recipe(usual: Recipe) -> None:
 
 def test_the_next_physics_is_another_recipe_and_its_version_is_told(usual: Recipe) -> None:
     plan = planned()
-    later = recipe_of(replace(plan, header=replace(plan.header, physics="2")))
+    later = recipe_of(replace(plan, header=replace(plan.header, physics="3")))
     assert later.sha256 != usual.sha256
-    assert re.fullmatch("two_rooms@1-[0-9a-f]{8}", usual.name)
-    assert re.fullmatch("two_rooms@2-[0-9a-f]{8}", str(later))
-    assert "physics" not in plan.header.attributes()  # so that equal data keep their bytes
-    assert replace(plan.header, physics="2").attributes()["physics"] == "2"
+    assert re.fullmatch("two_rooms@2-[0-9a-f]{8}", usual.name)
+    assert re.fullmatch("two_rooms@3-[0-9a-f]{8}", str(later))
+    assert plan.header.attributes()["physics"] == "2"
+    assert "physics" not in replace(plan.header, physics="1").attributes()  # files of version 1 do not tell it
 
 
 def test_extrapolated_materials_are_in_the_recipe() -> None:

@@ -173,7 +173,7 @@ class PasDataset:
 
     @cached_property
     def recipe(self) -> Recipe:
-        """What the whole data set follows from, the same on every machine; `str` names it: `office@1-3f9c2ab1`."""
+        """What the whole data set follows from, the same on every machine; `str` names it: `office@2-3f9c2ab1`."""
         try:
             how = self.scene, self.trace_settings
         except DataError:

@@ -80,12 +80,12 @@ class Recipe:
 
     @property
     def id(self) -> str:
-        """Physics version and whole hash, as records hold it: `1-3f9c…`."""
+        """Physics version and whole hash, as records hold it: `2-3f9c…`."""
         return f"{self.physics}-{self.sha256}"
 
     @property
     def name(self) -> str:
-        """Scene, physics version and the first digits of the hash, as it is shown: `office@1-3f9c2ab1`."""
+        """Scene, physics version and the first digits of the hash, as it is shown: `office@2-3f9c2ab1`."""
         return recipe_name(self.scene_name, self.id)
 
     def __str__(self) -> str:

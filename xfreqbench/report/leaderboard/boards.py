@@ -72,7 +72,7 @@ class Board:
 
     @property
     def data_name(self) -> str:
-        """The data set as it is shown: `office@1-3f9c2ab1`."""
+        """The data set as it is shown: `office@2-3f9c2ab1`."""
         return recipe_name(self.scene, self.data)
 
     def is_of(self, dataset: PasDataset) -> bool:
