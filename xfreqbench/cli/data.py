@@ -81,6 +81,9 @@ def generate(
         bool,
         Parameter(negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."),
     ] = False,
+    receiver: Annotated[
+        str | None, Parameter(help="Name of the receiver, of a scene with several; the first if absent.")
+    ] = None,
     executor: Executor = "serial",
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
@@ -108,6 +111,7 @@ def generate(
         "pas_kind": pas_kind,
         "maps": maps,
         "paths": paths,
+        "receiver": receiver,
     }
     if dry_run:
         settings = TraceSettings(solver, interactions_named(names), max_depth, rays, seed, materials)

@@ -58,6 +58,7 @@ def generate(
     materials: MaterialPolicy = "error",
     maps: bool = True,
     paths: bool = False,
+    receiver: str | None = None,
     executor: Word = SERIAL,
     progress: bool = False,
     tell: Callable[[str], None] | None = None,
@@ -83,6 +84,7 @@ def generate(
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
+        receiver=receiver,
     )
     if tell:
         tell(plan.summary)
@@ -106,6 +108,7 @@ def plan_of(
     pas_kind: str,
     maps: bool,
     paths: bool,
+    receiver: str | None,
 ) -> Plan:
     """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
     if tx is not None and tx_positions is not None:
@@ -119,6 +122,7 @@ def plan_of(
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
+        receiver=receiver,
     )
 
 

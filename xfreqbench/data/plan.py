@@ -181,17 +181,18 @@ def plan_generation(
     pas_kind: str = "power",
     maps: bool = True,
     paths: bool = False,
+    receiver: str | None = None,
 ) -> Plan:
     """Check a job and look up all that it needs; no ray is shot.
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file; `paths` puts the paths into it. Raises `MaterialBandError`, `PlacementError` or another
-    `XFreqBenchError`.
+    out of the file; `paths` puts the paths into it. `receiver` names one of the scene's, the first if
+    None. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
     prepared = PreparedScene.of(scene)
-    scene, geometry = prepared.scene, prepared.geometry
+    scene, geometry = prepared.scene.with_receiver(receiver), prepared.geometry
     if paths and "diffuse" in settings.named_interactions:
         raise XFreqBenchError(
             "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "

@@ -37,6 +37,7 @@ _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _SAID_IF_GIVEN = {
+    "other_receivers",
     "up",
     "unit",
     "outside",
@@ -85,7 +86,8 @@ class ReceiverArray:
 
     `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array holds
     the pole, and `boresight` is the pole alone. `orientation`, a quaternion x, y, z, w, is the whole turn from the
-    frame to the world, and its pole has to be the boresight. The JSON leaves them out where they are not given.
+    frame to the world, and its pole has to be the boresight. `name` tells the receivers of a scene with several apart.
+    The JSON leaves these out where they are not given.
     """
 
     position_m: Point
@@ -97,10 +99,11 @@ class ReceiverArray:
     polarization: Literal["V", "H"] = "V"
     plane: ArrayPlane = "xy"
     orientation: Quaternion | None = None
+    name: str | None = None
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        default = {"plane": "xy", "orientation": None}
+        default = {"plane": "xy", "orientation": None, "name": None}
         return {key: value for key, value in serialize(self).items() if key not in default or value != default[key]}
 
     @model_validator(mode="after")
@@ -227,7 +230,8 @@ class Scene:
     as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
     or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
     meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
-    of the receiver.
+    of the receiver. A file may have several `[[receiver]]`, each with a name: those after the first are
+    `other_receivers`.
 
     `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
     `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
@@ -249,6 +253,7 @@ class Scene:
     mirrors: Literal["patches", "facets"] | None = None
     least_patch_area_m2: Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)] | None = None
     least_patch_width_m: PositiveMetres | None = None
+    other_receivers: tuple[ReceiverArray, ...] = ()
     folder: Annotated[Path, Field(exclude=True)] = Path()
 
     @model_serializer(mode="wrap")
@@ -266,14 +271,31 @@ class Scene:
 
     @model_validator(mode="after")
     def _names_are_unique_and_materials_known(self) -> Scene:
-        for kind, named in (("surface", self.surface), ("material", self.material)):
-            names = Counter(each.name for each in named)
+        receivers = self.receivers if self.other_receivers else ()
+        if not all(each.name for each in receivers):
+            raise ValueError("of several receivers each needs a name of its own, as in name = \"north\"")
+        for kind, named in (("surface", self.surface), ("material", self.material), ("receiver", receivers)):
+            names = Counter(each.name or "" for each in named)
             twice = sorted(name for name, count in names.items() if count > 1)
             if twice:
                 raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
         for surface in self.surface:
             material_bands(self.material_of(surface))
         return self
+
+    @property
+    def receivers(self) -> tuple[ReceiverArray, ...]:
+        """All receivers of the scene, in the order of its file."""
+        return self.receiver, *self.other_receivers
+
+    def with_receiver(self, name: str | None = None) -> Scene:
+        """The scene with one of its receivers alone, the first without a name; raises `UnknownNameError`."""
+        if name is None:
+            return replace(self, other_receivers=())
+        by_name = {each.name: each for each in self.receivers if each.name is not None}
+        if name not in by_name:
+            raise UnknownNameError("receiver", name, by_name)
+        return replace(self, receiver=by_name[name], other_receivers=())
 
     @property
     def materials(self) -> dict[str, SceneMaterial]:
@@ -361,6 +383,9 @@ def parse_scene(text: str, folder: Path = Path()) -> Scene:
 def _validated(content: dict[str, Any], folder: Path) -> Scene:
     if "folder" in content:
         raise SceneError("the scene has no valid form:\n  folder: no such key")
+    if isinstance(content.get("receiver"), list):  # [[receiver]], once or several times
+        first, *others = content["receiver"] or [{}]
+        content = {**content, "receiver": first, "other_receivers": others}
     try:
         return TypeAdapter(Scene).validate_python({**content, "folder": folder})
     except ValidationError as error:
@@ -372,4 +397,8 @@ def _validated(content: dict[str, Any], folder: Path) -> Scene:
 
 def scene_schema() -> dict[str, Any]:
     """JSON Schema of a scene file, with which editors complete and check TOML."""
-    return TypeAdapter(Scene).json_schema()
+    schema: dict[str, Any] = TypeAdapter(Scene).json_schema()
+    properties = schema["properties"]
+    one, several = properties["receiver"], properties.pop("other_receivers")
+    properties["receiver"] = {"anyOf": [one, {"type": "array", "items": several["items"], "minItems": 1}]}
+    return schema
