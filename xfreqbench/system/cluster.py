@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import platform
+import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 
-from xfreqbench.errors import ClusterError
+from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.system.machine import safe_path
 from xfreqbench.system.source import package_sha256
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 SCHEME = "dask://"
-CONNECT_S = 10.0  # how long to wait for a scheduler
+CONNECT_S = 8.0  # how long to wait for a scheduler
 FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
+_LOOK_S = 1.0  # between two looks at which workers there are, while a call waits for one that may make it
 _CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
 _LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
+
+
+class UnfitWorkerError(ClusterError):
+    """Raised in a call by a worker that cannot make it as the driver could: another worker is then asked to."""
 
 
 class DaskWorkers:
     """The workers of one scheduler, each making one call at a time; see `xfreqbench.system.workers.Workers`.
 
     A call whose worker dies is made again on another worker. It ends with `ClusterError` once more workers have
-    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends.
+    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends. A call
+    that a worker refuses with `UnfitWorkerError`, or cannot even read, is made by one of the others, and ends with
+    `ClusterError` where every worker refuses it.
     """
 
     def __init__(self, client: Any, address: str) -> None:
@@ -53,15 +64,69 @@ class DaskWorkers:
         # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
         worded: Future[Result] = Future()
         worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
-        found.add_done_callback(partial(_pass_on, worded, self._address))
+        found.add_done_callback(partial(self._end, worded, call, argument))
         return worded
+
+    def _end(
+        self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, found: Future[_Refusal | Any]
+    ) -> None:
+        """Give a future the outcome of a call, or have the call made by another worker if it was refused."""
+        outcome = self._outcome(found)
+        if not _may_be_refused(outcome):
+            _settle(worded, outcome)
+            return
+        self._sent = None, None  # no worker may have been able to read it
+        # this is the client's own thread, which may not wait for an answer of a worker
+        threading.Thread(target=self._make_elsewhere, args=(worded, call, argument, outcome), daemon=True).start()
+
+    def _outcome(self, found: Future[Any]) -> Any:
+        """What a call returned or raised; the death of workers or scheduler is a `ClusterError`."""
+        if found.cancelled():
+            return _gone(self._address)
+        error = found.exception()
+        return _killed(error) or error or found.result()
+
+    def _make_elsewhere(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, outcome: Any) -> None:
+        """Have a call made by a worker that does not refuse it, whichever of them come and go."""
+        try:
+            with _losses_in_words(self._address):
+                refusals = self._refusals(outcome)
+                while not worded.cancelled():
+                    present = self._client.nthreads().keys()
+                    left = present - refusals.keys()
+                    if present and not left:
+                        raise ClusterError("; ".join(f"Worker {worker} {refusals[worker]}" for worker in present))
+                    found = self._executor.submit(_call_alike, call, argument, fingerprint(), workers=sorted(left))
+                    while not (wait([found], _LOOK_S).done or worded.cancelled()):
+                        if left.isdisjoint(self._client.nthreads()):
+                            break
+                    if not found.done():  # nobody is left who may make it
+                        found.cancel()
+                        continue
+                    outcome = self._outcome(found)
+                    if not _may_be_refused(outcome):
+                        break
+                    refusals |= self._refusals(outcome, refusals)
+        except Exception as error:
+            outcome = error
+        _settle(worded, outcome)
+
+    def _refusals(self, outcome: Any, known: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
+        """Which workers refused a call, and why; raises its error if no worker but those known cannot work at all."""
+        if isinstance(outcome, _Refusal):
+            return {outcome.worker: outcome.words}
+        answers = self._client.run(fingerprint, on_error="return")
+        found = {worker: f"cannot work: {answer}" for worker, answer in answers.items() if _has_failed(answer)}
+        if found.keys() <= known.keys():
+            raise outcome
+        return found
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
         with _losses_in_words(self._address):
             answers = self._client.run(question, *arguments, on_error="return")
         for worker, answer in answers.items():
-            if isinstance(answer, Exception):
+            if _has_failed(answer):
                 raise ClusterError(
                     f"Worker {worker} of {self._address} cannot work: {type(answer).__name__}: {answer}. Start "
                     "it in an environment like this one."
@@ -80,10 +145,12 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     scheduler = "tcp://" + address.removeprefix(SCHEME)
     with _quiet("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
         try:
+            asyncio.run(asyncio.wait_for(_require_scheduler(distributed, scheduler), CONNECT_S))
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except Exception as error:  # what listens there may say anything
             raise ClusterError(
-                f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
+                f"No Dask scheduler answers at {address}: {' '.join(str(error).split()) or 'nothing is said'}. Start "
+                "one with `dask scheduler`, or mend --executor."
             ) from error
         with client:
             workers = DaskWorkers(client, address)
@@ -95,6 +162,18 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
                         "versions on both, as with `pip install -c constraints.txt`."
                     )
             yield workers
+
+
+async def _require_scheduler(distributed: Any, address: str) -> None:
+    """Raise an exception unless a Dask scheduler listens at an address; it is given as long as the caller waits."""
+    comm = await distributed.comm.connect(address, timeout=CONNECT_S)
+    try:
+        await comm.write({"op": "identity", "reply": True, "close": True})
+        answer = await comm.read()
+    finally:
+        comm.abort()
+    if answer["type"] != "Scheduler":
+        raise ValueError(f"a Dask {answer['type'].lower()} listens there")
 
 
 @contextmanager
@@ -122,7 +201,7 @@ def local_cluster(num_workers: int) -> Iterator[str]:
     distributed = _imported()
     one_thread = {"NUMBA_NUM_THREADS": "1"}  # Dask itself limits OpenMP and BLAS to one thread
     options = {"threads_per_worker": 1, "dashboard_address": ":0", "env": one_thread}
-    with distributed.LocalCluster(num_workers, **options) as cluster:
+    with safe_path(), distributed.LocalCluster(n_workers=num_workers, **options) as cluster:
         yield SCHEME + cluster.scheduler_address.removeprefix("tcp://")
 
 
@@ -174,16 +253,47 @@ def lost_workers(number: int, where: str = "") -> str:
     )
 
 
+class _Refusal(NamedTuple):
+    """Why a worker, by its address, did not make a call; `words` go on after its name."""
+
+    worker: str
+    words: str
+
+
 def _itself(call: Callable[[Argument], Result]) -> Callable[[Argument], Result]:
     return call
 
 
-def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Result:
-    """On the worker: make a call, unless this worker joined after the check and differs from the driver."""
-    differing = differences(drivers, fingerprint())
-    if differing:
-        raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
-    return call(argument)
+def _call_alike(
+    call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]
+) -> Result | _Refusal:
+    """On the worker: make a call, unless this worker differs from the driver, as one that joined later may."""
+    from distributed import get_worker
+
+    try:
+        if differing := differences(drivers, fingerprint()):
+            raise UnfitWorkerError(f"has other software: {differing}.")
+        return call(argument)
+    except UnfitWorkerError as error:
+        return _Refusal(get_worker().address, str(error))
+
+
+def _has_failed(answer: Any) -> bool:
+    return isinstance(answer, Exception)
+
+
+def _may_be_refused(outcome: Any) -> bool:
+    """Whether a worker refused a call, or failed with what is no error of ours and may be its own fault."""
+    return isinstance(outcome, _Refusal) or (_has_failed(outcome) and not isinstance(outcome, XFreqBenchError))
+
+
+def _settle(worded: Future[Any], outcome: Any) -> None:
+    if not worded.set_running_or_notify_cancel():
+        return
+    if isinstance(outcome, BaseException):
+        worded.set_exception(outcome)
+    else:
+        worded.set_result(outcome)
 
 
 @contextmanager
@@ -202,17 +312,6 @@ def _gone(address: str) -> ClusterError:
         f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same command goes "
         "on where it stopped."
     )
-
-
-def _pass_on(worded: Future[Result], address: str, found: Future[Result]) -> None:
-    if not worded.set_running_or_notify_cancel():
-        return
-    try:
-        worded.set_result(found.result())
-    except CancelledError:
-        worded.set_exception(_gone(address))
-    except Exception as error:
-        worded.set_exception(_killed(error) or error)
 
 
 def _killed(error: Any) -> ClusterError | None:
