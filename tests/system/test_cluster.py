@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import socketserver
 import subprocess
 import sys
 import threading
@@ -394,6 +395,42 @@ def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
     monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
     no_answer = r"No Dask scheduler answers at dask://127\.0\.0\.1:1"
     with pytest.raises(ClusterError, match=no_answer), dask_workers("dask://127.0.0.1:1"):
+        pass
+
+
+@pytest.mark.parametrize(
+    "says", [None, b"", b"SSH-2.0-OpenSSH_9.2\r\n", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\0" * 64, b"\xff" * 64]
+)
+def test_what_listens_there_and_is_no_scheduler_is_refused_in_one_line(
+    says: bytes | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None: it accepts and says nothing; no bytes: it closes at once."""
+    assert cluster.CONNECT_S < 10
+    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+
+    class Says(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            if says is None:
+                self.request.recv(10**6)
+                has_ended.wait()
+            self.request.sendall(says or b"")
+
+    has_ended = threading.Event()
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Says) as server:
+        threading.Thread(target=server.serve_forever).start()
+        address = f"dask://127.0.0.1:{server.server_address[1]}"
+        refusal = r"^No Dask scheduler answers at dask:.*, or mend --executor\.$"
+        try:
+            with pytest.raises(ClusterError, match=refusal), dask_workers(address):
+                pass
+        finally:
+            has_ended.set()
+            server.shutdown()
+
+
+def test_a_worker_is_no_scheduler(running: Started) -> None:
+    worker = next(iter(running.client.nthreads())).removeprefix("tcp://")
+    with pytest.raises(ClusterError, match="a Dask worker listens there"), dask_workers(f"dask://{worker}"):
         pass
 
 

@@ -7,7 +7,7 @@ import logging
 import platform
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -22,7 +22,7 @@ from xfreqbench.system.source import package_sha256
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 SCHEME = "dask://"
-CONNECT_S = 8.0  # how long to wait for a scheduler
+CONNECT_S = 6.0  # how long to wait for a scheduler
 FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
 _LOOK_S = 1.0  # between two looks at which workers there are, while a call waits for one that may make it
 _CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
@@ -57,10 +57,12 @@ class DaskWorkers:
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
         with _losses_in_words(self._address):
-            if self._sent[0] is not call:
+            known, sent = self._sent
+            if known is not call:
                 # a task of its own: it can be made again if every worker that has it dies
-                self._sent = call, self._client.submit(_itself, call, pure=False)
-            found = self._executor.submit(_call_alike, self._sent[1], argument, fingerprint())
+                sent = self._client.submit(_itself, call, pure=False)
+                self._sent = call, sent
+            found = self._executor.submit(_call_alike, sent, argument, fingerprint())
         # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
         worded: Future[Result] = Future()
         worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
@@ -145,7 +147,9 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     scheduler = "tcp://" + address.removeprefix(SCHEME)
     with _quiet("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
         try:
-            asyncio.run(asyncio.wait_for(_require_scheduler(distributed, scheduler), CONNECT_S))
+            with ThreadPoolExecutor(1) as thread:  # a notebook has an event loop of its own
+                question = asyncio.wait_for(_require_scheduler(distributed, scheduler), CONNECT_S)
+                thread.submit(asyncio.run, question).result()
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except Exception as error:  # what listens there may say anything
             raise ClusterError(

@@ -204,7 +204,9 @@ _IDLE_BEGINNINGS = (
     "import lazy_loader",
     "import os",
     "import typing",
-    "os.environ.setdefault(",  # how threads wait changes no result
+    "os.environ.setdefault(",  # how threads wait, and where is kept what was compiled, changes no result
+    "from xfreqbench.system.caches ",
+    "settle_caches()",
 )
 
 

@@ -9,7 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from numba import get_num_threads, njit
+from numba import njit
+
+from xfreqbench.system.machine import num_threads
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Result = TypeVar("Result")
@@ -48,5 +50,5 @@ def within(kernel: Any) -> Any:
 
 def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
     """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use."""
-    with ThreadPoolExecutor(get_num_threads()) as threads:
+    with ThreadPoolExecutor(num_threads()) as threads:
         return list(threads.map(call, range(number)))
