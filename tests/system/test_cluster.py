@@ -232,6 +232,14 @@ class Patient(Nearest):
         yield from super().fit(train, budget, seed)
 
 
+class Gated(Patient):
+    """Does not end before there is a file `go` in the working folder."""
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        _wait(Path("go").exists)
+        yield from super().fit(train, budget, seed)
+
+
 def _told(results: Path) -> dict[tuple[str, str, int], RunRecord]:
     """Records without what time and machine make of them."""
     blank: dict[str, Any] = {
@@ -303,7 +311,7 @@ def test_workers_of_a_cluster_of_our_own_import_nothing_from_the_working_folder(
 
 
 def _refuses(argument: int) -> None:
-    raise UnfitWorkerError(f"cannot see {argument}")
+    raise UnfitWorkerError(f"cannot see {argument}.")
 
 
 def _raises(argument: int) -> None:
@@ -350,26 +358,29 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
         "older": {"options": ["--preload", str(tmp_path / "older.py")]},
     }
     with started(tmp_path, 1) as running, ExitStack() as late:
-        method = f"{Patient.__module__}:{Patient.__name__}"
-        command = f"run --data data.h5 --targets 77 --method {method} --seed 0,1,2,3,4,5 --budget 2steps"
+        method = f"{Gated.__module__}:{Gated.__name__}"
+        command = f"run --data data.h5 --targets 77 --method {method} --seed 0,1,2,3,4,5,6,7 --budget 2steps"
         with _driver(f"{command} --results results --executor {running.address}", tmp_path) as driver:
-            _wait(lambda: (results / "records.jsonl").exists() or driver.poll() is not None)
+            _wait(lambda: bool(list(results.glob("predictions/*.lock"))) or driver.poll() is not None)
             for name, way in ways.items():
                 options = [*WORKER, running.address.removeprefix("dask://"), *way.pop("options", [])]
                 late.enter_context(_process(options, tmp_path / f"{name}.log", **way))
             running.wait_for(1 + len(ways))
+            (tmp_path / "go").touch()
             _, message = driver.communicate()
         assert driver.returncode == 0, message
+        assert f"does not see {results} as the driver does" in message and "has other software: " in message
+        assert "cannot work: ImportError: not installed. Others do its work." in message
         assert all(not tasks for tasks in running.client.processing().values())
     stored = read(results / "records.jsonl").records
-    assert [record.job.seed for record in sorted(stored, key=lambda record: record.job.seed)] == [*range(6)]
+    assert [record.job.seed for record in sorted(stored, key=lambda record: record.job.seed)] == [*range(8)]
     assert {path.stem for path in results.glob("predictions/*.h5")} == {record.id for record in stored}
 
 
 def test_a_call_that_every_worker_refuses_says_why(running: Started) -> None:
     with dask_workers(running.address) as workers:
         ((_, ended),) = side_by_side(workers, _refuses, [7])
-    with pytest.raises(ClusterError, match=r"Worker tcp://.* cannot see 7; Worker tcp://.* cannot see 7"):
+    with pytest.raises(ClusterError, match=r"Worker tcp://.* cannot see 7. Worker tcp://.* cannot see 7"):
         ended.result()
 
 

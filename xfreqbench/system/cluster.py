@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import platform
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -12,10 +13,9 @@ from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar, no_type_check
 
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.errors import ClusterError
 from xfreqbench.system.machine import safe_path
 from xfreqbench.system.source import package_sha256
 
@@ -47,6 +47,7 @@ class DaskWorkers:
         self._address = address
         self._executor = client.get_executor(pure=False)
         self._sent: tuple[Any, Any] = (None, None)
+        self._left_out = set[str]()  # workers of which was told why
 
     @property
     def num_places(self) -> int:
@@ -60,26 +61,23 @@ class DaskWorkers:
             known, sent = self._sent
             if known is not call:
                 # a task of its own: it can be made again if every worker that has it dies
-                sent = self._client.submit(_itself, call, pure=False)
+                sent = self._client.submit(bytes, _pickled(call), pure=False)
                 self._sent = call, sent
-            found = self._executor.submit(_call_alike, sent, argument, fingerprint())
+            found = self._executor.submit(_CALL, sent, _pickled((argument, fingerprint())))
         # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
         worded: Future[Result] = Future()
         worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
         found.add_done_callback(partial(self._end, worded, call, argument))
         return worded
 
-    def _end(
-        self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, found: Future[_Refusal | Any]
-    ) -> None:
+    def _end(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, found: Future[Any]) -> None:
         """Give a future the outcome of a call, or have the call made by another worker if it was refused."""
         outcome = self._outcome(found)
-        if not _may_be_refused(outcome):
+        if _is_refusal(outcome):
+            # this is the client's own thread, which may not wait for an answer of a worker
+            threading.Thread(target=self._make_elsewhere, args=(worded, call, argument, outcome), daemon=True).start()
+        else:
             _settle(worded, outcome)
-            return
-        self._sent = None, None  # no worker may have been able to read it
-        # this is the client's own thread, which may not wait for an answer of a worker
-        threading.Thread(target=self._make_elsewhere, args=(worded, call, argument, outcome), daemon=True).start()
 
     def _outcome(self, found: Future[Any]) -> Any:
         """What a call returned or raised; the death of workers or scheduler is a `ClusterError`."""
@@ -89,46 +87,42 @@ class DaskWorkers:
         return _killed(error) or error or found.result()
 
     def _make_elsewhere(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, outcome: Any) -> None:
-        """Have a call made by a worker that does not refuse it, whichever of them come and go."""
+        """Have a call that was refused made by a worker that does not refuse it, whichever of them come and go."""
+        refusals, sent = dict[str, str](), (_pickled(call), _pickled((argument, fingerprint())))
         try:
             with _losses_in_words(self._address):
-                refusals = self._refusals(outcome)
-                while not worded.cancelled():
+                while _is_refusal(outcome) and not worded.cancelled():
+                    _, worker, words = outcome
+                    self._note(worker, words, refusals)
                     present = self._client.nthreads().keys()
                     left = present - refusals.keys()
                     if present and not left:
-                        raise ClusterError("; ".join(f"Worker {worker} {refusals[worker]}" for worker in present))
-                    found = self._executor.submit(_call_alike, call, argument, fingerprint(), workers=sorted(left))
+                        raise ClusterError(" ".join(f"Worker {worker} {refusals[worker]}" for worker in present))
+                    found = self._executor.submit(_CALL, *sent, workers=sorted(left))
                     while not (wait([found], _LOOK_S).done or worded.cancelled()):
                         if left.isdisjoint(self._client.nthreads()):
                             break
-                    if not found.done():  # nobody is left who may make it
+                    if found.done():
+                        outcome = self._outcome(found)
+                    else:  # nobody is left who may make it
                         found.cancel()
-                        continue
-                    outcome = self._outcome(found)
-                    if not _may_be_refused(outcome):
-                        break
-                    refusals |= self._refusals(outcome, refusals)
         except Exception as error:
             outcome = error
         _settle(worded, outcome)
 
-    def _refusals(self, outcome: Any, known: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
-        """Which workers refused a call, and why; raises its error if no worker but those known cannot work at all."""
-        if isinstance(outcome, _Refusal):
-            return {outcome.worker: outcome.words}
-        answers = self._client.run(fingerprint, on_error="return")
-        found = {worker: f"cannot work: {answer}" for worker, answer in answers.items() if _has_failed(answer)}
-        if found.keys() <= known.keys():
-            raise outcome
-        return found
+    def _note(self, worker: str, words: str, refusals: dict[str, str]) -> None:
+        """Note why a worker refused a call, and tell it once of every worker."""
+        refusals[worker] = words
+        if worker not in self._left_out:
+            print(f"xfreqbench: worker {worker} {words} Others do its work.", file=sys.stderr, flush=True)
+        self._left_out.add(worker)
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
         with _losses_in_words(self._address):
             answers = self._client.run(question, *arguments, on_error="return")
         for worker, answer in answers.items():
-            if _has_failed(answer):
+            if isinstance(answer, Exception):
                 raise ClusterError(
                     f"Worker {worker} of {self._address} cannot work: {type(answer).__name__}: {answer}. Start "
                     "it in an environment like this one."
@@ -257,20 +251,31 @@ def lost_workers(number: int, where: str = "") -> str:
     )
 
 
-class _Refusal(NamedTuple):
-    """Why a worker, by its address, did not make a call; `words` go on after its name."""
+def _opaque_call() -> Callable[[bytes, bytes], Any]:
+    """The function that workers are sent: by its code, so that one without this package can read it, and say so."""
 
-    worker: str
-    words: str
+    @no_type_check  # or tests would have another function in its place, which cannot be sent
+    def make(call: bytes, rest: bytes) -> Any:
+        import pickle
+
+        from distributed import get_worker
+
+        try:
+            from xfreqbench.system.cluster import _call_alike
+
+            asked = pickle.loads(call), *pickle.loads(rest)
+        except Exception as error:
+            return "xfreqbench: refused", get_worker().address, f"cannot work: {type(error).__name__}: {error}."
+        return _call_alike(*asked)
+
+    return make
 
 
-def _itself(call: Callable[[Argument], Result]) -> Callable[[Argument], Result]:
-    return call
+_CALL = _opaque_call()
+_REFUSED = "xfreqbench: refused"  # and then the worker's address and its reason, which goes on after its name
 
 
-def _call_alike(
-    call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]
-) -> Result | _Refusal:
+def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Any:
     """On the worker: make a call, unless this worker differs from the driver, as one that joined later may."""
     from distributed import get_worker
 
@@ -279,16 +284,18 @@ def _call_alike(
             raise UnfitWorkerError(f"has other software: {differing}.")
         return call(argument)
     except UnfitWorkerError as error:
-        return _Refusal(get_worker().address, str(error))
+        return _REFUSED, get_worker().address, str(error)
 
 
-def _has_failed(answer: Any) -> bool:
-    return isinstance(answer, Exception)
+def _is_refusal(outcome: Any) -> bool:
+    return isinstance(outcome, tuple) and outcome[:1] == (_REFUSED,)
 
 
-def _may_be_refused(outcome: Any) -> bool:
-    """Whether a worker refused a call, or failed with what is no error of ours and may be its own fault."""
-    return isinstance(outcome, _Refusal) or (_has_failed(outcome) and not isinstance(outcome, XFreqBenchError))
+def _pickled(sent: Any) -> bytes:
+    """What is sent to a worker, in a form that does not end the worker where it cannot be read."""
+    import cloudpickle
+
+    return bytes(cloudpickle.dumps(sent))
 
 
 def _settle(worded: Future[Any], outcome: Any) -> None:

@@ -23,7 +23,6 @@ _MEMORY = Path("/proc/meminfo")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
-_LAYER = "NUMBA_THREADING_LAYER"
 _SAFE_PATH = "PYTHONSAFEPATH"
 _STARTING, _num_starting = threading.Lock(), 0
 _safe_path_before: str | None = None
@@ -46,19 +45,6 @@ def require_thread_count() -> None:
             f"{_THREADS} is set to {asked!r}. Set it to a number of threads from 1 to {_MOST_THREADS}, or unset it: "
             "there is then one for each core."
         )
-
-
-def num_threads() -> int:
-    """Number of threads that Numba uses; raises `XFreqBenchError` where it is to start them by a library it lacks."""
-    from numba import get_num_threads
-
-    try:
-        return get_num_threads()
-    except ValueError as error:
-        raise XFreqBenchError(
-            f"{_LAYER} is set to {os.environ.get(_LAYER)!r}, with which Numba cannot start threads here: "
-            f"{str(error).splitlines()[0]} Set it to omp or workqueue, or unset it."
-        ) from error
 
 
 @contextmanager

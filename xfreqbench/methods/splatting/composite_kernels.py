@@ -14,11 +14,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange, set_num_threads
+from numba import get_num_threads, njit, prange, set_num_threads
 from numba.core.config import NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 from numpy.typing import NDArray
-
-from xfreqbench.system.machine import num_threads
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -41,7 +39,7 @@ TAYLOR_2 = tuple(np.float32(math.log(2) ** power / math.factorial(power)) for po
 
 def use_threads(number: int) -> int:
     """Let kernels use `number` threads, or fewer where Numba has not so many; return how many they used before."""
-    before = num_threads()
+    before = get_num_threads()
     set_num_threads(min(number, NUMBA_NUM_THREADS))
     return before
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from numba import njit
+from numba import get_num_threads, njit
 
-from xfreqbench.system.machine import num_threads
+from xfreqbench.errors import XFreqBenchError
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Result = TypeVar("Result")
@@ -46,6 +47,18 @@ def entry(function: Kernel) -> Kernel:
 def within(kernel: Any) -> Any:
     """An `entry` for other kernels: code from the cache is called, not made part of them, and then rounds otherwise."""
     return whole(kernel.py_func)
+
+
+def num_threads() -> int:
+    """Number of threads that Numba uses; raises `XFreqBenchError` where it is to start them by a library it lacks."""
+    try:
+        return get_num_threads()
+    except ValueError as error:
+        asked = os.environ.get("NUMBA_THREADING_LAYER")
+        raise XFreqBenchError(
+            f"NUMBA_THREADING_LAYER is set to {asked!r}, with which Numba cannot start threads here: "
+            f"{str(error).splitlines()[0]} Set it to omp or workqueue, or unset it."
+        ) from error
 
 
 def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
