@@ -8,6 +8,10 @@ import os
 
 import lazy_loader as lazy
 
+from xfreqbench.system.caches import settle_caches
+
+settle_caches()  # before any library looks for its own
+
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep
 # it, and two fits beside each other on two cores run at a hundredth of their speed.
 os.environ.setdefault("GOMP_SPINCOUNT", "infinite" if os.getenv("OMP_WAIT_POLICY", "").upper() == "ACTIVE" else "1")

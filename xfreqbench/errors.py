@@ -13,6 +13,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 │   └── DivergenceError    while a method was fitted, its loss, gradients or parameters became infinite or NaN
 ├── RunsFailedError        some of several runs failed; it holds the error of each
 ├── StorageError           the output cannot be written: no space, no permission, or a folder in its place
+│   └── InUseError         another process is writing it
 ├── ClusterError           workers cannot be reached, differ from this process, or end while they work
 └── MissingLLVMError       there is no LLVM library that Dr.Jit can use
 """
@@ -96,6 +97,10 @@ class DivergenceError(MethodError):
 
 class StorageError(XFreqBenchError):
     """The output cannot be written: no space, no permission, or a folder in its place."""
+
+
+class InUseError(StorageError):
+    """Another process is writing the output; the message says which one, and since when."""
 
 
 class RunsFailedError(XFreqBenchError):

@@ -15,16 +15,11 @@ from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data import plan as planning
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.errors import (
-    ClusterError,
-    MaterialBandError,
-    PlacementError,
-    SceneError,
-    UnknownNameError,
-    XFreqBenchError,
-)
+from xfreqbench.data.trace import forget_rays, traced_alike
+from xfreqbench.errors import MaterialBandError, PlacementError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene import facets, prepared
 from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.tracing.tracer import TraceSettings
 
 
@@ -116,16 +111,22 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
         np.testing.assert_array_equal(there.corners_m, here.corners_m)
 
 
-def test_a_worker_that_finds_other_meshes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = pickle.loads(pickle.dumps(small_plan(num_transmitters=2).tracing))
+def test_a_worker_that_finds_other_meshes_or_software_leaves_the_work_to_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plan = small_plan(num_transmitters=2)
+    told, batch = pickle.loads(pickle.dumps(plan.tracing)), (0, plan.tx_position_m)
+    forget_rays()
+    with pytest.raises(UnfitWorkerError, match=r"other software: numpy .* \(here 1\.0\)"):
+        traced_alike(told, {**plan.header.software, "numpy": "1.0"}, batch)
     original = prepared.surface_meshes
 
     def meshes_without_the_last(scene: Scene) -> list[Any]:
         return original(scene)[:-1]
 
     monkeypatch.setattr(prepared, "surface_meshes", meshes_without_the_last)
-    with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
-        told.prepared()
+    with pytest.raises(UnfitWorkerError, match="finds other meshes of scene 'two_rooms'"):
+        traced_alike(told, plan.header.software, batch)
 
 
 def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

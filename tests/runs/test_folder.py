@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.stored_records import make_record
-from xfreqbench.errors import DataError, StorageError
+from xfreqbench.errors import ClusterError, DataError, StorageError
 from xfreqbench.runs import folder as folder_module
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.predictions import write_predictions
@@ -60,11 +60,14 @@ def test_a_run_is_finished_when_its_record_and_its_predictions_are_stored(tmp_pa
     assert folder.finished("another") is None
 
 
-def test_a_record_that_is_kept_twice_is_stored_once_and_its_checkpoints_go(tmp_path: Path) -> None:
+def test_a_record_is_kept_with_its_predictions_alone_and_its_checkpoints_go(tmp_path: Path) -> None:
     folder, record = ResultsFolder(tmp_path), make_record()
     checkpoint = folder.checkpoints(record.id).path / "1"
     checkpoint.mkdir(parents=True)
-    folder.keep(record)
+    with pytest.raises(ClusterError, match=r"its predictions are not at .*predictions"):
+        folder.keep(record)
+    assert folder.records == () and checkpoint.exists()
+    store_predictions(folder, record)
     folder.keep(record)
     assert folder.records == (record,)
     assert not checkpoint.parent.exists()

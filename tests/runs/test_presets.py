@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import subprocess
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,8 +14,8 @@ from xfreqbench.runs import benchmark as benchmarks
 from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.presets import PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
+from xfreqbench.system.workers import exit_status
 
-_RUN = subprocess.run
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
     blocks=(
@@ -130,10 +130,10 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
     assert not results.exists() or not list(results.iterdir())
 
 
-def _ended_with_1(command: list[str]) -> subprocess.CompletedProcess[bytes]:
+def _ended_with_1(call: Callable[[list[str]], None], command: list[str]) -> int:
     """A command that stores its tables, and fails after them."""
-    assert _RUN(command).returncode == 0
-    return subprocess.CompletedProcess(command, 1)
+    assert exit_status(call, command) == 0
+    return 1
 
 
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +145,7 @@ def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypa
     fails = ("bench", "stress", "--only", "skill")
     monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (fails, 1))
     with monkeypatch.context() as patch:
-        patch.setattr(benchmarks.subprocess, "run", lambda command: _ended_with_1(command))
+        patch.setattr(benchmarks, "exit_status", _ended_with_1)
         (failure,) = benchmarks.measure(planned, "stress")
     assert "ended with 1" in failure and not planned.results.stored.benches
     assert benchmarks.measure(planned, "stress") == []

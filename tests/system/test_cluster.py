@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
+import socketserver
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -30,7 +33,7 @@ from xfreqbench.runs.records import RunRecord, read
 from xfreqbench.runs.run import require_shared_datasets, require_shared_folder
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system import cluster
-from xfreqbench.system.cluster import dask_workers
+from xfreqbench.system.cluster import UnfitWorkerError, dask_workers, local_cluster
 from xfreqbench.system.workers import InThisProcess, open_workers, side_by_side
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -44,6 +47,7 @@ pytestmark = [
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 ALLOWED_FAILURES = 2
+WORKER = ["worker", "--nthreads", "1", "--no-dashboard"]
 ENVIRONMENT = {
     **os.environ,
     **ONE_THREAD,
@@ -66,10 +70,14 @@ class Started:
 
     def kill_a_busy_worker(self) -> int:
         """SIGKILL to one that holds a task, as soon as there is one; its process id."""
+        return self.signal_a_busy_worker(signal.SIGKILL)
+
+    def signal_a_busy_worker(self, sent: signal.Signals) -> int:
+        """A signal to one that holds a task, as soon as there is one; its process id."""
         _wait(lambda: any(self.client.processing().values()), timeout_s=60)
         busy = [worker for worker, tasks in self.client.processing().items() if tasks][:1]
         (process,) = self.client.run(os.getpid, workers=busy).values()
-        os.kill(process, signal.SIGKILL)
+        os.kill(process, sent)
         return process
 
     def num_lost_tasks(self) -> int:
@@ -82,17 +90,18 @@ def _num_suspicious(dask_scheduler: Any) -> int:
 
 
 @contextmanager
-def started(folder: Path, num_workers: int) -> Iterator[Started]:
+def started(folder: Path, num_workers: int, **scheduler_options: str) -> Iterator[Started]:
     """`dask scheduler` on a free port and a `dask worker`, as a user starts them, which end with the block."""
     file = folder / "scheduler.json"
     scheduler = ["scheduler", "--port", "0", "--host", "127.0.0.1", "--no-dashboard"]
     with ExitStack() as stack:
         command = [*scheduler, "--scheduler-file", str(file)]
-        process = stack.enter_context(_process(command, folder / "scheduler.log"))
+        variables = {f"DASK_DISTRIBUTED__SCHEDULER__{name}": value for name, value in scheduler_options.items()}
+        process = stack.enter_context(_process(command, folder / "scheduler.log", variables))
         _wait(lambda: _is_json(file))
         if num_workers:
-            options = f"--nthreads 1 --nworkers {num_workers} --no-dashboard --scheduler-file {file}".split()
-            stack.enter_context(_process(["worker", *options], folder / "worker.log"))
+            options = ["--nworkers", str(num_workers), "--scheduler-file", str(file)]
+            stack.enter_context(_process([*WORKER, *options], folder / "worker.log"))
         address = json.loads(file.read_text())["address"].removeprefix("tcp://")
         client = stack.enter_context(distributed.Client(f"tcp://{address}", set_as_default=False))
         running = Started(f"dask://{address}", process, client)
@@ -109,11 +118,12 @@ def _is_json(file: Path) -> bool:
 
 
 @contextmanager
-def _process(arguments: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+def _process(
+    arguments: list[str], log: Path, variables: Mapping[str, str] = MappingProxyType({}), before: tuple[str, ...] = ()
+) -> Iterator[subprocess.Popen[bytes]]:
+    command, environment = [*before, sys.executable, "-m", "dask", *arguments], {**ENVIRONMENT, **variables}
     with log.open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *arguments], cwd=log.parent, env=ENVIRONMENT, stdout=output, stderr=output
-        )
+        process = subprocess.Popen(command, cwd=log.parent, env=environment, stdout=output, stderr=output)
         try:
             yield process
         finally:
@@ -222,6 +232,14 @@ class Patient(Nearest):
         yield from super().fit(train, budget, seed)
 
 
+class Gated(Patient):
+    """Does not end before there is a file `go` in the working folder."""
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
+        _wait(Path("go").exists)
+        yield from super().fit(train, budget, seed)
+
+
 def _told(results: Path) -> dict[tuple[str, str, int], RunRecord]:
     """Records without what time and machine make of them."""
     blank: dict[str, Any] = {
@@ -283,6 +301,19 @@ def test_a_call_that_workers_die_of_is_named_and_the_others_are_made(running: St
     assert f"{ALLOWED_FAILURES + 1} workers died of it" in str(outcomes[3].exception())
 
 
+def _imports_from_the_working_folder() -> bool:
+    return not sys.flags.safe_path
+
+
+def test_workers_of_a_cluster_of_our_own_import_nothing_from_the_working_folder() -> None:
+    with local_cluster(1) as address, dask_workers(address) as workers:
+        assert not any(workers.ask(_imports_from_the_working_folder).values())
+
+
+def _refuses(argument: int) -> None:
+    raise UnfitWorkerError(f"cannot see {argument}.")
+
+
 def _raises(argument: int) -> None:
     raise StorageError(f"no room for {argument}")
 
@@ -306,10 +337,63 @@ def test_workers_with_other_versions_are_refused_before_any_work(
     cluster.fingerprint.cache_clear()
 
 
-def test_a_worker_that_joins_later_and_differs_makes_no_call(running: Started) -> None:
-    drivers = {**cluster.fingerprint(), "numpy": "1.0"}
-    with pytest.raises(ClusterError, match=r"joined on .* numpy"):
-        cluster._call_alike(_ends_on_three, 1, drivers)
+HIDES = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs none "$0" && exec "$@"')
+can_hide = pytest.mark.skipif(
+    not shutil.which("unshare") or subprocess.run([*HIDES, "/mnt", "true"], capture_output=True).returncode != 0,
+    reason="needs the right to mount",
+)
+
+
+@can_hide
+def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_run(tmp_path: Path) -> None:
+    """The idle newcomers draw every job at once; each is made by the one worker that can."""
+    paper_dataset(tmp_path / "data.h5", num_tx=4)
+    (results := tmp_path / "results").mkdir()
+    (other := tmp_path / "other" / "xfreqbench").mkdir(parents=True)
+    (other / "__init__.py").write_text("raise ImportError('not installed')")
+    (tmp_path / "older.py").write_text("from xfreqbench.system import cluster\ncluster._version = lambda name: '0.1'")
+    ways: dict[str, dict[str, Any]] = {
+        "blind": {"before": (*HIDES, str(results))},
+        "bare": {"variables": {"PYTHONPATH": str(other.parent)}},
+        "older": {"options": ["--preload", str(tmp_path / "older.py")]},
+    }
+    with started(tmp_path, 1) as running, ExitStack() as late:
+        method = f"{Gated.__module__}:{Gated.__name__}"
+        command = f"run --data data.h5 --targets 77 --method {method} --seed 0,1,2,3,4,5,6,7 --budget 2steps"
+        with _driver(f"{command} --results results --executor {running.address}", tmp_path) as driver:
+            _wait(lambda: bool(list(results.glob("predictions/*.lock"))) or driver.poll() is not None)
+            for name, way in ways.items():
+                options = [*WORKER, running.address.removeprefix("dask://"), *way.pop("options", [])]
+                late.enter_context(_process(options, tmp_path / f"{name}.log", **way))
+            running.wait_for(1 + len(ways))
+            (tmp_path / "go").touch()
+            _, message = driver.communicate()
+        assert driver.returncode == 0, message
+        assert f"does not see {results} as the driver does" in message and "has other software: " in message
+        assert "cannot work: ImportError: not installed. Others do its work." in message
+        assert all(not tasks for tasks in running.client.processing().values())
+    stored = read(results / "records.jsonl").records
+    assert [record.job.seed for record in sorted(stored, key=lambda record: record.job.seed)] == [*range(8)]
+    assert {path.stem for path in results.glob("predictions/*.h5")} == {record.id for record in stored}
+
+
+def test_a_call_that_every_worker_refuses_says_why(running: Started) -> None:
+    with dask_workers(running.address) as workers:
+        ((_, ended),) = side_by_side(workers, _refuses, [7])
+    with pytest.raises(ClusterError, match=r"Worker tcp://.* cannot see 7. Worker tcp://.* cannot see 7"):
+        ended.result()
+
+
+def test_the_run_of_a_suspended_worker_is_made_by_another_once_the_scheduler_drops_it(tmp_path: Path) -> None:
+    paper_dataset(tmp_path / "data.h5", num_tx=4)
+    method = f"{Patient.__module__}:{Patient.__name__}"
+    command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
+    with started(tmp_path, 2, WORKER_TTL="3s") as running:
+        with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
+            running.signal_a_busy_worker(signal.SIGSTOP)
+            _, message = driver.communicate()
+        assert driver.returncode == 0, message
+    assert len(read(tmp_path / "results" / "records.jsonl").records) == 1
 
 
 def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
@@ -322,6 +406,42 @@ def test_without_a_worker_or_a_scheduler_the_error_says_what_to_start(
     monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
     no_answer = r"No Dask scheduler answers at dask://127\.0\.0\.1:1"
     with pytest.raises(ClusterError, match=no_answer), dask_workers("dask://127.0.0.1:1"):
+        pass
+
+
+@pytest.mark.parametrize(
+    "says", [None, b"", b"SSH-2.0-OpenSSH_9.2\r\n", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\0" * 64, b"\xff" * 64]
+)
+def test_what_listens_there_and_is_no_scheduler_is_refused_in_one_line(
+    says: bytes | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None: it accepts and says nothing; no bytes: it closes at once."""
+    assert cluster.CONNECT_S < 10
+    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+
+    class Says(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            if says is None:
+                self.request.recv(10**6)
+                has_ended.wait()
+            self.request.sendall(says or b"")
+
+    has_ended = threading.Event()
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Says) as server:
+        threading.Thread(target=server.serve_forever).start()
+        address = f"dask://127.0.0.1:{server.server_address[1]}"
+        refusal = r"^No Dask scheduler answers at dask:.*, or mend --executor\.$"
+        try:
+            with pytest.raises(ClusterError, match=refusal), dask_workers(address):
+                pass
+        finally:
+            has_ended.set()
+            server.shutdown()
+
+
+def test_a_worker_is_no_scheduler(running: Started) -> None:
+    worker = next(iter(running.client.nthreads())).removeprefix("tcp://")
+    with pytest.raises(ClusterError, match="a Dask worker listens there"), dask_workers(f"dask://{worker}"):
         pass
 
 

@@ -27,8 +27,10 @@ from xfreqbench.system.workers import (
 PARENT = """
 import sys, time
 from parallel_calls import note_and_sleep
-from xfreqbench.system.workers import LocalProcesses, own_cores, side_by_side
+from xfreqbench.system.workers import LocalProcesses, exit_status, own_cores, side_by_side
 if __name__ == "__main__":
+    if sys.argv[2] == "alone":
+        exit_status(note_and_sleep, sys.argv[1])
     with LocalProcesses(own_cores()) as workers:
         for _ in side_by_side(workers, note_and_sleep, [sys.argv[1]]):
             pass
@@ -185,19 +187,24 @@ def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
         open_workers(text)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
-def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals) -> None:
+@pytest.mark.parametrize("way", ["pool", "alone"])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals, way: str) -> None:
+    """Nor do their processes import a file of the working folder that has a standard name."""
     (tmp_path / "parent.py").write_text(PARENT)
     (tmp_path / "parallel_calls.py").write_text(CALLS)
+    (folder := tmp_path / "working").mkdir()
+    for name in ("types", "random", "queue"):
+        (folder / f"{name}.py").write_text("open('imported', 'w')")
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
-    with subprocess.Popen(
-        [sys.executable, "parent.py", str(tmp_path / "child")], cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL
-    ) as parent:
+    command = [sys.executable, str(tmp_path / "parent.py"), str(tmp_path / "child"), way]
+    with subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.DEVNULL) as parent:
         child = int(_text_of(tmp_path / "child"))
         parent.send_signal(sent)
         parent.wait()
     while _runs(child):
         time.sleep(0.05)
+    assert not (folder / "imported").exists()
 
 
 def _text_of(path: Path) -> str:

@@ -15,7 +15,7 @@ from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
-from xfreqbench.system.machine import require_thread_count
+from xfreqbench.system.machine import require_thread_count, require_working_folder
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
@@ -28,9 +28,11 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
+    os.environ["MPLBACKEND"] = "agg"  # no window is opened, and Matplotlib cannot be imported with a wrong name
     for ignored in _IGNORED:
         print(f"xfreqbench: {ignored}", file=sys.stderr)
     try:
+        require_working_folder()
         require_thread_count()
         with interruptions_kept():
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):

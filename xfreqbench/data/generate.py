@@ -18,7 +18,7 @@ from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
 from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
-from xfreqbench.data.trace import channel_by, forget_rays, traced
+from xfreqbench.data.trace import channel_by, forget_rays, traced, traced_alike
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -177,7 +177,10 @@ def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, work
     done = len(plan.tx_position_m) - sum(rows.stop - rows.start for _, rows in missing)
     report(done, len(plan.tx_position_m))
     batches = ((index, plan.tx_position_m[rows]) for index, rows in missing)
-    for (index, tx), channel in side_by_side(workers, partial(traced, plan.tracing), batches, ahead=1):
+    call = partial(traced, plan.tracing)
+    if workers is not HERE:
+        call = partial(traced_alike, plan.tracing, plan.header.software)
+    for (index, tx), channel in side_by_side(workers, call, batches, ahead=1):
         store.write(index, channel.result())
         done += len(tx)
         report(done, len(plan.tx_position_m))

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.errors import ClusterError
+from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.system.cluster import UnfitWorkerError, differences
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
+from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray
 
 
@@ -56,6 +59,23 @@ def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Cha
     """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
     _, tx_position_m = batch
     return channel_by(_tracer(tracing), tracing, tx_position_m)
+
+
+def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
+    """As `traced`, for a driver with some versions of software.
+
+    Raises `UnfitWorkerError` where this process has others, or cannot prepare the scene, which the driver could.
+    """
+    if differing := differences(software, _software(tracing.settings.solver)):
+        raise UnfitWorkerError(f"traces with other software: {differing}.")
+    try:
+        _tracer(tracing)
+    except XFreqBenchError as error:
+        raise UnfitWorkerError(f"cannot prepare scene {tracing.scene.name!r}: {error}") from error
+    return traced(tracing, batch)
+
+
+_software = cache(software_versions)
 
 
 def channel_by(tracer: Tracer, tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:

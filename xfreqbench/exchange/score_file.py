@@ -40,7 +40,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
 from xfreqbench.runs.scoring import FitOutcome, scored_record
-from xfreqbench.system.files import require_space, require_text
+from xfreqbench.system.files import exclusive, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
 _STORED_DTYPE = np.dtype("<f2")  # of a map in a file of predictions
@@ -144,7 +144,7 @@ def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
 def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRecord:
     """The record of a part: the one in `folder` if it is there, else a new one, which is stored."""
     record_id, dataset = submission.record_id(part), submission.dataset
-    with folder.lock(record_id):
+    with exclusive(folder.run_lock_path(record_id)):
         record = folder.finished(record_id)
         if record is None:
             path = folder.predictions_path(record_id)

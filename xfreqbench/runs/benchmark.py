@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -10,6 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from runpy import run_module
 from types import MappingProxyType
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -28,7 +28,16 @@ from xfreqbench.runs.records import BenchRecord
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text, sole_worker
-from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, all_cores, open_workers, own_cores
+from xfreqbench.system.workers import (
+    HERE,
+    SERIAL,
+    LocalProcesses,
+    Workers,
+    all_cores,
+    exit_status,
+    open_workers,
+    own_cores,
+)
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -113,7 +122,7 @@ class Benchmark:
         known = {record.bench for record in self.results.stored.benches}
         return [name for name in self.preset.benches if name not in known]
 
-    def alone(self) -> AbstractContextManager[None]:
+    def alone(self) -> AbstractContextManager[str]:
         """Hold the folder of results; raises `StorageError` where another benchmark does, which would run the same."""
         return sole_worker(self.results.lock_path, self.results_dir)
 
@@ -222,11 +231,16 @@ def measure(benchmark: Benchmark, name: str) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         measured = ResultsFolder(Path(folder))
         command = [*BENCH_COMMANDS[name][0], "--output", str(measured.records_path)]
-        outcome = subprocess.run([sys.executable, "-m", "xfreqbench.cli", *command])
-        for record in measured.stored.benches if outcome.returncode == 0 else ():
+        status = exit_status(_command, command)
+        for record in measured.stored.benches if status == 0 else ():
             benchmark.results.append(record)
-    failure = f"`xfreqbench {' '.join(command[:-2])}` ended with {outcome.returncode}; see above"
-    return [failure] if outcome.returncode else []
+    return [f"`xfreqbench {' '.join(command[:-2])}` ended with {status}; see above"] if status else []
+
+
+def _command(arguments: list[str]) -> None:
+    """Run the command line in this process, as `python -m xfreqbench.cli` does."""
+    sys.argv[1:] = arguments
+    run_module("xfreqbench.cli", run_name="__main__", alter_sys=True)
 
 
 def record_contents(benchmark: Benchmark) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from uuid import uuid4
 
 from pydantic import ConfigDict, ValidationError
 
@@ -66,10 +67,11 @@ class CheckpointFolder:
         A process that is killed at any moment leaves a whole checkpoint: this one, or the one before. Raises
         `StorageError`, and what `method.save` raises.
         """
-        unfinished = self.path / _UNFINISHED
+        unfinished = self.path / f".{uuid4().hex}{_UNFINISHED}"
         numbers = self._numbers()
         with storage_errors(self.path):
-            remove(unfinished)
+            for abandoned in self.path.glob(f".*{_UNFINISHED}"):
+                remove(abandoned)
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
             state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))

@@ -28,11 +28,18 @@ class TaskFit:
     """The fit of a task. Neither checkpoints nor the learning curve are charged to the method's time.
 
     `method` is what is fitted: as its newest checkpoint in `saved` has it, or untrained where there is none.
-    `curve` is the learning curve so far. `fitting` is called at every step with how the fit stands.
+    `curve` is the learning curve so far. `fitting` is called at every step with how the fit stands, and
+    `require_claim` before something is saved; it raises where another process has taken over the job.
     """
 
-    def __init__(self, task: Task, saved: CheckpointFolder, fitting: FitProgress | None = None) -> None:
-        self._task, self._saved, self._fitting = task, saved, fitting
+    def __init__(
+        self,
+        task: Task,
+        saved: CheckpointFolder,
+        fitting: FitProgress | None = None,
+        require_claim: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._task, self._saved, self._fitting, self._require_claim = task, saved, fitting, require_claim
         earlier = saved.read()
         self._spent = earlier.fit if earlier else None
         self._saved_s = earlier.seconds if earlier else 0.0
@@ -79,6 +86,7 @@ class TaskFit:
         if any(reached < share <= now.share for share in CURVE_SHARES):
             self.curve += (self._point(now),)
         if now.seconds - self._saved_s >= checkpoints.CHECKPOINT_SECONDS:
+            self._require_claim()
             with self._task.method_errors("save"):
                 self._saved.write(self.method, now, self.curve)
             self._saved_s = now.seconds

@@ -3,7 +3,7 @@
 records.jsonl            one line for each run and for each table of a measurement
 records_maps.jsonl       maps of a dozen samples, shown where predictions are not beside the records
 predictions/ID.h5        the predicted maps of the run whose record has that id
-predictions/ID.lock      exists while a process is at that run
+predictions/ID.lock      exists while that run is made, and names the process that asked for it
 benchmark.lock           exists while a benchmark fills the folder
 checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
 methods/ID/NUMBER/       the method as that run fitted it
@@ -17,14 +17,14 @@ from pathlib import Path
 
 from pydantic import InstanceOf
 
-from xfreqbench.errors import DataError
+from xfreqbench.errors import ClusterError, DataError
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.registry import build_method
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
 from xfreqbench.system.arguments import FilePath, checked
-from xfreqbench.system.files import exclusive, require_regular, require_space, storage_errors
+from xfreqbench.system.files import require_regular, require_space, sole_worker, storage_errors
 
 RECORDS_NAME = "records.jsonl"
 _PREDICTIONS, _CHECKPOINTS, _METHODS = "predictions", "checkpoints", "methods"
@@ -72,10 +72,19 @@ class ResultsFolder:
         append(self.records_path, record)
 
     def keep(self, record: RunRecord) -> None:
-        """Store the record of a run, unless it is stored already, and remove the run's checkpoints."""
-        known = {(stored.id, stored.time_utc) for stored in self.records}
-        if (record.id, record.time_utc) not in known:
-            self.append(record)
+        """Store the record of a run whose `lock` is held, and remove the run's checkpoints.
+
+        Raises `ClusterError` where the predictions are not here: a worker has lost this folder and uses its own disk.
+        """
+        path = self.predictions_path(record.id)
+        if not path.exists():
+            self.require_writable()  # a file that is made here has NFS forget that the name was absent
+        if not path.exists():
+            raise ClusterError(
+                f"A worker made this run, but its predictions are not at {path}. Nothing of it is recorded; mount the "
+                "folder at the same path on every machine."
+            )
+        self.append(record)
         self.checkpoints(record.id).remove()
 
     @property
@@ -118,9 +127,13 @@ class ResultsFolder:
         advice = f"Delete {self.predictions_path(record_id)} and run the same again, which stores both."
         return CheckpointFolder(self.path / _METHODS / record_id, record_id, "method", advice)
 
-    def lock(self, record_id: str) -> AbstractContextManager[None]:
-        """A lock that one process at a time holds while it is at a run; see `xfreqbench.system.files.exclusive`."""
-        return exclusive(self.predictions_path(record_id).with_suffix(".lock"))
+    def run_lock_path(self, record_id: str) -> Path:
+        """The file of `lock`, which holds what that yields as long as the lock is held."""
+        return self.predictions_path(record_id).with_suffix(".lock")
+
+    def lock(self, record_id: str) -> AbstractContextManager[str]:
+        """A lock that whoever asks for a run holds until its record is stored; see `sole_worker`."""
+        return sole_worker(self.run_lock_path(record_id), self.predictions_path(record_id))
 
     def require_writable(self) -> None:
         """Make the folders; raises `StorageError` where a record or predictions could not be stored in them."""

@@ -9,17 +9,27 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from uuid import uuid4
 
 from pydantic import InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import ScoredOn, TargetsGhz
-from xfreqbench.errors import ClusterError, DataError, MethodError, RunsFailedError, XFreqBenchError, was_interrupted
+from xfreqbench.errors import (
+    ClusterError,
+    DataError,
+    InUseError,
+    MethodError,
+    RunsFailedError,
+    XFreqBenchError,
+    was_interrupted,
+)
 from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
 from xfreqbench.methods.guard import plain_json
@@ -34,9 +44,11 @@ from xfreqbench.runs.records import RunRecord
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked
-from xfreqbench.system.files import storage_errors
+from xfreqbench.system.cluster import UnfitWorkerError
+from xfreqbench.system.files import read_text, storage_errors
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
 
+_LOOK_S = 0.5  # between two looks at what other processes are at
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 
 
@@ -138,9 +150,10 @@ def run_jobs(
     """Run jobs and store their records in `results_dir`; returns the records, in the order of the jobs.
 
     `workers` run as many at a time as they have places; without any, this process runs one after the other. A job
-    that is finished in the folder is not run again, and a fit that was killed goes on from its last checkpoint.
-    Everything that can be checked is checked before the first fit, and raises the `XFreqBenchError` that it is:
-    `ClusterError` for workers that do not see the data sets and `results_dir` as this process does.
+    that is finished in the folder is not run again, one that another process is at is waited for, which is told on
+    stderr, and a fit that was killed goes on from its last checkpoint. Everything that can be checked is checked before
+    the first fit, and raises the `XFreqBenchError` that it is: `ClusterError` for workers that do not see the data sets
+    and `results_dir` as this process does.
 
     A job that fails stops no other. At the end `RunsFailedError` names those that failed; the records of the others are
     kept. Ctrl-C ends all of it at once.
@@ -166,70 +179,136 @@ def run_jobs(
 
     for task in asked.values():
         if record := folder.finished(task.id):
-            with folder.lock(task.id):
+            with suppress(InUseError), folder.lock(task.id):
                 folder.checkpoints(task.id).remove()  # may be left of a process that was killed
             end(task, record)
     missing = [task for task in asked.values() if task.id not in records]
     if workers is HERE:
-        call = partial(_run_locked, folder=folder, stores=True, fitting=fitting)
+        call = partial(_run_claimed, folder=folder, fitting=fitting)
     else:
-        call = partial(_run_locked, folder=ResultsFolder(folder.path))
+        call = partial(_run_claimed, folder=ResultsFolder(folder.path))
         require_shared_folder(workers, folder.path)
         require_shared_datasets(workers, {task.dataset_path: task.dataset.sha256 for task in missing})
-    for task, ended in side_by_side(workers, call, missing):
-        error = ended.exception() or _error_of(task, ended.result())
-        if was_interrupted(error):
-            raise KeyboardInterrupt from error
-        if error:
-            errors[f"{task.job.method} on {task.job.split}, seed {task.job.seed}"] = error
-        elif workers is not HERE:
-            folder.keep(ended.result())
-        end(task, None if error else ended.result())
+    locks, told = dict[str, ExitStack](), set[str]()
+
+    def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
+        """The tasks that no other process is at, each locked; of those in `elsewhere` it says which process is."""
+        for task in tasks:
+            with ExitStack() as lock:
+                try:
+                    holder = lock.enter_context(folder.lock(task.id))
+                except InUseError as error:
+                    elsewhere[task.id] = str(error)
+                    continue
+                if record := folder.finished(task.id):  # made by another process in the meantime
+                    end(task, record)
+                    continue
+                locks[task.id] = lock.pop_all()
+            yield _Claim(task, task.id, holder)
+
+    while missing:
+        elsewhere = dict[str, str]()
+        try:
+            for claim, ended in side_by_side(workers, call, claimed(missing, elsewhere)):
+                error = ended.exception()
+                if was_interrupted(error):
+                    raise KeyboardInterrupt from error
+                task, record = claim.task, None if error else ended.result()
+                if record:
+                    try:
+                        folder.keep(record)
+                    except ClusterError as lost:
+                        error, record = lost, None
+                if error:
+                    errors[f"{task.job.method} on {task.job.split}, seed {task.job.seed}"] = error
+                locks.pop(task.id).close()
+                end(task, record)
+        finally:
+            for lock in locks.values():
+                lock.close()
+        missing = [task for task in missing if task.id in elsewhere]
+        if missing:
+            waits = elsewhere[missing[0].id]
+            if waits not in told:
+                print(f"xfreqbench: {waits}", file=sys.stderr, flush=True)
+            told.add(waits)
+            time.sleep(_LOOK_S)
     if errors:
         raise RunsFailedError(errors, len(asked))
     return [records[task.id] for task in tasks]
 
 
-def _run_locked(
-    task: Task, folder: ResultsFolder, stores: bool = False, fitting: FitProgress | None = None
-) -> RunRecord:
-    """The record of a task, run here unless another process has run it in the meantime.
+class _Claim(NamedTuple):
+    """A task with its id and the text of its lock, as the process has them that holds the lock."""
 
-    Only the process that was asked for all jobs stores records. Of a run in itself it does so before another process
-    may be at the same job.
+    task: Task
+    id: str
+    holder: str
+
+
+def _run_claimed(claim: _Claim, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
+    """The record of a task, run here for the process that holds its lock, which stores the record.
+
+    Raises `UnfitWorkerError` where this process finds another folder, other data or other code at the same names.
     """
-    with folder.lock(task.id):
-        record = folder.finished(task.id)
-        if record is None:
-            record = run_one(task, folder, fitting)
-            if stores:
-                folder.append(record)
-        if stores:
-            folder.checkpoints(task.id).remove()
+    _require_same(claim, folder)
+    record = run_one(claim.task, folder, fitting, _takeover_check(folder.run_lock_path(claim.id), claim.holder))
+    _require_same(claim, folder)
     return record
 
 
-def _error_of(task: Task, record: RunRecord) -> ClusterError | None:
-    """Why the record that a worker returns cannot be kept; None where it can."""
-    if record.id == task.id:
-        return None
-    return ClusterError(
-        "the worker has other code of the method than this process, or other data; nothing of it is kept. Restart "
-        "the workers with the same code."
-    )
+def _require_same(claim: _Claim, folder: ResultsFolder) -> None:
+    path, task = folder.run_lock_path(claim.id), claim.task
+    try:
+        sees = read_text(path).split("\n")[0] == claim.holder and os.access(path.parent, os.W_OK)
+    except OSError:
+        sees = False
+    if not sees:
+        raise UnfitWorkerError(f"does not see {folder.path} as the driver does, or may not write there.")
+    try:
+        is_same, fault = task.id == claim.id, ""
+    except XFreqBenchError as error:
+        is_same, fault = False, f": {error}"
+    if not is_same:
+        raise UnfitWorkerError(
+            f"has other code of method {task.job.method!r}, or other data at {task.dataset_path}{fault}. Restart it "
+            "with the same code and data."
+        )
 
 
-def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
+def _takeover_check(lock: Path, holder: str) -> Callable[[], None]:
+    """Write into a lock that this process is at its run; what is returned raises `ClusterError` once another one is.
+
+    A worker that was suspended, and taken for dead, goes on when the same run is made, or was made, by another.
+    """
+    text = f"{holder}\n{uuid4().hex}"
+    with storage_errors(lock), lock.open("r+", encoding="utf-8") as file:
+        file.write(text)
+        file.truncate()
+
+    def require_claim() -> None:
+        with suppress(FileNotFoundError):
+            if read_text(lock) == text:
+                return
+        raise ClusterError("Another worker has taken over this run; nothing more of it is stored.")
+
+    return require_claim
+
+
+def run_one(
+    task: Task, folder: ResultsFolder, fitting: FitProgress | None, require_claim: Callable[[], None]
+) -> RunRecord:
     """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
-    The caller holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
-    then: a job without a record is unfinished.
+    Somebody holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
+    then: a job without a record is unfinished. `require_claim` is called before anything is stored.
     """
     path = folder.predictions_path(task.id)
     require_no_others(path)
-    task_fit = TaskFit(task, folder.checkpoints(task.id), fitting)
+    task_fit = TaskFit(task, folder.checkpoints(task.id), fitting, require_claim)
     machine.reset_peak_memory()
     fit = task_fit.run()
+    require_claim()
     method, clock = task_fit.method, Stopwatch()
     kept = folder.fitted(task.id)
     kept.remove()  # what a run that was killed has left
@@ -237,7 +316,7 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
         kept.write(method, fit, task_fit.curve)
     write_predictions(
         path,
-        _predicted(task, method, clock),
+        _predicted(task, method, clock, require_claim),
         num_rows=len(task.split.test),
         grid_shape=task.dataset.grid.shape,
         dataset_sha256=task.dataset.sha256,
@@ -260,10 +339,11 @@ def run_one(task: Task, folder: ResultsFolder, fitting: FitProgress | None = Non
     return scored_record(task.id, task.job, task.dataset, task.split, path, outcome)
 
 
-def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatch]:
+def _predicted(task: Task, method: Method, clock: Stopwatch, require_claim: Callable[[], None]) -> Iterator[MapBatch]:
     """Rows and predicted maps of the split's test rows, batch by batch; `clock` runs within `predict` alone.
 
-    Raises `MethodError` for the first map that no file of predictions may hold.
+    Raises `MethodError` for the first map that no file of predictions may hold. `require_claim` is called at the
+    end, before the file gets its name.
     """
     test = task.dataset.subset(task.split.test)
     for start in range(0, len(test), BATCH_SIZE):
@@ -278,6 +358,7 @@ def _predicted(task: Task, method: Method, clock: Stopwatch) -> Iterator[MapBatc
                 f"{rows[fault[0]]} {fault[1]}"
             )
         yield rows, maps
+    require_claim()
 
 
 def _findings(task: Task, method: Method) -> dict[str, Any]:

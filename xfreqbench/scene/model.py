@@ -273,7 +273,7 @@ class Scene:
     def _names_are_unique_and_materials_known(self) -> Scene:
         receivers = self.receivers if self.other_receivers else ()
         if not all(each.name for each in receivers):
-            raise ValueError("of several receivers each needs a name of its own, as in name = \"north\"")
+            raise ValueError('of several receivers each needs a name of its own, as in name = "north"')
         for kind, named in (("surface", self.surface), ("material", self.material), ("receiver", receivers)):
             names = Counter(each.name or "" for each in named)
             twice = sorted(name for name, count in names.items() if count > 1)

@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import platform
+import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from typing import Any, TypeVar, no_type_check
 
 from xfreqbench.errors import ClusterError
+from xfreqbench.system.machine import safe_path
 from xfreqbench.system.source import package_sha256
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 SCHEME = "dask://"
-CONNECT_S = 10.0  # how long to wait for a scheduler
+CONNECT_S = 6.0  # how long to wait for a scheduler
 FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
+_LOOK_S = 1.0  # between two looks at which workers there are, while a call waits for one that may make it
 _CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
 _LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
+
+
+class UnfitWorkerError(ClusterError):
+    """Raised in a call by a worker that cannot make it as the driver could: another worker is then asked to."""
 
 
 class DaskWorkers:
     """The workers of one scheduler, each making one call at a time; see `xfreqbench.system.workers.Workers`.
 
     A call whose worker dies is made again on another worker. It ends with `ClusterError` once more workers have
-    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends.
+    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends. A call
+    that a worker refuses with `UnfitWorkerError`, or cannot even read, is made by one of the others, and ends with
+    `ClusterError` where every worker refuses it.
     """
 
     def __init__(self, client: Any, address: str) -> None:
@@ -36,6 +47,7 @@ class DaskWorkers:
         self._address = address
         self._executor = client.get_executor(pure=False)
         self._sent: tuple[Any, Any] = (None, None)
+        self._left_out = set[str]()  # workers of which was told why
 
     @property
     def num_places(self) -> int:
@@ -46,15 +58,64 @@ class DaskWorkers:
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
         with _losses_in_words(self._address):
-            if self._sent[0] is not call:
+            known, sent = self._sent
+            if known is not call:
                 # a task of its own: it can be made again if every worker that has it dies
-                self._sent = call, self._client.submit(_itself, call, pure=False)
-            found = self._executor.submit(_call_alike, self._sent[1], argument, fingerprint())
+                sent = self._client.submit(bytes, _pickled(call), pure=False)
+                self._sent = call, sent
+            found = self._executor.submit(_CALL, sent, _pickled((argument, fingerprint())))
         # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
         worded: Future[Result] = Future()
         worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
-        found.add_done_callback(partial(_pass_on, worded, self._address))
+        found.add_done_callback(partial(self._end, worded, call, argument))
         return worded
+
+    def _end(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, found: Future[Any]) -> None:
+        """Give a future the outcome of a call, or have the call made by another worker if it was refused."""
+        outcome = self._outcome(found)
+        if _is_refusal(outcome):
+            # this is the client's own thread, which may not wait for an answer of a worker
+            threading.Thread(target=self._make_elsewhere, args=(worded, call, argument, outcome), daemon=True).start()
+        else:
+            _settle(worded, outcome)
+
+    def _outcome(self, found: Future[Any]) -> Any:
+        """What a call returned or raised; the death of workers or scheduler is a `ClusterError`."""
+        if found.cancelled():
+            return _gone(self._address)
+        error = found.exception()
+        return _killed(error) or error or found.result()
+
+    def _make_elsewhere(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, outcome: Any) -> None:
+        """Have a call that was refused made by a worker that does not refuse it, whichever of them come and go."""
+        refusals, sent = dict[str, str](), (_pickled(call), _pickled((argument, fingerprint())))
+        try:
+            with _losses_in_words(self._address):
+                while _is_refusal(outcome) and not worded.cancelled():
+                    _, worker, words = outcome
+                    self._note(worker, words, refusals)
+                    present = self._client.nthreads().keys()
+                    left = present - refusals.keys()
+                    if present and not left:
+                        raise ClusterError(" ".join(f"Worker {worker} {refusals[worker]}" for worker in present))
+                    found = self._executor.submit(_CALL, *sent, workers=sorted(left))
+                    while not (wait([found], _LOOK_S).done or worded.cancelled()):
+                        if left.isdisjoint(self._client.nthreads()):
+                            break
+                    if found.done():
+                        outcome = self._outcome(found)
+                    else:  # nobody is left who may make it
+                        found.cancel()
+        except Exception as error:
+            outcome = error
+        _settle(worded, outcome)
+
+    def _note(self, worker: str, words: str, refusals: dict[str, str]) -> None:
+        """Note why a worker refused a call, and tell it once of every worker."""
+        refusals[worker] = words
+        if worker not in self._left_out:
+            print(f"xfreqbench: worker {worker} {words} Others do its work.", file=sys.stderr, flush=True)
+        self._left_out.add(worker)
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
@@ -80,10 +141,14 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     scheduler = "tcp://" + address.removeprefix(SCHEME)
     with _quiet("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
         try:
+            with ThreadPoolExecutor(1) as thread:  # a notebook has an event loop of its own
+                question = asyncio.wait_for(_require_scheduler(distributed, scheduler), CONNECT_S)
+                thread.submit(asyncio.run, question).result()
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except Exception as error:  # what listens there may say anything
             raise ClusterError(
-                f"No Dask scheduler answers at {address}: {error}. Start one with `dask scheduler`, or mend --executor."
+                f"No Dask scheduler answers at {address}: {' '.join(str(error).split()) or 'nothing is said'}. Start "
+                "one with `dask scheduler`, or mend --executor."
             ) from error
         with client:
             workers = DaskWorkers(client, address)
@@ -95,6 +160,18 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
                         "versions on both, as with `pip install -c constraints.txt`."
                     )
             yield workers
+
+
+async def _require_scheduler(distributed: Any, address: str) -> None:
+    """Raise an exception unless a Dask scheduler listens at an address; it is given as long as the caller waits."""
+    comm = await distributed.comm.connect(address, timeout=CONNECT_S)
+    try:
+        await comm.write({"op": "identity", "reply": True, "close": True})
+        answer = await comm.read()
+    finally:
+        comm.abort()
+    if answer["type"] != "Scheduler":
+        raise ValueError(f"a Dask {answer['type'].lower()} listens there")
 
 
 @contextmanager
@@ -122,7 +199,7 @@ def local_cluster(num_workers: int) -> Iterator[str]:
     distributed = _imported()
     one_thread = {"NUMBA_NUM_THREADS": "1"}  # Dask itself limits OpenMP and BLAS to one thread
     options = {"threads_per_worker": 1, "dashboard_address": ":0", "env": one_thread}
-    with distributed.LocalCluster(num_workers, **options) as cluster:
+    with safe_path(), distributed.LocalCluster(n_workers=num_workers, **options) as cluster:
         yield SCHEME + cluster.scheduler_address.removeprefix("tcp://")
 
 
@@ -174,16 +251,60 @@ def lost_workers(number: int, where: str = "") -> str:
     )
 
 
-def _itself(call: Callable[[Argument], Result]) -> Callable[[Argument], Result]:
-    return call
+def _opaque_call() -> Callable[[bytes, bytes], Any]:
+    """The function that workers are sent: by its code, so that one without this package can read it, and say so."""
+
+    @no_type_check  # or tests would have another function in its place, which cannot be sent
+    def make(call: bytes, rest: bytes) -> Any:
+        import pickle
+
+        from distributed import get_worker
+
+        try:
+            from xfreqbench.system.cluster import _call_alike
+
+            asked = pickle.loads(call), *pickle.loads(rest)
+        except Exception as error:
+            return "xfreqbench: refused", get_worker().address, f"cannot work: {type(error).__name__}: {error}."
+        return _call_alike(*asked)
+
+    return make
 
 
-def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Result:
-    """On the worker: make a call, unless this worker joined after the check and differs from the driver."""
-    differing = differences(drivers, fingerprint())
-    if differing:
-        raise ClusterError(f"A worker that joined on {platform.node()} has other software: {differing}.")
-    return call(argument)
+_CALL = _opaque_call()
+_REFUSED = "xfreqbench: refused"  # and then the worker's address and its reason, which goes on after its name
+
+
+def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Any:
+    """On the worker: make a call, unless this worker differs from the driver, as one that joined later may."""
+    from distributed import get_worker
+
+    try:
+        if differing := differences(drivers, fingerprint()):
+            raise UnfitWorkerError(f"has other software: {differing}.")
+        return call(argument)
+    except UnfitWorkerError as error:
+        return _REFUSED, get_worker().address, str(error)
+
+
+def _is_refusal(outcome: Any) -> bool:
+    return isinstance(outcome, tuple) and outcome[:1] == (_REFUSED,)
+
+
+def _pickled(sent: Any) -> bytes:
+    """What is sent to a worker, in a form that does not end the worker where it cannot be read."""
+    import cloudpickle
+
+    return bytes(cloudpickle.dumps(sent))
+
+
+def _settle(worded: Future[Any], outcome: Any) -> None:
+    if not worded.set_running_or_notify_cancel():
+        return
+    if isinstance(outcome, BaseException):
+        worded.set_exception(outcome)
+    else:
+        worded.set_result(outcome)
 
 
 @contextmanager
@@ -202,17 +323,6 @@ def _gone(address: str) -> ClusterError:
         f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same command goes "
         "on where it stopped."
     )
-
-
-def _pass_on(worded: Future[Result], address: str, found: Future[Result]) -> None:
-    if not worded.set_running_or_notify_cancel():
-        return
-    try:
-        worded.set_result(found.result())
-    except CancelledError:
-        worded.set_exception(_gone(address))
-    except Exception as error:
-        worded.set_exception(_killed(error) or error)
 
 
 def _killed(error: Any) -> ClusterError | None:

@@ -10,17 +10,19 @@ import platform
 import re
 import shutil
 import stat
+import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.errors import InUseError, OutputExistsError, StorageError
 
 _LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
 _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
+_LONGEST_WAIT_S = 60.0  # for what takes others a moment, unless they have been suspended
 
 
 @contextmanager
@@ -238,28 +240,31 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def exclusive(lock: Path) -> Iterator[None]:
-    """Hold a lock during the block; only one process at a time holds it, and others wait here until they do.
+    """Hold a lock for the moment that the block takes; processes that want it take turns.
 
-    `lock` is a file that is made for this and removed afterwards. The system releases the lock of a process that
-    is killed. Raises `StorageError`.
+    Raises as `sole_worker`: `InUseError` only where a process, which may have been suspended, holds it for a minute.
     """
-    with storage_errors(lock):
-        lock.parent.mkdir(parents=True, exist_ok=True)
-        held = FileLock(lock)
-        held.acquire(poll_interval=_LOCK_POLL_S)
-    try:
+    deadline_s = time.monotonic() + _LONGEST_WAIT_S
+    with ExitStack() as held:
+        while True:
+            try:
+                held.enter_context(sole_worker(lock, lock))
+                break
+            except InUseError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(_LOCK_POLL_S)
         yield
-    finally:
-        lock.unlink(missing_ok=True)  # while it is held: a process that waits for it notices, and makes it anew
-        held.release()
 
 
 @contextmanager
-def sole_worker(lock: Path, output: Path) -> Iterator[None]:
-    """Hold a lock during the block, or raise `StorageError` at once, which names the process that works on `output`.
+def sole_worker(lock: Path, output: Path) -> Iterator[str]:
+    """Hold a lock during the block, or raise `InUseError` at once, which names the process that works on `output`.
 
-    Within the block the same thread may hold it once more. The system releases the lock of a process that is killed,
-    whose file stays.
+    `lock` is a file that is made for this and removed afterwards; it may be removed during the block. Its first line
+    is the text that is yielded: which process this is, and since when. The system releases the lock of a process that
+    is killed, whose file stays. Within the block the same thread may hold it once more. Raises `StorageError` where
+    the file cannot be made.
     """
     with storage_errors(output):
         lock.parent.mkdir(parents=True, exist_ok=True)
@@ -267,23 +272,26 @@ def sole_worker(lock: Path, output: Path) -> Iterator[None]:
         try:
             held.acquire(blocking=False)
         except Timeout as error:
-            raise StorageError(
-                f"{output} is being written by {lock.read_text(encoding='utf-8') or 'another process'}. Wait until "
-                "that one ends, or choose another output."
+            holder = "another process"
+            with suppress(FileNotFoundError):  # it ends at this moment
+                holder = lock.read_text(encoding="utf-8").partition("\n")[0] or holder
+            raise InUseError(
+                f"{output} is being written by {holder}. Wait until that one ends, or choose another output."
             ) from error
+        since = datetime.now().astimezone().isoformat(" ", "seconds")
+        holder = f"process {os.getpid()} on {platform.node()}, since {since}"
         is_first = held.lock_counter == 1
         if is_first:
-            since = datetime.now().astimezone().isoformat(" ", "seconds")
-            lock.write_text(f"process {os.getpid()} on {platform.node()}, since {since}", encoding="utf-8")
+            lock.write_text(holder, encoding="utf-8")
     try:
-        yield
+        yield holder
     finally:
         if is_first:
-            lock.unlink(missing_ok=True)
+            lock.unlink(missing_ok=True)  # while it is held: a process that waits for it notices, and makes it anew
         held.release()
 
 
-def sole_writer(output: Path) -> AbstractContextManager[None]:
+def sole_writer(output: Path) -> AbstractContextManager[object]:
     """Hold the one lock of an output, `.NAME.lock` beside it, during the block; see `sole_worker`.
 
     Whoever works long between the look at an output and its writing holds it from before that look.

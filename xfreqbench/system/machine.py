@@ -6,7 +6,9 @@ import os
 import platform
 import resource
 import subprocess
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,7 +23,18 @@ _MEMORY = Path("/proc/meminfo")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
+_SAFE_PATH = "PYTHONSAFEPATH"
+_STARTING, _num_starting = threading.Lock(), 0
+_safe_path_before: str | None = None
 _LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "safetensors", "numba")
+
+
+def require_working_folder() -> None:
+    """Raise `XFreqBenchError` where the working folder has been removed, which libraries end the process for."""
+    try:
+        Path.cwd()
+    except FileNotFoundError as error:
+        raise XFreqBenchError("The working folder has been removed. Change into one that is there.") from error
 
 
 def require_thread_count() -> None:
@@ -32,6 +45,30 @@ def require_thread_count() -> None:
             f"{_THREADS} is set to {asked!r}. Set it to a number of threads from 1 to {_MOST_THREADS}, or unset it: "
             "there is then one for each core."
         )
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """A block in which interpreters start that import nothing from the working folder before they are told a path.
+
+    What multiprocessing starts is told the path of its parent, and so imports what that can import. They pass this on
+    to interpreters of their own. Several threads may be in such a block.
+    """
+    global _num_starting, _safe_path_before
+    with _STARTING:
+        if _num_starting == 0:
+            _safe_path_before = os.environ.get(_SAFE_PATH)
+            os.environ[_SAFE_PATH] = "1"
+        _num_starting += 1
+    try:
+        yield
+    finally:
+        with _STARTING:
+            _num_starting -= 1
+            if _num_starting == 0:
+                del os.environ[_SAFE_PATH]
+                if _safe_path_before is not None:
+                    os.environ[_SAFE_PATH] = _safe_path_before
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:

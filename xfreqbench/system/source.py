@@ -89,7 +89,7 @@ def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
             continue
         source = _read(path) or b""
         found[module] = path, source
-        if not _is_followed(module, own):
+        if _is_idle(path, source) or not _is_followed(module, own):
             continue
         parts = module.split(".")
         waiting += [".".join(parts[:number]) for number in range(1, len(parts))]
@@ -204,7 +204,9 @@ _IDLE_BEGINNINGS = (
     "import lazy_loader",
     "import os",
     "import typing",
-    "os.environ.setdefault(",  # how threads wait changes no result
+    "os.environ.setdefault(",  # how threads wait, and where is kept what was compiled, changes no result
+    "from xfreqbench.system.caches ",
+    "settle_caches()",
 )
 
 

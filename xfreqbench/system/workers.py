@@ -20,12 +20,14 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
+from xfreqbench.system.machine import safe_path
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
+_SPAWN = multiprocessing.get_context("spawn")  # a fork would inherit numbers of threads
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
@@ -190,7 +192,7 @@ class LocalProcesses:
             if self._is_ending.is_set():
                 raise ClusterError("The call was ended with those beside it.")
             with suppress(BrokenProcessPool):
-                return place.process().submit(call, argument).result()
+                return place.submit(call, argument).result()
             place.close()
         raise ClusterError(lost_workers(MAX_DEATHS))
 
@@ -202,12 +204,12 @@ class _Place:
     settle: Callable[[], None]
     _process: ProcessPoolExecutor | None = None
 
-    def process(self) -> ProcessPoolExecutor:
-        """The process of this place, started if there is none."""
+    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
+        """Have the process of this place make a call; it is started if there is none."""
         if self._process is None:
-            context = multiprocessing.get_context("spawn")  # a fork would inherit numbers of threads
-            self._process = ProcessPoolExecutor(1, context, self.settle)
-        return self._process
+            self._process = ProcessPoolExecutor(1, _SPAWN, self.settle)
+        with safe_path():
+            return self._process.submit(call, argument)
 
     def terminate(self) -> None:
         """End the process, whatever it does."""
@@ -219,6 +221,23 @@ class _Place:
         if self._process is not None:
             self._process.shutdown()
             self._process = None
+
+
+def exit_status(call: Callable[[Argument], object], argument: Argument) -> int:
+    """Make a call in a new process that may use all cores and ends with this one; returns its exit status."""
+    process = _SPAWN.Process(target=_make_settled, args=(call, argument))
+    with safe_path():
+        process.start()
+    try:
+        process.join()
+    finally:
+        process.terminate()
+    return process.exitcode or 0
+
+
+def _make_settled(call: Callable[[Argument], object], argument: Argument) -> None:
+    _settle(frozenset(), is_alone=True)
+    call(argument)
 
 
 def _settle(place: Cores, is_alone: bool) -> None:

@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from xfreqbench.report.drawing.figures import plan_and_elevation, save_figure, shown
+from xfreqbench.report.drawing.figures import plain_style, plan_and_elevation, save_figure, shown
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
@@ -31,6 +31,7 @@ _LINES = {"TE": "-", "TM": "--"}
 _FAINTEST = 0.2
 
 
+@plain_style()
 def plot_scene(compared: ComparedFindings, path: Path) -> None:
     """Draw plan and elevation of a scene and the found planes, cut off outside of it, as PNG. Raises `StorageError`."""
     facets_m = [facet.corners_m for plane in compared.planes for facet in plane.facets]
@@ -62,6 +63,7 @@ def plot_scene(compared: ComparedFindings, path: Path) -> None:
     save_figure(figure, path, "png")
 
 
+@plain_style()
 def plot_materials(
     materials: Sequence[ShownMaterial], carriers_hz: Sequence[float], path: Path, kind: str = "svg"
 ) -> None:

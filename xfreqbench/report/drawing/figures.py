@@ -31,9 +31,17 @@ _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and up
 _MAX_LETTERS = 80  # of a text in a figure
 # warnings; whoever shows an SVG may know the letters
 _UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
-mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
 _MAX_PIXELS = 10**7  # of a picture that is read
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
+
+
+@contextmanager
+def plain_style() -> Iterator[None]:
+    """A block, or a function, that draws the same whatever settings, style or `matplotlibrc` the user has."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
+        yield
 
 
 def plan_and_elevation(
@@ -52,6 +60,7 @@ def plan_and_elevation(
     return figure, [(axis, list(shown)) for axis, shown in zip(axes, _VIEWS.values(), strict=True)]
 
 
+@plain_style()
 def plot_pas_maps(
     maps: Float[NDArray[np.float32], "N E A"],
     grid: AngularGrid,

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from xfreqbench.report.drawing.figures import any_letters, label_decades, save_figure, shown
+from xfreqbench.report.drawing.figures import any_letters, label_decades, plain_style, save_figure, shown
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
 from xfreqbench.report.leaderboard.shown_maps import Levels
 from xfreqbench.runs.records import BenchFigure, BenchPoint
@@ -39,6 +39,7 @@ class TimePanel:
     trivial: float | None
 
 
+@plain_style()
 def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path, level: float | None = None) -> None:
     """Draw empirical CDFs as SVG: a panel for each split or score, in it a curve for each method.
 
@@ -58,6 +59,7 @@ def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path, le
     save_figure(figure, path, "svg")
 
 
+@plain_style()
 def plot_map_grid(
     columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]], rows: Sequence[str], path: Path
 ) -> None:
@@ -81,6 +83,7 @@ def plot_map_grid(
     save_figure(figure, path, "png")
 
 
+@plain_style()
 def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None:
     """Draw median SSIM against seconds of fitting as SVG: a panel for each split, in it a line for each method.
 
@@ -98,6 +101,7 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
     save_figure(figure, path, "svg")
 
 
+@plain_style()
 def plot_cost(figure: BenchFigure, path: Path) -> None:
     """Draw accuracy against cost as SVG: less `x`, a cost, is better, and more `y`, an accuracy, is better.
 

@@ -116,7 +116,7 @@ def write_report(results: Path | Sequence[Path], output_md: Path, details: Path 
 
 def _require_files_of_their_own(paths: Sequence[Path]) -> None:
     """Raise `OutputExistsError` where two pages would be one file."""
-    places = [path.resolve() for path in paths]
+    places = [os.path.realpath(path) for path in paths]
     twice = next((path for path, place in zip(paths, places, strict=True) if places.count(place) > 1), None)
     if twice is not None:
         raise OutputExistsError(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.maps.drawing import draw_disc
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import label_decades, plan_and_elevation, save_figure
+from xfreqbench.report.drawing.figures import label_decades, plain_style, plan_and_elevation, save_figure
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
@@ -54,6 +54,7 @@ def group_colour(name: str) -> Rgba:
     return _bytes(to_rgba(_GROUP_COLOURS[name]))
 
 
+@plain_style()
 def plot_room(room: ShownRoom, path: Path) -> None:
     """Draw plan and elevation of a scene as PNG, with the numbers of its strongest rays. Raises `StorageError`."""
     figure, views = plan_and_elevation(*bounds_m(room), width_in=9.0)
@@ -72,6 +73,7 @@ def plot_room(room: ShownRoom, path: Path) -> None:
     save_figure(figure, path, "png")
 
 
+@plain_style()
 def plot_overview(
     room: ShownRoom, maps: Float[NDArray[np.float32], "F E A"], grid: AngularGrid, titles: Sequence[str], path: Path
 ) -> None:
@@ -100,6 +102,7 @@ def plot_overview(
     save_figure(figure, path, "png")
 
 
+@plain_style()
 def plot_carriers(summary: CarrierSummary, path: Path) -> None:
     """Draw, as SVG, how similar maps are between carriers, and power, paths and silence if these are known.
 

@@ -16,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.drawing import DISPLAY_RANGE_DB
-from xfreqbench.report.drawing.figures import figure_kind, plot_pas_maps, save_figure, shown
+from xfreqbench.report.drawing.figures import figure_kind, plain_style, plot_pas_maps, save_figure, shown
 from xfreqbench.report.view.figures import bounds_m, draw_outlines
 from xfreqbench.report.view.plan import plan_view
 from xfreqbench.report.view.room import ShownRoom
@@ -89,6 +89,7 @@ def received_power(dataset: PasDataset, carrier_hz: float) -> Float[FloatArray, 
     return np.mean(np.abs(cfr.astype(np.complex128)) ** 2, axis=1)
 
 
+@plain_style()
 def plot_power(
     room: ShownRoom,
     power: Float[FloatArray, "F T"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from numba import get_num_threads, njit
+
+from xfreqbench.errors import XFreqBenchError
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Result = TypeVar("Result")
@@ -46,7 +49,19 @@ def within(kernel: Any) -> Any:
     return whole(kernel.py_func)
 
 
+def num_threads() -> int:
+    """Number of threads that Numba uses; raises `XFreqBenchError` where it is to start them by a library it lacks."""
+    try:
+        return get_num_threads()
+    except ValueError as error:
+        asked = os.environ.get("NUMBA_THREADING_LAYER")
+        raise XFreqBenchError(
+            f"NUMBA_THREADING_LAYER is set to {asked!r}, with which Numba cannot start threads here: "
+            f"{str(error).splitlines()[0]} Set it to omp or workqueue, or unset it."
+        ) from error
+
+
 def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
     """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use."""
-    with ThreadPoolExecutor(get_num_threads()) as threads:
+    with ThreadPoolExecutor(num_threads()) as threads:
         return list(threads.map(call, range(number)))

@@ -1,0 +1,78 @@
+"""Where Numba and Matplotlib keep what they have made: their own places, or a folder of ours where those fail."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parents[1]
+_VARIABLES = {"NUMBA_CACHE_DIR": "numba", "MPLCONFIGDIR": "matplotlib"}
+
+
+def settle_caches() -> None:
+    """Name folders for what libraries keep where there is no home to write to, as in a container with a user id alone.
+
+    There they would fail, or make a folder `~` in each working folder. Ours is `xfreqbench-UID` in the folder for
+    temporary files. Where that cannot be this user's alone, what is compiled goes with this process, and a warning says
+    so. Variables that are set stay as they are.
+    """
+    if all(map(_is_writable, _home_folders())):
+        return
+    # Numba keeps what it compiles beside its source where it can
+    is_enough = all(os.access(path, os.W_OK) for path in (_PACKAGE, _PACKAGE / "scene"))
+    missing = [name for name in _VARIABLES if name not in os.environ and not (is_enough and name == "NUMBA_CACHE_DIR")]
+    if missing:
+        folder = _own_folder() or _passing_folder()
+        os.environ.update({name: str(folder / _VARIABLES[name]) for name in missing} if folder else {})
+
+
+def _home_folders() -> list[Path]:
+    """The user's folders for caches and for settings; relative ones where there is no home."""
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path()
+    places = {"XDG_CACHE_HOME": ".cache", "XDG_CONFIG_HOME": ".config"}
+    return [Path(os.environ.get(variable) or home / name) for variable, name in places.items()]
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be put into a folder, or it can be made; no relative one."""
+    if not folder.is_absolute():
+        return False
+    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+    return nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+
+
+def _own_folder() -> Path | None:
+    """The folder that this user's processes share; None where it is, or may be, another's: code is loaded from it."""
+    import tempfile
+
+    try:
+        folder = Path(tempfile.gettempdir()) / f"xfreqbench-{os.getuid()}"
+        if folder.parent == Path.cwd():  # where nothing else can be written
+            return None
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return None
+    is_own = folder.is_dir() and not folder.is_symlink() and found.st_uid == os.getuid()
+    return folder if is_own and not found.st_mode & 0o077 else None
+
+
+def _passing_folder() -> Path | None:
+    """A folder that goes with this process; None where there is no place for one."""
+    import atexit
+    import shutil
+    import tempfile
+
+    advice = "Set NUMBA_CACHE_DIR and MPLCONFIGDIR to folders of your own."
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="xfreqbench-"))
+    except OSError as error:
+        print(f"xfreqbench: there is no folder for what is compiled: {error.strerror}. {advice}", file=sys.stderr)
+        return None
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    print(f"xfreqbench: there is no folder to keep what is compiled; it is compiled anew. {advice}", file=sys.stderr)
+    return folder
