@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Interactions, Output, Quiet, bench, example, parse_interactions, say
+from xfreqbench.cli.options import (
+    Interactions,
+    Output,
+    Quiet,
+    bench,
+    example,
+    parse_carriers_hz,
+    parse_interactions,
+    say,
+)
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -135,6 +144,51 @@ def _counts(option: str, text: str, most: int) -> list[int]:
     if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):
         raise XFreqBenchError(f"{option} takes whole numbers from 1 to {most}, as in 1,8,32, but got {text!r}.")
     return [int(part) for part in parts]
+
+
+@bench.command(name="measured", help_epilogue=example("bench measured flat MEASURED.csv --freqs 2.402,2.426,2.48"))
+def bench_measured(
+    scene: str,
+    measured: Path,
+    *,
+    freqs: Annotated[str, Parameter(help="Carriers in GHz, comma-separated, whose powers are averaged.")],
+    height: Annotated[
+        float | None, Parameter(help="z in metres of all positions, for a file without that column.")
+    ] = None,
+    every: Annotated[int, Parameter(help="Take each so many-th line of the file.")] = 1,
+    solver: Annotated[Literal["auto", "image", "sionna"], Parameter(help="As of `generate`.")] = "auto",
+    max_depth: Annotated[int, Parameter(help="Most interactions of a path.")] = 6,
+    seed: Annotated[int, Parameter(help="Seed of the tenth at which models are fitted.")] = 1,
+    output: BenchOutput = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare powers that were measured with a scene's, and with free space, fitted laws and nearest positions.
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, or the path of a scene TOML. It may have several receivers.
+    measured
+        A CSV file with a line of names: x, y and z in metres, and for each receiver a power in dB or dBm, in a column
+        of its name or of one that ends in `_` and the name.
+    """
+    from xfreqbench.bench.measured import bench_measured, read_measurement
+    from xfreqbench.scene.model import load_scene
+    from xfreqbench.system.bars import progress_bars
+    from xfreqbench.tracing.solvers import check_settings
+    from xfreqbench.tracing.tracer import TraceSettings
+
+    if every < 1 or seed < 0:
+        raise XFreqBenchError(f"--every takes 1 or more and --seed 0 or more, but got {every} and {seed}.")
+    carriers_hz = parse_carriers_hz(freqs)
+    settings = TraceSettings(solver, max_depth=max_depth)
+    check_settings(settings)
+    loaded = load_scene(scene)
+    found = read_measurement(measured, loaded.receivers, height, every)
+    options: dict[str, Any] = {"height": height, "every": every, "solver": solver, "max_depth": max_depth, "seed": seed}
+    bench = _bench("measured", output, scene, str(measured), freqs=freqs, **options)
+    with progress_bars("positions", [f"tracing {loaded.name}"], quiet) as (progress,):
+        bench_measured(bench, loaded, found, carriers_hz, settings, seed, progress)
 
 
 @bench.command(name="reference", help_epilogue=example("bench reference empty -o reference.npz"))

@@ -1,0 +1,125 @@
+"""Measurements beside scenes: a scene explains what was traced in it, and more of a measured flat than fitted laws."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.places import MEASURED_FLAT
+from xfreqbench.bench.measured import bench_measured, read_measurement
+from xfreqbench.bench.tables import Bench
+from xfreqbench.errors import DataError, SceneError, StorageError
+from xfreqbench.scene.model import ReceiverArray, Scene, load_scene, parse_scene
+from xfreqbench.tracing.solvers import make_tracer
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import ignore_progress
+
+SETTINGS = TraceSettings("image", rays=5000, max_depth=2)
+RECEIVERS = (
+    ReceiverArray(position_m=(1.0, 1.0, 2.5), name="north"),
+    ReceiverArray(position_m=(5.0, 4.2, 2.0), name="2"),
+)
+
+
+def two_receivers() -> Scene:
+    return replace(load_scene("two_rooms"), receiver=RECEIVERS[0], other_receivers=RECEIVERS[1:])
+
+
+def rows_of(said: list[str]) -> dict[str, list[str]]:
+    """The cells of each row that was printed, by the model's name."""
+    cells = [[cell.strip() for cell in line.strip("| ").split("|")] for line in said if line.startswith("| ")]
+    return {model: rest for model, *rest in cells}
+
+
+def rmse_db(cell: str) -> float:
+    return float(cell.split()[0])
+
+
+def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path: Path) -> None:
+    scene, rng = two_receivers(), np.random.default_rng(2)
+    position_m = rng.uniform([0.4, 0.4, 0.9], [5.0, 4.0, 1.7], (60, 3))
+    columns = [position_m[:, 0], position_m[:, 1], position_m[:, 2]]
+    for receiver, offset_db in zip(RECEIVERS, (-30.0, 12.5), strict=True):
+        power = np.zeros(len(position_m))
+        for polarization in ("V", "H"):
+            element = replace(receiver, rows=1, cols=1, polarization=polarization)
+            tracer = make_tracer(replace(scene, receiver=element, other_receivers=()), [2.4, 5], SETTINGS)
+            paths = [tracer.paths(place_m) for place_m in position_m]
+            power += [(np.abs(each.gain) ** 2).mean(axis=0).sum() for each in paths]
+        columns.append(10 * np.log10(power) + offset_db)
+    table = np.stack(columns, axis=1)
+    lines = [",".join(f"{value:.9g}" for value in row) for row in table]
+    lines[7] = lines[7].rpartition(",")[0] + ","  # not measured
+    (tmp_path / "measured.csv").write_text("\n".join(["x,y,z_m,north,rssi_2", *lines]))
+    measurement = read_measurement(tmp_path / "measured.csv", scene.receivers, None)
+    assert np.isnan(measurement.power_db).sum() == 1
+    said: list[str] = []
+    output = tmp_path / "records.jsonl"
+    bench_measured(
+        Bench("measured", "x", said.append, output), scene, measurement, [2.4e9, 5e9], SETTINGS, 1, ignore_progress
+    )
+    rows = rows_of(said)
+    assert rmse_db(rows["traced, depth 2"][0]) < 0.01
+    assert rows["traced, depth 2"][-1] == "1.00"
+    assert rmse_db(rows["traced, depth 1"][0]) > 0.1
+    assert rmse_db(rows["free space"][0]) > rmse_db(rows["traced, depth 2, without diffraction"][0]) > 0.01
+    assert output.is_file()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no measurement"),
+        (
+            "x,y,z,2\n1,2,3,4\n",
+            "no column for receiver north; its columns are x, y, z, 2. Name one north, or so that it en",
+        ),
+        ("x,y,north,2\n1,2,3,4\n", "no column for z"),
+        ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "columns 2, rssi_2 for receiver 2"),
+        ("x,y,z,north,2\n1,2,3,4,loud\n", "column 2 holds what is no number"),
+        ("x,y,z,north,2\n1,2,,4,5\n", "positions that are no numbers"),
+        ("x,y,z,north,2\n" + "1,2,3,-40,\n" * 40, "fewer than 30 powers of receiver 2"),
+    ],
+)
+def test_a_measurement_that_cannot_be_used_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "measured.csv").write_text(text)
+    with pytest.raises(DataError, match=re.escape(message)):
+        read_measurement(tmp_path / "measured.csv", RECEIVERS, None)
+    with pytest.raises(StorageError, match="cannot be read"):
+        read_measurement(tmp_path / "none.csv", RECEIVERS, None)
+
+
+@pytest.mark.slow
+def test_the_measured_flat_is_explained_better_by_its_walls_than_by_fitted_laws() -> None:
+    """The RMSE of one fingerprint: 6.71, 5.97 and 5.8 dB for free space, walls, and paths of three interactions."""
+    if not MEASURED_FLAT.is_dir():
+        pytest.skip(f"the measured flat is not at {MEASURED_FLAT}")
+    scene, said = load_scene("flat"), list[str]()
+    measurement = read_measurement(MEASURED_FLAT / "calibration_df.csv", scene.receivers, 1.3, every=10)
+    settings = TraceSettings("image", rays=20_000, max_depth=3)
+    bench_measured(Bench("measured", "x", said.append), scene, measurement, [2.44e9], settings, 1, ignore_progress)
+    rows = rows_of(said)
+    walls = next(cells for name, cells in rows.items() if name.startswith("multi-wall"))
+    assert rmse_db(rows["free space"][0]) == pytest.approx(6.71, abs=0.5)
+    assert rmse_db(rows["traced, depth 3"][0]) == pytest.approx(5.8, abs=0.4)
+    assert rmse_db(rows["traced, depth 3"][0]) < rmse_db(walls[0]) < rmse_db(rows["free space"][0])
+
+
+def test_a_scene_may_have_several_receivers_of_which_a_data_set_has_one() -> None:
+    scene = load_scene("flat")
+    assert [each.name for each in scene.receivers] == list("123456")
+    assert scene.with_receiver("4").receivers == (scene.receivers[3],)
+    assert scene.with_receiver() == scene.with_receiver("1")
+    text = "[[receiver]]\nposition_m = [0, 0, 1]\n{0}\n[[receiver]]\nposition_m = [1, 0, 1]\n{1}\n"
+    text = 'name = "two"\n' + text + "[transmitters]\nmin_m = [2, 2, 1]\nmax_m = [2, 2, 1]\nstep_m = [1, 1, 1]\n"
+    assert len(parse_scene(text.format('name = "a"', 'name = "b"')).receivers) == 2
+    for names, message in (
+        (('name = "a"', ""), "each needs a name"),
+        (('name = "a"',) * 2, "two receivers are named 'a'"),
+    ):
+        with pytest.raises(SceneError, match=message):
+            parse_scene(text.format(*names))

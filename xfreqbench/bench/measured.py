@@ -1,0 +1,267 @@
+"""Measured powers beside a scene's: how far free space, fitted laws and traced paths are from a measurement.
+
+A measurement says nothing of absolute power (transmit power, cables, antennas), so that each model has one offset for
+each receiver, which is fitted at a random tenth of the positions; everything is scored at the others.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from xfreqbench.bench.tables import Bench
+from xfreqbench.errors import DataError, SceneError, StorageError
+from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.system.files import read_text
+from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
+from xfreqbench.tracing.solvers import resolve_solver, tracer_of
+from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import FloatArray, ProgressCallback
+from xfreqbench.units import format_ghz_list
+
+CELL_M = 0.5  # side of the blocks of space whose errors are drawn together, and over which local means are taken
+NUM_NEAREST = 3
+_NUM_RESAMPLES = 1000
+_MOST_WALLS = 16
+_POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
+_COLUMNS = ("model", "RMSE dB", "in sight", "not in sight", "RMSE of local means", "median error dB", "r")
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Powers in dB, up to a constant for each receiver, at n positions and R receivers; nan where none was measured."""
+
+    position_m: Float[FloatArray, "n 3"]
+    power_db: Float[FloatArray, "n R"]
+
+
+def read_measurement(
+    path: Path, receivers: Sequence[ReceiverArray], height_m: float | None, every: int = 1
+) -> Measurement:
+    """A CSV file with columns x, y and z in metres, z unless `height_m` is given, and powers in dB for each receiver.
+
+    The column of a receiver has its name, or a name that ends in `_` and the receiver's, as `rssi_3`; a scene's lone
+    receiver may have the column `power`. An empty cell is no measurement. Of the lines each `every`-th is taken. Raises
+    `DataError` and `StorageError`.
+    """
+    try:
+        rows = list(csv.DictReader(read_text(path).splitlines()))[::every]
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror}.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path} is no CSV file in UTF-8: {error}") from error
+    if not rows:
+        raise DataError(f"{path} holds no measurement: give a line of names, and a line for each position.")
+    names = [name for name in rows[0] if name]
+
+    def column(what: str, accepted: Sequence[str], ending: str | None = None) -> Float[FloatArray, "n"]:
+        found = [name for name in names if name in accepted or (ending is not None and name.endswith(ending))]
+        if len(found) != 1:
+            raise DataError(
+                f"{path} has {'columns ' + ', '.join(found) if found else 'no column'} for {what}; its columns are "
+                f"{', '.join(names)}. Name one {' or '.join(accepted)}"
+                + (f", or so that it ends in {ending}." if ending else ".")
+            )
+        try:
+            return np.array([float(row[found[0]] or "nan") for row in rows])
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{path}: column {found[0]} holds what is no number ({error}).") from error
+
+    places = [column(axis, (axis, f"{axis}_m")) for axis in ("x", "y")]
+    places.append(column("z", ("z", "z_m")) if height_m is None else np.full(len(rows), height_m))
+    powers = [
+        column("the power", ("power", "power_db"))
+        if each.name is None
+        else column(f"receiver {each.name}", (each.name,), f"_{each.name}")
+        for each in receivers
+    ]
+    position_m, power_db = np.stack(places, axis=1), np.stack(powers, axis=1)
+    if not np.isfinite(position_m).all():
+        raise DataError(f"{path} holds positions that are no numbers.")
+    power_db = np.where(np.isfinite(power_db), power_db, np.nan)
+    few = np.isfinite(power_db).sum(axis=0) < 10 * NUM_NEAREST
+    if few.any():
+        raise DataError(
+            f"{path} holds fewer than {10 * NUM_NEAREST} powers of receiver {receivers[few.argmax()].name}."
+        )
+    return Measurement(position_m, power_db)
+
+
+def bench_measured(
+    bench: Bench,
+    scene: Scene,
+    measurement: Measurement,
+    carrier_hz: Sequence[float],
+    settings: TraceSettings,
+    seed: int,
+    progress: ProgressCallback,
+) -> None:
+    """Print how far models of the power are from a measurement; see `_predictions` for the models.
+
+    Raises `SceneError` where transmitter and receiver have one place.
+    """
+    prepared = PreparedScene.of(scene)
+    settings = resolve_solver(prepared.geometry, settings)
+    position_m, power_db = measurement.position_m, measurement.power_db
+    fitted = np.zeros(len(position_m), bool)
+    fitted[np.random.default_rng(seed).permutation(len(position_m))[: max(len(position_m) // 10, NUM_NEAREST)]] = True
+    walls = np.stack([_num_walls(prepared, each, position_m, carrier_hz[0]) for each in scene.receivers], axis=1)
+    predicted = _predictions(prepared, measurement, carrier_hz, settings, fitted, walls, progress)
+    cell = np.unique(np.floor(position_m / CELL_M), axis=0, return_inverse=True)[1].ravel()
+    note = (
+        f"{len(position_m):,} positions × {power_db.shape[1]} receivers. Power is averaged over "
+        f"{format_ghz_list(carrier_hz)}, both polarisations, and phases. Offsets are fitted at a tenth of the "
+        f"positions (seed {seed}), and scored are the others. In brackets 95 % intervals by {CELL_M:g} m cells; local "
+        "means are of the errors in such cells; r is within a receiver."
+    )
+    with bench.table(f"Measured power in {scene.name}, solver {settings.solver}", note, _COLUMNS) as table:
+        for name, model_db in predicted.items():
+            offset_db = np.nanmean(np.where(fitted[:, None], power_db - model_db, np.nan), axis=0)
+            error_db = np.where(fitted[:, None], np.nan, model_db + offset_db - power_db)
+            table.add(name, *_scores(error_db, power_db, walls == 0, cell, seed))
+
+
+def _predictions(
+    prepared: PreparedScene,
+    measurement: Measurement,
+    carrier_hz: Sequence[float],
+    settings: TraceSettings,
+    fitted: Bool[NDArray[np.bool_], "n"],
+    walls: Float[FloatArray, "n R"],
+    progress: ProgressCallback,
+) -> dict[str, Float[FloatArray, "n R"]]:
+    """Powers in dB, up to an offset for each receiver, by every model: those without the room come first."""
+    position_m, power_db = measurement.position_m, measurement.power_db
+    receiver_m = np.array([each.position_m for each in prepared.scene.receivers])
+    distance_m = np.linalg.norm(position_m[:, None] - receiver_m, axis=2)
+    if not distance_m.all():
+        raise SceneError("A measured position is that of a receiver. Leave it out.")
+    decades_db = -10 * np.log10(distance_m)
+    exponent = _slope(decades_db, power_db, fitted)
+    wall_db = _slope(-walls, power_db - 2 * decades_db, fitted)
+    models = {
+        "free space": 2 * decades_db,
+        f"log-distance, fitted exponent {exponent:.2f}": exponent * decades_db,
+        f"multi-wall, fitted {wall_db:.2f} dB a wall": 2 * decades_db - wall_db * walls,
+        f"mean of the {NUM_NEAREST} nearest of the tenth": _nearest_db(position_m, power_db, fitted),
+    }
+    return models | _traced_db(prepared, position_m, carrier_hz, settings, progress)
+
+
+def _slope(
+    regressor: Float[FloatArray, "n R"], power_db: Float[FloatArray, "n R"], fitted: Bool[NDArray[np.bool_], "n"]
+) -> float:
+    """Least squares of powers over a regressor at the fitted positions, with an offset for each receiver."""
+    x, y = (np.where(np.isfinite(power_db), values, np.nan)[fitted] for values in (regressor, power_db))
+    x, y = x - np.nanmean(x, axis=0), y - np.nanmean(y, axis=0)
+    return float(np.nansum(x * y) / max(np.nansum(x * x), 1e-12))
+
+
+def _nearest_db(
+    position_m: Float[FloatArray, "n 3"], power_db: Float[FloatArray, "n R"], fitted: Bool[NDArray[np.bool_], "n"]
+) -> Float[FloatArray, "n R"]:
+    """Mean of the powers that each receiver has at the nearest fitted positions."""
+    found = np.empty_like(power_db)
+    for r, power in enumerate(power_db.T):
+        known = np.flatnonzero(fitted & np.isfinite(power))
+        near = KDTree(position_m[known]).query(position_m, k=min(NUM_NEAREST, len(known)))[1].reshape(len(power), -1)
+        found[:, r] = power[known][near].mean(axis=1)
+    return found
+
+
+def _num_walls(
+    prepared: PreparedScene, receiver: ReceiverArray, position_m: Float[FloatArray, "n 3"], carrier_hz: float
+) -> Float[FloatArray, "n"]:
+    """How many surfaces the straight line from a receiver to each position passes; the most where one is opaque."""
+    settings = TraceSettings("image", ("refraction",), max_depth=_MOST_WALLS, materials="extrapolate")
+    tracer = tracer_of(_alone(prepared, receiver, "V"), [carrier_hz], settings)
+    paths = [tracer.paths(place_m) for place_m in position_m]
+    walls = [(each.interactions != NO_INTERACTION).sum() if len(each.delay_s) else _MOST_WALLS for each in paths]
+    return np.array(walls, dtype=np.float64)
+
+
+def _alone(prepared: PreparedScene, receiver: ReceiverArray, polarization: Literal["V", "H"]) -> PreparedScene:
+    """The scene with one element in the place of a receiver, isotropic and of one polarisation."""
+    element = replace(receiver, rows=1, cols=1, pattern="iso", polarization=polarization)
+    return PreparedScene(replace(prepared.scene, receiver=element, other_receivers=()), prepared.geometry)
+
+
+def _traced_db(
+    prepared: PreparedScene,
+    position_m: Float[FloatArray, "n 3"],
+    carrier_hz: Sequence[float],
+    settings: TraceSettings,
+    progress: ProgressCallback,
+) -> dict[str, Float[FloatArray, "n R"]]:
+    """Powers in dB by the scene's paths of at most 1, 2, … interactions, with and without those over edges.
+
+    They are Σ|gain|² over paths, which is the mean over some wavelengths of the place, carriers and polarisations.
+    """
+    receivers, depths = prepared.scene.receivers, range(1, settings.max_depth + 1)
+    power = np.zeros((2, len(depths), len(position_m), len(receivers)))
+    done, total = 0, 2 * power[0, 0].size
+    for r, receiver in enumerate(receivers):
+        for polarization in _POLARIZATIONS:
+            tracer = tracer_of(_alone(prepared, receiver, polarization), carrier_hz, settings)
+            for n, place_m in enumerate(position_m):
+                paths = tracer.paths(place_m)
+                length = (paths.interactions != NO_INTERACTION).sum(axis=1)
+                is_plain = ~(paths.interactions == DIFFRACTION).any(axis=1)
+                of_path = (np.abs(paths.gain) ** 2).mean(axis=0)
+                for d, depth in enumerate(depths):
+                    power[0, d, n, r] += of_path[length <= depth].sum()
+                    power[1, d, n, r] += of_path[(length <= depth) & is_plain].sum()
+                done += 1
+                progress(done, total)
+    with np.errstate(divide="ignore"):
+        level_db = np.where(power > 0, 10 * np.log10(power), np.nan)
+    level_db = np.where(np.isnan(level_db), np.nanmin(level_db), level_db)  # where no path arrives, the weakest power
+    has_edges = "diffraction" in settings.named_interactions
+    models = {f"traced, depth {depth}": level_db[0, d] for d, depth in enumerate(depths)}
+    return models | ({f"traced, depth {depths[-1]}, without diffraction": level_db[1, -1]} if has_edges else {})
+
+
+def _scores(
+    error_db: Float[FloatArray, "n R"],
+    power_db: Float[FloatArray, "n R"],
+    in_sight: Bool[NDArray[np.bool_], "n R"],
+    cell: NDArray[np.int64],
+    seed: int,
+) -> tuple[str, ...]:
+    """The cells of a model's row, as `_COLUMNS` has them."""
+    num_cells = int(cell.max()) + 1
+    is_scored = np.isfinite(error_db)
+    squares = np.bincount(cell, np.nansum(error_db**2, axis=1), num_cells)
+    counts = np.bincount(cell, is_scored.sum(axis=1), num_cells)
+    drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), _NUM_RESAMPLES)
+    low, high = np.quantile(np.sqrt(drawn @ squares / np.maximum(drawn @ counts, 1)), [0.025, 0.975])
+    means = [
+        np.bincount(cell[known], error[known], num_cells)[present]
+        / np.bincount(cell[known], minlength=num_cells)[present]
+        for error, known in zip(error_db.T, is_scored.T, strict=True)
+        for present in [np.bincount(cell[known], minlength=num_cells) > 0]
+    ]
+    model_db = np.where(is_scored, error_db + power_db, np.nan)
+    a, b = (values - np.nanmean(values, axis=0) for values in (model_db, np.where(is_scored, power_db, np.nan)))
+    r = np.nansum(a * b) / np.sqrt(np.nansum(a * a) * np.nansum(b * b))
+    sights = [error_db[is_scored & sight] for sight in (in_sight, ~in_sight)]
+    return (
+        f"{_rms(error_db[is_scored]):.2f} [{low:.2f}, {high:.2f}]",
+        *(f"{_rms(part):.2f}" if len(part) else "–" for part in sights),
+        f"{_rms(np.concatenate(means)):.2f}",
+        f"{np.median(np.abs(error_db[is_scored])):.2f}",
+        f"{r:.2f}",
+    )
+
+
+def _rms(values: Float[FloatArray, "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
