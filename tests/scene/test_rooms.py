@@ -170,6 +170,13 @@ def test_the_plan_names_panes_that_nothing_passes() -> None:
     assert "thinner" not in plan_generation(scene_of(ROOM, pane), [10e9]).summary
 
 
+@pytest.mark.parametrize(("apart_m", "told"), [(0.0, "0 mm"), (2e-5, "0.02 mm"), (8e-4, "0.8 mm"), (2e-3, "")])
+def test_the_plan_names_objects_that_nearly_lie_in_one_plane(apart_m: float, told: str) -> None:
+    wall, copy = box("wall", [2.5, 0.5, 0.5], [2.6, 2, 2]), box("copy", [2.6 + apart_m, 0.6, 0.6], [2.7, 1.9, 1.9])
+    summary = plan_generation(scene_of(ROOM, wall, copy), [10e9]).summary
+    assert f"\n'wall' and 'copy' lie {told} apart at" in summary if told else "apart" not in summary
+
+
 def test_the_plan_says_what_of_meshes_mirrors(tmp_path: Path) -> None:
     scene = room_of_file(tmp_path, toml="least_patch_area_m2 = 16")
     told = "40.00 of 94.00 m² mirror, the largest patch is 20.00 m²; 8 of 12 triangles do not"

@@ -22,7 +22,7 @@ from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
-from xfreqbench.scene.overlaps import check_overlaps
+from xfreqbench.scene.overlaps import check_overlaps, nearly_in_one_plane
 from xfreqbench.scene.placement import (
     MIN_SEPARATION_M,
     Placement,
@@ -98,6 +98,7 @@ class Plan:
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
             + self._mesh_notes
             + self._thin_notes
+            + self._near_notes
             + self._material_notes
             + ("" if self.header.receiver.resolves_directions else "\nmaps are constant: the array has no extent")
         )
@@ -135,6 +136,12 @@ class Plan:
         told = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
         advice = "a rectangle with its thickness_m, or solver image, lets through what it should"
         return f"{told}{', '.join(thin)}; {advice}" if thin else ""
+
+    @property
+    def _near_notes(self) -> str:
+        """A line on surfaces of two objects that nearly lie in one plane; else empty."""
+        near = nearly_in_one_plane(self.geometry)
+        return f"\n{near}: a path passes both; if they are one wall, or one object twice, leave one out" if near else ""
 
     @property
     def _material_notes(self) -> str:

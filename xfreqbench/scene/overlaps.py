@@ -12,6 +12,7 @@ from xfreqbench.scene.patches import rounding_m, sides_m
 from xfreqbench.types import FloatArray, IntArray
 
 MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
+NEAR_M, NEAR_OVERLAP_M = 1e-3, 0.02  # surfaces that are nearer, and share more, were most likely meant to be one
 MAX_PAIRS = 250_000  # looked at together
 _MORTON_BITS = 10  # of each axis
 
@@ -27,7 +28,7 @@ def check_overlaps(geometry: Geometry) -> None:
         return
     slabs = slabs_of(geometry.meshes)
     slab = np.array([slabs.index(mesh.slab) for mesh in geometry.meshes])[geometry.mesh_of_triangle]
-    pair = _overlapping(corners_m, slab)
+    pair = _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M)
     if pair is not None:
         a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
         place_m = ", ".join(f"{coordinate:.4g}" for coordinate in corners_m[pair[1]].mean(axis=0))
@@ -37,8 +38,29 @@ def check_overlaps(geometry: Geometry) -> None:
         )
 
 
-def _overlapping(corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"]) -> tuple[int, int] | None:
-    """Two triangles of different slabs that overlap in one plane, the larger first, or None.
+def nearly_in_one_plane(geometry: Geometry) -> str | None:
+    """Words on two objects of which surfaces lie on each other but for less than `NEAR_M`, or None.
+
+    A path passes both of them, or is reflected between them: a pane in front of a wall, or an object given twice.
+    """
+    corners_m = triangle_corners_m(geometry.meshes)
+    if not len(corners_m):
+        return None
+    pair = _overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, NEAR_OVERLAP_M)
+    if pair is None:
+        return None
+    large_m, small_m = corners_m[list(pair)]
+    normal = np.cross(large_m[1] - large_m[0], large_m[2] - large_m[0])
+    apart_m = np.abs((small_m - large_m[0]) @ normal).max() / np.linalg.norm(normal)
+    a, b = (geometry.meshes[mesh].name for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
+    place_m = ", ".join(f"{coordinate:.4g}" for coordinate in small_m.mean(axis=0))
+    return f"{a!r} and {b!r} lie {apart_m * 1e3:.2g} mm apart at ({place_m}) m"
+
+
+def _overlapping(
+    corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"], tolerance_m: float, least_shared_m: float
+) -> tuple[int, int] | None:
+    """Two triangles of different slabs that overlap in one plane within a tolerance, the larger first, or None.
 
     Halves of a sorted list of triangles are compared with each other, and with themselves, and halves of those as long
     as the boxes about them meet. A box holds places, and the feet of perpendiculars from one point, which are the same
@@ -53,9 +75,9 @@ def _overlapping(corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"]
     tilt_rad = PLANE_TOLERANCE + 2 * rounding_m(corners_m) * longest_m / doubled_m2
     apart_m = corners_m[:, 0] - (least_m - 0.5 * extent_m - 1)  # from a point in no wall's plane, if they are upright
     foot_m = np.einsum("kc,kc->k", apart_m, normal)[:, None] * normal
-    slack_m = PLANE_TOLERANCE + 2 * np.linalg.norm(apart_m, axis=1) * np.minimum(tilt_rad, 1)
-    low = np.hstack([low_m - PLANE_TOLERANCE, foot_m - slack_m[:, None], slab[:, None]])
-    high = np.hstack([high_m + PLANE_TOLERANCE, foot_m + slack_m[:, None], slab[:, None]])
+    slack_m = tolerance_m + 2 * np.linalg.norm(apart_m, axis=1) * np.minimum(tilt_rad, 1)
+    low = np.hstack([low_m - tolerance_m, foot_m - slack_m[:, None], slab[:, None]])
+    high = np.hstack([high_m + tolerance_m, foot_m + slack_m[:, None], slab[:, None]])
     order = np.lexsort([_morton((low_m + high_m) / 2 - least_m, extent_m), slab])
     levels = [np.hstack([low, -high])[order]]
     while len(levels[-1]) > 1:
@@ -75,10 +97,10 @@ def _overlapping(corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"]
         large, small = np.where(is_smaller, pairs[::-1], pairs)
         height_m = np.einsum("pkc,pc->pk", corners_m[small] - corners_m[large, :1], normal[large])
         tilt = np.linalg.norm(np.cross(normal[large], normal[small]), axis=1)
-        in_plane = (np.abs(height_m).max(axis=1) < PLANE_TOLERANCE) & (tilt <= np.maximum(*tilt_rad[pairs]))
+        in_plane = (np.abs(height_m).max(axis=1) < tolerance_m) & (tilt <= np.maximum(*tilt_rad[pairs]))
         large, small = large[in_plane], small[in_plane]
         shared_m = _shared_m(corners_m[large], corners_m[small], normal[large])
-        if (shared_m >= MIN_OVERLAP_M).any():
+        if (shared_m >= least_shared_m).any():
             widest = shared_m.argmax()
             return int(large[widest]), int(small[widest])
     return None
