@@ -16,7 +16,9 @@ from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.standards import TR38901_K_DB, TR38901_SPREADS, spread_by, tr38901_path_loss_db
 from xfreqbench.data.statistics import MECHANISMS, of_paths
-from xfreqbench.errors import XFreqBenchError
+from xfreqbench.errors import DataError, XFreqBenchError
+from xfreqbench.exchange.deepmimo import export_deepmimo
+from xfreqbench.exchange.deepmimo_import import import_deepmimo
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import ConstantMaterial
 from xfreqbench.tracing.absorption import slab_absorption
@@ -150,6 +152,19 @@ def test_a_subset_has_statistics_of_its_own_samples(rooms: PasDataset) -> None:
     assert {row["carrier_ghz"] for row in own.rows} == {rooms.header.carrier_hz[last] / 1e9}
     np.testing.assert_array_equal(own.links.path_loss_db[:, 0], rooms.statistics().links.path_loss_db[:, last])
     assert rooms.subset([0]).statistics().links.tx_index.tolist() == [0]
+    with pytest.raises(DataError, match="shown to methods without its paths"):
+        rooms.isolated().statistics()
+
+
+def test_data_of_others_have_statistics_without_a_room(rooms: PasDataset, tmp_path: Path) -> None:
+    export_deepmimo(rooms.path, tmp_path / "scenarios")
+    import_deepmimo(tmp_path / "scenarios", tmp_path / "imported.h5")
+    own, theirs = rooms.statistics(), open_dataset(tmp_path / "imported.h5").statistics()
+    assert np.isnan(theirs.volume_m3)
+    assert "about the surfaces" in str(own)
+    assert "about the surfaces" not in str(theirs)
+    np.testing.assert_allclose(theirs.links.path_loss_db, own.links.path_loss_db, atol=1e-3)
+    np.testing.assert_allclose(theirs.links.delay_spread_s, own.links.delay_spread_s, rtol=1e-3, atol=1e-13)
 
 
 def test_metal_takes_no_diffuse_power_and_air_all_of_it() -> None:

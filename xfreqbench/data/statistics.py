@@ -6,6 +6,7 @@ hold both antennas' patterns, so a path loss is that of isotropic antennas where
 
 from __future__ import annotations
 
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,7 @@ from xfreqbench.data.standards import (
     spread_by,
     tr38901_path_loss_db,
 )
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.absorption import mean_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
@@ -71,7 +72,8 @@ class ChannelStatistics:
     """Statistics of a data set: of every link, of the room, and, in `rows`, of all links at a carrier.
 
     The room is the box around the scene's surfaces, `volume_m3` and `surface_m2`; `absorption` (F,) is the mean over
-    the scene's surfaces of the share of diffuse power that they do not reflect. All are nan in a scene without any.
+    the scene's surfaces of the share of diffuse power that they do not reflect. All are nan in a scene without any, and
+    where its meshes are not at hand.
     `source` says where the paths are from.
     """
 
@@ -206,21 +208,26 @@ def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) ->
 
     Paths are the stored ones, or those of at most `num_tx` transmitters, drawn by `seed`, that are traced again from
     the scene and the settings in the file. Raises `DataError` for a data set of maps alone, and `SceneError` where the
-    scene's meshes are not at hand.
+    scene's meshes are needed, and not at hand; without them nothing is known of the room.
     """
     header = dataset.header
     if not header.channels:
         raise DataError(f"{dataset.path} holds maps alone, which say nothing of delays and power.")
+    if dataset.is_isolated:
+        raise DataError(f"{dataset.path} is shown to methods without its paths.")
     is_asked = np.zeros((header.num_tx, dataset.num_carriers), bool)
     is_asked.flat[dataset.rows] = True
     tx, carriers = np.flatnonzero(is_asked.any(axis=1)), np.flatnonzero(is_asked.any(axis=0))
-    prepared = PreparedScene.of(traced_scene(dataset))
+    prepared = None
+    with suppress(DataError, SceneError) if header.paths else nullcontext():
+        prepared = PreparedScene.of(traced_scene(dataset))
     receiver_m = np.asarray(header.receiver.position_m, dtype=np.float64)
     if header.paths:
         paths, traced = dataset.stored_paths()[0], np.arange(header.num_tx)
         source = f"the stored paths of {len(tx)} transmitters"
     else:
         traced = tx = np.sort(np.random.default_rng(seed).choice(tx, min(num_tx, len(tx)), replace=False))
+        assert prepared
         tracer = tracer_of(prepared, header.carrier_hz, dataset.trace_settings)
         positions_m = dataset.tables["tx_position_m"][tx]
         paths = RaggedPaths.of([tracer.paths(position_m) for position_m in positions_m], positions_m, receiver_m)
@@ -235,8 +242,10 @@ def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) ->
     distance_m = np.linalg.norm(dataset.tables["tx_position_m"][tx] - receiver_m, axis=1)
     in_sight = dataset.tables["line_of_sight"][tx].astype(bool)
     links = LinkStatistics(tx, carrier_hz, distance_m, in_sight, **values)
-    corners_m = [mesh.vertices_m for mesh in prepared.geometry.meshes]
-    x, y, z = np.ptp(np.concatenate(corners_m), axis=0).tolist() if corners_m else [np.nan] * 3
+    if prepared is None or not prepared.geometry.meshes:
+        return ChannelStatistics(links, np.nan, np.nan, np.full(len(carrier_hz), np.nan), source)
+    corners_m = np.concatenate([mesh.vertices_m for mesh in prepared.geometry.meshes])
+    x, y, z = np.ptp(corners_m, axis=0).tolist()
     policy = dataset.trace_settings.materials
     absorption = np.array([mean_absorption(prepared.geometry, carrier, policy) for carrier in carrier_hz.tolist()])
     return ChannelStatistics(links, x * y * z, 2 * (x * y + y * z + z * x), absorption, source)
