@@ -16,7 +16,7 @@ from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.recipe import Recipe
+from xfreqbench.data.recipe import Recipe, job_of
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import Scattering, SceneMaterial
@@ -82,10 +82,11 @@ def test_what_changes_no_channel_leaves_the_recipe_as_it_is(usual: Recipe, chang
     assert recipe_of(planned(**changes)).id == usual.id
 
 
-def test_versions_of_software_are_in_no_recipe(usual: Recipe) -> None:
+def test_versions_of_software_and_references_are_in_no_recipe(usual: Recipe) -> None:
     plan = planned()
-    newer = replace(plan, header=replace(plan.header, software={"numpy": "9"}))
+    newer = replace(plan, header=replace(plan.header, software={"numpy": "9"}, references="other"))
     assert recipe_of(newer) == usual
+    assert job_of(newer.header, TRANSMITTERS_M) == job_of(plan.header, TRANSMITTERS_M)
 
 
 @pytest.mark.parametrize(
