@@ -37,6 +37,7 @@ _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _SAID_IF_GIVEN = {
+    "transmitters",
     "up",
     "unit",
     "outside",
@@ -220,7 +221,7 @@ class PatchSize(NamedTuple):
 
 @dataclass(frozen=True, config=_STRICT)
 class Scene:
-    """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
+    """A room as rays meet it: surfaces, one receiver array and, where positions are not given, a grid of transmitters.
 
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
     or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
@@ -236,7 +237,7 @@ class Scene:
 
     name: str
     receiver: ReceiverArray
-    transmitters: TransmitterGrid
+    transmitters: TransmitterGrid | None = None
     description: str = ""
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
