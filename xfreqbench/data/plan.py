@@ -260,6 +260,7 @@ def _header(
             "extrapolated_materials": extrapolated_materials,
             **rough,
             **tracing.scene.mirror_settings,
+            **tracing.scene.antenna_settings,
         },
         software=software_versions(tracing.settings.solver),
         rejected=placed.rejected,
