@@ -76,6 +76,11 @@ def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
     small(tmp_path / "data.h5")
     with pytest.raises(OutputExistsError, match="holds another data set"):
         small(tmp_path / "data.h5", seed=2)
+    empty = xb.load_scene("empty")
+    assert empty.transmitters
+    crossed = replace(empty, transmitters=replace(empty.transmitters, polarization="H"))
+    with pytest.raises(OutputExistsError, match=r"settings\.transmitter_polarization.*H"):
+        xb.generate(crossed, tmp_path / "data.h5", **SMALL)  # type: ignore[arg-type]
     with pytest.raises(XFreqBenchError, match="Did you mean 'refraction'"):
         small(tmp_path / "x.h5", interactions=["refracton"])
     with pytest.raises(XFreqBenchError, match="give one of them"):
