@@ -134,6 +134,8 @@ def test_a_sample_without_any_path_is_flagged(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", silent=((1, 2),))
     np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
     assert not dataset.pas([5]).any()
+    assert np.flatnonzero(dataset.power_db == -np.inf).tolist() == [5]
+    np.testing.assert_allclose(10 ** (dataset.power_db / 10), np.mean(np.abs(dataset.cfr) ** 2, axis=1), rtol=1e-5)
 
 
 def test_xarray_knows_positions_flags_and_numbers(tmp_path: Path) -> None:

@@ -63,6 +63,12 @@ def test_transmitters_stand_where_they_are_put(tmp_path: Path) -> None:
     positions = np.array([[2.0, 1.0, 1.0], [3.0, 2.0, 1.5]])
     dataset = small(tmp_path / "data.h5", tx=None, tx_positions=positions)
     np.testing.assert_array_equal(dataset.tx_position_m[::2], positions)
+    without_grid = replace(xb.load_scene("empty"), transmitters=None)
+    again = xb.generate(without_grid, tmp_path / "again.h5", **{**SMALL, "tx": None, "tx_positions": positions})  # type: ignore[arg-type]
+    assert again.scene.transmitters is None
+    assert again.recipe == dataset.recipe
+    with pytest.raises(PlacementError, match=r"'empty' has no grid.*--tx-positions.*\[transmitters\]"):
+        xb.generate(without_grid, tmp_path / "none.h5", **SMALL)  # type: ignore[arg-type]
 
 
 def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
@@ -70,6 +76,11 @@ def test_refusals_are_those_of_the_command(tmp_path: Path) -> None:
     small(tmp_path / "data.h5")
     with pytest.raises(OutputExistsError, match="holds another data set"):
         small(tmp_path / "data.h5", seed=2)
+    empty = xb.load_scene("empty")
+    assert empty.transmitters
+    crossed = replace(empty, transmitters=replace(empty.transmitters, polarization="H"))
+    with pytest.raises(OutputExistsError, match=r"settings\.transmitter_polarization.*H"):
+        xb.generate(crossed, tmp_path / "data.h5", **SMALL)  # type: ignore[arg-type]
     with pytest.raises(XFreqBenchError, match="Did you mean 'refraction'"):
         small(tmp_path / "x.h5", interactions=["refracton"])
     with pytest.raises(XFreqBenchError, match="give one of them"):

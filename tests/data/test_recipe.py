@@ -16,7 +16,7 @@ from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.recipe import Recipe
+from xfreqbench.data.recipe import Recipe, job_of
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import Scattering, SceneMaterial
@@ -52,6 +52,11 @@ def with_surface(number: int = 0, **changes: Any) -> Scene:
     return replace(ROOMS, surface=tuple(surfaces))
 
 
+def with_grid(**changes: Any) -> Scene:
+    assert ROOMS.transmitters
+    return replace(ROOMS, transmitters=replace(ROOMS.transmitters, **changes))
+
+
 def wall_moved(shift_m: float) -> Scene:
     """The rooms with their wall north, the one at the greatest y, moved along y."""
     number = max(range(len(ROOMS.surface)), key=lambda index: ROOMS.surface[index].min_m[1])
@@ -72,7 +77,8 @@ def wall_moved(shift_m: float) -> Scene:
         {"interactions": ("refraction", "specular")},
         {"maps": False},
         {"paths": True},
-        {"scene": replace(ROOMS, description="", transmitters=replace(ROOMS.transmitters, clearance_m=0.3))},
+        {"scene": replace(with_grid(clearance_m=0.3), description="")},
+        {"scene": with_grid(pattern="iso", polarization="V")},  # as the receiver has them
         {"scene": with_surface(0, name="the floor")},
         {"tx_position_m": TRANSMITTERS_M + 1e-9},
     ],
@@ -82,10 +88,11 @@ def test_what_changes_no_channel_leaves_the_recipe_as_it_is(usual: Recipe, chang
     assert recipe_of(planned(**changes)).id == usual.id
 
 
-def test_versions_of_software_are_in_no_recipe(usual: Recipe) -> None:
+def test_versions_of_software_and_references_are_in_no_recipe(usual: Recipe) -> None:
     plan = planned()
-    newer = replace(plan, header=replace(plan.header, software={"numpy": "9"}))
+    newer = replace(plan, header=replace(plan.header, software={"numpy": "9"}, references="other"))
     assert recipe_of(newer) == usual
+    assert job_of(newer.header, TRANSMITTERS_M) == job_of(plan.header, TRANSMITTERS_M)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +102,7 @@ def test_versions_of_software_are_in_no_recipe(usual: Recipe) -> None:
         {"scene": with_surface(0, thickness_m=0.21)},
         {"scene": with_surface(0, material="wood")},
         {"scene": replace(ROOMS, receiver=replace(ROOMS.receiver, polarization="H"))},
+        {"scene": with_grid(polarization="H")},
         {"max_depth": 5},
         {"interactions": ("specular",)},
         {"interactions": ("specular", "refraction", "diffraction")},

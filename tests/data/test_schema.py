@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from tests.support.synthetic import append_all, make_header, write_dataset
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError
+from xfreqbench.scene.materials import P2040_EDITION
 from xfreqbench.scene.model import load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -84,6 +85,14 @@ def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays(tmp
     dataset = open_dataset(generate_planned(plan, tmp_path / "data.h5"))
     assert replace(dataset.scene, folder=load_scene("empty").folder) == load_scene("empty")
     assert dataset.trace_settings == settings
+    assert f"ITU-R {P2040_EDITION}," in dataset.header.references
+
+
+def test_the_hash_of_a_data_set_leaves_its_references_out(tmp_path: Path) -> None:
+    untold, told = (with_header(tmp_path / f"{text}.h5", references=text) for text in ("", "ITU-R P.2040-4"))
+    assert told.sha256 == untold.sha256
+    assert told.header.references == "ITU-R P.2040-4"
+    verify(told.path)
 
 
 def test_data_that_do_not_say_their_scene_are_refused_by_name(tmp_path: Path) -> None:

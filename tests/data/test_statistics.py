@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 import tr3gpp.tr38901
 from numpy.typing import NDArray
 
-from tests.support.plans import small_plan
+from tests.support.plans import CARRIERS_HZ, small_plan
 from xfreqbench.cli.data import info, plot
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
@@ -21,6 +23,7 @@ from xfreqbench.exchange.deepmimo import export_deepmimo
 from xfreqbench.exchange.deepmimo_import import import_deepmimo
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import ConstantMaterial
+from xfreqbench.scene.model import load_scene
 from xfreqbench.tracing.absorption import slab_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, SPECULAR, RaggedPaths
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -134,6 +137,26 @@ def test_free_space_has_the_path_loss_of_friis_and_nothing_but_the_direct_path(t
         np.testing.assert_allclose(found.links.path_loss_db[:, place], friis_db, atol=1e-4)
         assert (row["share_direct"], row["delay_spread_ns"], row["num_paths"]) == (1, 0, 1)
         assert np.isnan(row["k_factor_db"])
+
+
+@pytest.mark.parametrize("radius_wavelengths", [0.3, 1.0])
+def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
+    tmp_path: Path, radius_wavelengths: float
+) -> None:
+    rooms = load_scene("two_rooms")
+    one_element = replace(rooms, receiver=replace(rooms.receiver, rows=1, cols=1), transmitters=None)
+    number = np.arange(600)  # a spiral that fills the disc evenly
+    turn, radius = number * np.pi * (3 - np.sqrt(5)), np.sqrt((number + 0.5) / len(number))
+    radius_m = radius_wavelengths * SPEED_OF_LIGHT_M_S / CARRIERS_HZ[1] * radius[:, None]
+    spiral_m = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * radius_m
+    at_m = np.array([1.0, 2.0, 1.2]) + np.vstack([np.zeros(3), spiral_m])
+    plan = small_plan(one_element, None, tx_position_m=at_m, maps=False, paths=True)
+    dataset = open_dataset(generate_planned(plan, tmp_path / "disc.h5"))
+    dataset = dataset.subset(dataset.carrier_hz == CARRIERS_HZ[1])
+    mean_db = 10 * np.log10(np.mean(10 ** (dataset.power_db[1:] / 10)))
+    assert dataset[:1].local_mean_db(radius_wavelengths) == pytest.approx(mean_db, abs=0.05)
+    assert abs(dataset.power_db[0] - mean_db) > 0.3
+    assert dataset.local_mean_db(math.inf) == pytest.approx(-dataset.statistics().links.path_loss_db[:, 0])
 
 
 def test_traced_again_the_statistics_are_those_of_the_stored_paths(rooms: PasDataset, tmp_path: Path) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.support.sionna_scenes import CONCRETE_WALL, ONE_ELEMENT, RECEIVER, moved, scene_of, simple_scenes
+from tests.support.sionna_scenes import CONCRETE_WALL, GRID, ONE_ELEMENT, RECEIVER, moved, scene_of, simple_scenes
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
-from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.scene.model import Scene, TransmitterGrid, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
@@ -30,6 +30,7 @@ TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
 SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 SOLVERS = ("sionna", "image")
 POLARIZATIONS = ("V", "H")
+DIPOLE_H = replace(GRID, pattern="dipole", polarization="H")
 
 
 def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> Any:
@@ -61,8 +62,11 @@ def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(solver: SolverName) -> None:
-    scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
+@pytest.mark.parametrize("transmitters", [GRID, DIPOLE_H], ids=["equal antennas", "H to V"])
+def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(
+    transmitters: TransmitterGrid, solver: SolverName
+) -> None:
+    scene = replace(simple_scenes(ONE_ELEMENT)["a wall and a pane between"], transmitters=transmitters)
     tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
     cfr = tracer.channel(TRANSMITTERS_M).cfr[..., 0]
     for tx, row in zip(TRANSMITTERS_M, cfr, strict=True):
@@ -72,6 +76,7 @@ def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(s
             error = abs(gain.sum() - value) / np.abs(gain).sum()
             assert error < 1e-3
             assert delay_s.size == gain.size
+            assert abs(value) > 1e-7
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -235,7 +235,7 @@ def shooting_from_the_receiver(work: Workload) -> Saving:
     def forward() -> ChannelArray:
         radio_scene = RadioScene(surface_meshes(work.scene), work.settings.materials)
         carriers = np.array(work.carrier_hz)
-        rays = ForwardRays(radio_scene, work.scene.receiver, carriers, work.settings)
+        rays = ForwardRays(radio_scene, work.scene.receiver, work.scene.transmitter_antenna, carriers, work.settings)
         return rays.channel(work.tx_position_m).cfr
 
     timed = f"{SCENE_AND_RAYS}, {work.settings.rays:,} rays"

@@ -61,8 +61,8 @@ def generate(
     tx_positions: Annotated[
         Path | None,
         Parameter(
-            help="Instead of the scene's grid: a CSV of x,y,z in metres, one transmitter a line, its columns "
-            "three or named in the first line; or a data set (.h5), whose transmitters are taken."
+            help="Instead of the scene's grid, if it has one: a CSV of x,y,z in metres, one transmitter a line, its "
+            "columns three or named in the first line; or a data set (.h5), whose transmitters are taken."
         ),
     ] = None,
     solver: Solver = "auto",

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
-from pydantic import PositiveInt, TypeAdapter, ValidationError
+from pydantic import PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -238,6 +238,25 @@ class PasDataset:
             raise DataError(f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated.")
         return self._samples("cfr")
 
+    @cached_property
+    def power_db(self) -> Float[FloatArray, "N"]:
+        """Received over transmitted power of each sample in dB: the mean of |h|² over the array's elements.
+
+        It is −inf where no path arrives. Raises as `cfr` does.
+        """
+        return _in_db(np.mean(np.abs(self.cfr.astype(np.complex128)) ** 2, axis=1))
+
+    @checked
+    def local_mean_db(self, radius_wavelengths: PositiveFloat = 1.0) -> Float[FloatArray, "N"]:
+        """The power at the array centre in dB, averaged over where a transmitter stands, of each sample.
+
+        It is the mean over a horizontal disc about the transmitter, by its paths as plane waves; with `math.inf` it is
+        the sum of the powers of the paths. It is −inf where no path arrives. Raises as `paths` does.
+        """
+        tx, place = np.unique(self.tx_index, return_inverse=True)
+        power = self.stored_paths()[0].mean_power(self.header.carrier_hz, tx, radius_wavelengths)
+        return _in_db(power[place, self.rows % self.num_carriers])
+
     def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
         """Maps of some samples, with peak 1; one number gives (1, E, A). Raises `DataError` and `IndexError`.
 
@@ -390,6 +409,11 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
             raise ValueError(f"dataset {name!r} holds angles that do not ascend")
     if (np.abs(tables["tx_position_m"]) > FAR_M).any():
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
+
+
+def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:
+    with np.errstate(divide="ignore"):
+        return np.asarray(10 * np.log10(power))
 
 
 def reopen(path: str, sha256: str, rows: Rows, is_isolated: bool = False) -> PasDataset:

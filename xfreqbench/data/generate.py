@@ -66,11 +66,11 @@ def generate(
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
 
     `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The transmitters are `tx` of the
-    scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres. The
-    other options are those of `xfreqbench generate`, with the same names and defaults: without `interactions` they
-    are specular, refraction, and diffraction where solver `image` traces it. `executor` is `serial`, a
-    number of processes, or `dask://host:port`, and `progress` draws bars on stderr. `tell` is given counts and size of
-    what will be traced, in a few lines, before the first ray.
+    scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres, for
+    which the scene needs no grid. The other options are those of `xfreqbench generate`, with the same names and
+    defaults: without `interactions` they are specular, refraction, and diffraction where solver `image` traces it.
+    `executor` is `serial`, a number of processes, or `dask://host:port`, and `progress` draws bars on stderr. `tell` is
+    given counts and size of what will be traced, in a few lines, before the first ray.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
     what is raised. Mistakes are `XFreqBenchError`s, before the first ray where that is possible.

@@ -28,7 +28,8 @@ from xfreqbench.system.files import atomic_path, storage_errors
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25
 _SEAL = "data_sha256"
-_CONVENTIONS = {"Conventions": "CF-1.11"}  # for other programs; not hashed by the seal, so that equal data keep theirs
+_CONVENTIONS = {"Conventions": "CF-1.11"}  # for other programs
+_NOT_SEALED = {*_CONVENTIONS, "references"}  # these say more of data that stay the same, and so does their hash
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
 _LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
@@ -270,7 +271,7 @@ def values_sha256(file: Any) -> str:
 
 
 def text_attributes(file: Any) -> dict[str, str]:
-    """The attributes of a file or group as texts, without the hash over all data and what that leaves out."""
+    """The attributes of a file or group as texts, without the hash over all data and the conventions."""
     return {name: _text(file, name) for name in file.attrs if name != _SEAL and name not in _CONVENTIONS}
 
 
@@ -376,7 +377,8 @@ def _seal_of(file: Any) -> str:
     """A sha256 over the hashes of all datasets in sorted order, the header and the attributes of the groups."""
     hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
     groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
-    content = [hashes, text_attributes(file), *([groups] if groups else [])]
+    header = {name: text for name, text in text_attributes(file).items() if name not in _NOT_SEALED}
+    content = [hashes, header, *([groups] if groups else [])]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

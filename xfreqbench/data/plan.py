@@ -19,7 +19,7 @@ from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import SceneError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
-from xfreqbench.scene.materials import ConstantMaterial, check_dispersion
+from xfreqbench.scene.materials import P2040_EDITION, ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.overlaps import check_overlaps, nearly_in_one_plane
@@ -268,9 +268,11 @@ def _header(
             "extrapolated_materials": extrapolated_materials,
             **rough,
             **tracing.scene.mirror_settings,
+            **tracing.scene.antenna_settings,
         },
         software=software_versions(tracing.settings.solver),
         rejected=placed.rejected,
         paths=tracing.paths,
         physics=PHYSICS_VERSION,
+        references=f"Recommendation ITU-R {P2040_EDITION}, Table 3 (materials)",
     )

@@ -104,7 +104,8 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
         "carrier_hz": header.carrier_hz.tolist(),
         "tx_position_um": micrometres(tx_position_m).tolist(),
     }
-    left_out = ("software", "rejected", "scene_json.receiver", *(f"scene_json.{name}" for name in _NOT_PHYSICS))
+    of_scene = (f"scene_json.{name}" for name in ("receiver", *_NOT_PHYSICS))
+    left_out = ("software", "references", "rejected", *of_scene)
     return {
         name: text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
         for name, text in _flat("", told)
@@ -137,7 +138,8 @@ def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
     content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
     content["receiver"].pop("name", None)
     content["surface"] = [{key: value for key, value in each.items() if key != "name"} for each in content["surface"]]
-    return content | ({"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {})
+    meshes = {"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {}
+    return content | meshes | scene.antenna_settings
 
 
 def _sha256(content: dict[str, Any]) -> str:

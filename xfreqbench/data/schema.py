@@ -56,7 +56,8 @@ class DatasetHeader:
     Fields are stored in this order under their names, or under their alias where they have one, as JSON where
     they are not text. `carrier_hz` is not among them: it is a variable of the file. `settings` are the
     solver's, and `rejected` counts the grid positions left out, by reason. `paths` says whether paths are stored, and
-    `physics` is the `PHYSICS_VERSION` of the solver.
+    `physics` is the `PHYSICS_VERSION` of the solver. `references` says which edition of ITU-R P.2040 the materials
+    follow; it is in no hash.
 
     A data set with `channels=False` was published by others as maps alone, which are then stored
     (`maps=True`). What was not published is marked in it: `peak_power` is 1 where there is a map (less where
@@ -77,6 +78,7 @@ class DatasetHeader:
     channels: Annotated[StrictBool, _READ, _WRITTEN] = True
     paths: Annotated[StrictBool, _READ, _WRITTEN] = False
     physics: Annotated[str, Field(pattern=r"^[0-9]{1,9}$")] = "1"
+    references: str = ""
 
     @model_validator(mode="after")
     def _stores_channels_or_maps(self) -> DatasetHeader:

@@ -265,7 +265,7 @@ def of_paths(paths: RaggedPaths, carrier: int) -> dict[str, Float[FloatArray, "T
     def total(weights: Float[FloatArray, "P"]) -> Float[FloatArray, "T"]:
         return np.bincount(tx, weights, num_tx).astype(np.float64)
 
-    all_power = np.where(strongest > 0, total(power), np.nan)
+    all_power = np.where(strongest > 0, paths.total_power(carrier), np.nan)
     near_power = np.where(strongest > 0, total(near), np.nan)
     late_s = paths.delay_s - np.nan_to_num(total(near * paths.delay_s) / near_power)[tx]
 

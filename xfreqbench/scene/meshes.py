@@ -191,7 +191,8 @@ def _require_upright(
         boxes_m = {axis: np.sort(UNIT_M[scene.unit or "m"] * bounds_m @ turn.T, axis=0) for axis, turn in turns.items()}
     other = "z" if up == "y" else "y"
     (low_m, high_m), (turned_low_m, _) = boxes_m[up][:, 2], boxes_m[other][:, 2]
-    points_m = np.array([scene.receiver.position_m, scene.transmitters.min_m, scene.transmitters.max_m])
+    grid = scene.transmitters
+    points_m = np.array([scene.receiver.position_m, *([grid.min_m, grid.max_m] if grid else [])])
 
     def holds(axis: str, points_m: FloatArray) -> bool:
         places = [boxes_m[axis], *(np.array([surface.min_m, surface.max_m]) for surface in scene.surface)]

@@ -33,11 +33,15 @@ Point = tuple[Metres, Metres, Metres]
 Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
+Pattern = Literal["iso", "dipole"]
+Polarization = Literal["V", "H"]
+
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _SAID_IF_GIVEN = {
     "other_receivers",
+    "transmitters",
     "up",
     "unit",
     "outside",
@@ -75,14 +79,21 @@ class Surface:
         return self
 
 
+class Antenna(NamedTuple):
+    """What a device sends and receives with: see `ReceiverArray`."""
+
+    pattern: Pattern
+    polarization: Polarization
+
+
 @dataclass(frozen=True, config=_STRICT)
 class ReceiverArray:
     """A planar array whose boresight is the pole of the hemisphere of directions.
 
     Elements are `spacing_wavelengths` apart at each carrier, by default half a wavelength. All of them, and the
-    transmitters, have the same antenna: `pattern` is `iso` or `dipole` (short, along the vertical), and its field
-    is polarised along the vertical (`V`: the unit vector of the polar angle in world axes) or the horizontal (`H`:
-    that of the azimuth).
+    transmitters unless the scene says otherwise, have the same antenna: `pattern` is `iso` or `dipole` (short, along
+    the vertical), and its field is polarised along the vertical (`V`: the unit vector of the polar angle in world axes)
+    or the horizontal (`H`: that of the azimuth).
 
     `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array holds
     the pole, and `boresight` is the pole alone. `orientation`, a quaternion x, y, z, w, is the whole turn from the
@@ -95,8 +106,8 @@ class ReceiverArray:
     cols: Annotated[int, Field(ge=1, le=64)] = 4
     spacing_wavelengths: Annotated[float, Field(gt=0, le=10)] = 0.5
     boresight: Point = (0.0, 0.0, -1.0)
-    pattern: Literal["iso", "dipole"] = "iso"
-    polarization: Literal["V", "H"] = "V"
+    pattern: Pattern = "iso"
+    polarization: Polarization = "V"
     plane: ArrayPlane = "xy"
     orientation: Quaternion | None = None
     name: str | None = None
@@ -125,6 +136,11 @@ class ReceiverArray:
                 f"boresight is {self.boresight}; give the same direction, or no orientation"
             )
         return self
+
+    @property
+    def antenna(self) -> Antenna:
+        """The antenna of each element."""
+        return Antenna(self.pattern, self.polarization)
 
     @property
     def num_elements(self) -> int:
@@ -180,12 +196,21 @@ class ReceiverArray:
 
 @dataclass(frozen=True, config=_STRICT)
 class TransmitterGrid:
-    """A lattice of positions for transmitters; those nearer than `clearance_m` to anything are left out."""
+    """A lattice of positions for transmitters; those nearer than `clearance_m` to anything are left out.
+
+    `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's.
+    """
 
     min_m: Point
     max_m: Point
     step_m: tuple[PositiveMetres, PositiveMetres, PositiveMetres]
     clearance_m: PositiveMetres = 0.15
+    pattern: Pattern | None = None
+    polarization: Polarization | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in serialize(self).items() if value is not None}
 
     @model_validator(mode="after")
     def _is_not_empty(self) -> TransmitterGrid:
@@ -223,7 +248,7 @@ class PatchSize(NamedTuple):
 
 @dataclass(frozen=True, config=_STRICT)
 class Scene:
-    """A room as rays meet it: surfaces, one receiver array and a grid of transmitters.
+    """A room as rays meet it: surfaces, one receiver array and, where positions are not given, a grid of transmitters.
 
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
     or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
@@ -240,7 +265,7 @@ class Scene:
 
     name: str
     receiver: ReceiverArray
-    transmitters: TransmitterGrid
+    transmitters: TransmitterGrid | None = None
     description: str = ""
     surface: tuple[Surface, ...] = ()
     scene: str | None = None
@@ -306,6 +331,22 @@ class Scene:
         """What a surface is made of: a material of the scene's table, or of P.2040."""
         own = self.materials.get(surface.material)
         return own.material if own else surface.material
+
+    @property
+    def transmitter_antenna(self) -> Antenna:
+        """The antenna of every transmitter: that of the receiver's elements, but for what the grid states."""
+        stated, receiver = self.transmitters, self.receiver.antenna
+        if stated is None:
+            return receiver
+        return Antenna(stated.pattern or receiver.pattern, stated.polarization or receiver.polarization)
+
+    @property
+    def antenna_settings(self) -> dict[str, str]:
+        """The transmitters' antenna, for the header of data; empty where it is that of the receiver."""
+        antenna = self.transmitter_antenna
+        if antenna == self.receiver.antenna:
+            return {}
+        return {f"transmitter_{name}": value for name, value in antenna._asdict().items()}
 
     @property
     def least_patch(self) -> PatchSize | None:

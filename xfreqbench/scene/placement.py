@@ -36,8 +36,13 @@ def place_transmitters(
     """Positions of the scene's grid outside every object and at least `clearance_m` from surfaces and receiver.
 
     The receiver is the whole array, as wide as at the lowest carrier, where that is given, else its centre. Raises
-    `PlacementError` where no position is left.
+    `PlacementError` where no position is left, and for a scene without a grid.
     """
+    if scene.transmitters is None:
+        raise PlacementError(
+            f"Scene {scene.name!r} has no grid of transmitters. Give their positions (--tx-positions, or tx_positions= "
+            "in Python), or write a [transmitters] table into the scene."
+        )
     lattice_m = scene.transmitters.lattice_m
     clearance_m = scene.transmitters.clearance_m
     inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0

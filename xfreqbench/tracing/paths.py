@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int, UInt8
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from scipy.special import j1
 
 from xfreqbench.scene.model import NEAR_M
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
@@ -91,6 +93,33 @@ class RaggedPaths:
             surface=np.concatenate([each.surfaces[met] for each, met in kept]).astype(np.int32),
             vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(precision),
         )
+
+    def total_power(self, carrier: int) -> Float[FloatArray, "T"]:
+        """Σ|gain|² over the paths of each of T transmitters, at the carrier of that number."""
+        tx = np.repeat(np.arange(len(self.num_paths)), self.num_paths)
+        power = np.abs(self.gain[:, carrier].astype(np.complex128)) ** 2
+        return np.bincount(tx, power, len(self.num_paths)).astype(np.float64)
+
+    def mean_power(
+        self, carrier_hz: Float[FloatArray, "F"], tx: Int[IntArray, "n"], radius_wavelengths: float
+    ) -> Float[FloatArray, "n F"]:
+        """Mean of |Σ gain·exp(−j2πfτ)|² over a horizontal disc about each of n transmitters, its paths as plane waves.
+
+        It is Σ g_l·g_m*·2J₁(x)/x over all pairs of paths, x = 2πR·|u_l − u_m|, where R is the radius in wavelengths and
+        u the horizontal part of a direction of departure. An infinite disc is taken to leave Σ|gain|².
+        """
+        if np.isinf(radius_wavelengths):
+            return np.stack([self.total_power(carrier)[tx] for carrier in range(len(carrier_hz))], axis=1)
+        turned = self.gain * np.exp(-2j * np.pi * self.delay_s[:, None] * carrier_hz)
+        across = directions(self.departure_azimuth_rad, self.departure_elevation_rad)[:, :2]
+        last = np.cumsum(self.num_paths)
+        mean = np.zeros((len(tx), len(carrier_hz)))
+        for row, (start, stop) in enumerate(zip((last - self.num_paths)[tx], last[tx], strict=True)):
+            x = 2 * np.pi * radius_wavelengths * cdist(across[start:stop], across[start:stop])
+            shared = np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
+            h = turned[start:stop]
+            mean[row] = (h.conj() * (shared @ h)).sum(axis=0).real
+        return np.maximum(mean, 0)
 
 
 def angles_rad(direction: Float[FloatArray, "P 3"]) -> tuple[Float[FloatArray, "P"], Float[FloatArray, "P"]]:

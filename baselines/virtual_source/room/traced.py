@@ -17,7 +17,7 @@ from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
+from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import Paths
@@ -50,9 +50,7 @@ def tracer_in(
     savings: ImageSavings = ImageSavings(),
 ) -> ImageTracer:
     """A tracer of a room, for an array and carriers."""
-    at = receiver.position_m
-    scene = Scene("learned", receiver.in_plane_xy, TransmitterGrid(at, at, (1.0, 1.0, 1.0)))
-    prepared = PreparedScene(scene, Geometry([surface.mesh for surface in room]))
+    prepared = PreparedScene(Scene("learned", receiver.in_plane_xy), Geometry([surface.mesh for surface in room]))
     return ImageTracer(prepared, carrier_hz, settings, savings)
 
 

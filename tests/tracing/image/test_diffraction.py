@@ -168,14 +168,17 @@ def test_the_field_is_continuous_where_another_path_ends(material: str, polariza
     assert np.abs(without[0] - without[-1]).min() > 0.1 * np.abs(without[-1]).min()
 
 
-@pytest.mark.parametrize("polarization", ["V", "H"])
-def test_the_two_ends_of_a_path_may_change_places(polarization: str) -> None:
+@pytest.mark.parametrize("antennas", [("V", "V"), ("H", "H"), ("V", "H")])
+def test_the_two_ends_of_a_path_may_change_places(antennas: tuple[Any, Any]) -> None:
     surfaces = METAL_BOX, WOODEN_BOX, PANE, FLOOR
-    ends_m = (-0.3, 0.7, 1.9), (4.4, 1.3, 0.8)
-    there, back = (
-        tracer(scene_of(*surfaces, at_m=at, polarization=polarization), [1e9, 10e9], max_depth=4).paths(np.array(tx))
-        for at, tx in (ends_m, ends_m[::-1])
-    )
+    ends = tuple(zip([(-0.3, 0.7, 1.9), (4.4, 1.3, 0.8)], antennas, strict=True))
+
+    def paths_between(receiver: tuple[Any, Any], transmitter: tuple[Any, Any]) -> Paths:
+        scene = scene_of(*surfaces, at_m=receiver[0], polarization=receiver[1])
+        scene = replace(scene, transmitters=replace(GRID, polarization=transmitter[1]))
+        return tracer(scene, [1e9, 10e9], max_depth=4).paths(np.array(transmitter[0]))
+
+    there, back = paths_between(*ends), paths_between(*ends[::-1])
     gains = [paths.gain[:, diffracted(paths)] for paths in (there, back)]
     assert gains[0].shape[1] >= 20
     np.testing.assert_allclose(gains[0], gains[1], rtol=0, atol=1e-12 * np.abs(gains[0]).max())

@@ -51,6 +51,14 @@ def test_free_space_obeys_friis_and_its_phase_at_every_carrier() -> None:
         assert np.abs(error_rad).max() < 1e-6  # far below the 1e-3 that float32 delays would allow
 
 
+@pytest.mark.parametrize("polarizations", [("V", "H"), ("H", "V")])
+def test_crossed_antennas_in_free_space_receive_nothing(polarizations: tuple[str, str]) -> None:
+    crossed = scene_of(receiver=replace(RECEIVER, polarization=polarizations[0]))
+    crossed = replace(crossed, transmitters=replace(GRID, polarization=polarizations[1]))
+    cfr = ImageTracer(crossed, [10e9], TraceSettings()).channel(np.array([[3.0, 4.0, 1.0], [0.0, 0.0, 0.5]])).cfr
+    assert np.abs(cfr).max() < 1e-15
+
+
 @pytest.mark.parametrize("polarization", ["V", "H"])
 def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: str) -> None:
     receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)

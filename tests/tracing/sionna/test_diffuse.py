@@ -115,7 +115,8 @@ def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
     radio_scene, public_scene = RadioScene(surface_meshes(scene)), loaded(scene, CARRIER_HZ)
     ours, public = np.zeros((2, 8)), np.zeros((2, 8))  # of paths that scatter, and of the others
     for seed in range(1, 21):
-        rays = ForwardRays(radio_scene, scene.receiver, np.array([CARRIER_HZ]), replace(SETTINGS, seed=seed))
+        antenna = scene.transmitter_antenna
+        rays = ForwardRays(radio_scene, scene.receiver, antenna, np.array([CARRIER_HZ]), replace(SETTINGS, seed=seed))
         paths = rays.paths(TX_M)
         ours += octant_powers(paths.gain[0], paths.arrival, paths.interactions)
         theirs = solve(public_scene, TX_M[None], ALL, SETTINGS.max_depth, SETTINGS.rays, seed)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.bench.peers.differt import DiffeRTSolver
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+from xfreqbench.scene.model import ReceiverArray, Scene, Surface
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.sionna import plain
 from xfreqbench.tracing.solvers import tracer_of
@@ -126,7 +126,6 @@ def panel_room(num_triangles: int, num_elements_a_side: int = 4, seed: int = 0) 
     return Scene(
         name=f"room of {num_triangles} triangles",
         receiver=ReceiverArray(_RECEIVER_M, rows=num_elements_a_side, cols=num_elements_a_side),
-        transmitters=TransmitterGrid(_RECEIVER_M, _RECEIVER_M, (1.0, 1.0, 1.0)),
         surface=tuple(surfaces),
     )
 

@@ -17,7 +17,7 @@ from xfreqbench.errors import MaterialBandError
 from xfreqbench.maps.bartlett import cfr_of_plane_waves
 from xfreqbench.scene.array import planar_array, steering_vector
 from xfreqbench.scene.materials import ITU_MATERIALS, Band, complex_permittivity
-from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
+from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M, ghz_to_hz
@@ -28,7 +28,6 @@ PI = 4 * np.arctan(np.longdouble(1))
 LIGHT_M_S = np.longdouble(SPEED_OF_LIGHT_M_S)
 RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.0))
 SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=1000)
-_GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
 _VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)
 # 100 m at 94 GHz are 31,000 turns: four roundings of 1.1e-16 each, times 2π, make 9e-11 rad
@@ -39,7 +38,7 @@ _STORED_LIMIT = 2.0**-24 * 1.02
 
 def free_space(receiver: ReceiverArray = RECEIVER) -> Scene:
     """A scene without surfaces."""
-    return Scene(name="free space", receiver=receiver, transmitters=_GRID)
+    return Scene(name="free space", receiver=receiver)
 
 
 def wave(length_m: NDArray[np.longdouble], carrier_hz: float) -> NDArray[np.clongdouble]:

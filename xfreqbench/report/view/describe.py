@@ -33,6 +33,7 @@ def describe(path: Path) -> str:
         *_paths_line(dataset),
         "settings   " + ", ".join(f"{name} {_in_words(value)}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
+        *([f"references {header.references}"] if header.references else []),
         "left out   " + (", ".join(f"{count} {why}" for why, count in header.rejected.items()) or "nothing"),
         f"recipe     {dataset.recipe}, sha256 {dataset.recipe.sha256}",
         f"sha256     {dataset.sha256}",

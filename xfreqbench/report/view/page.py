@@ -241,6 +241,7 @@ def _origin_rows(view: ViewPlan) -> Iterator[tuple[str, str]]:
         else:
             yield name, _words(value)
     yield from ((f"version of {name}", version) for name, version in view.header.software.items())
+    yield "references", view.header.references or "unknown"
     yield "sha256 of the scene", view.header.scene_sha256
     if view.dataset:
         yield "sha256 of the data set", view.dataset.sha256

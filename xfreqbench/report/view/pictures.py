@@ -60,7 +60,7 @@ def draw_power(file: Path, carriers_hz: Sequence[float] | None, range_db: float,
     chosen_hz = _chosen_hz(dataset, carriers_hz)
     if not dataset.header.channels:
         raise DataError(f"{file} holds maps alone, which say nothing of power; draw --of maps.")
-    power = np.stack([received_power(dataset, carrier) for carrier in chosen_hz])
+    power = np.stack([10 ** (dataset.subset(dataset.carrier_hz == f).power_db / 10) for f in chosen_hz])
     room = plan_view(str(file)).room
     title = f"{_name(dataset)}\npower received from {dataset.header.num_tx} transmitters"
     plot_power(room, power, chosen_hz, output, title, range_db)
@@ -78,15 +78,6 @@ def _chosen_hz(dataset: PasDataset, carriers_hz: Sequence[float] | None) -> list
 
 def _name(dataset: PasDataset) -> str:
     return shown(f"{dataset.path.name}, scene {dataset.header.scene_name}")
-
-
-def received_power(dataset: PasDataset, carrier_hz: float) -> Float[FloatArray, "T"]:
-    """Received over transmitted power of each transmitter at a carrier: the mean of |h|² over the array's elements.
-
-    It is 0 where no path arrives. Raises `DataError` for data that hold maps alone.
-    """
-    cfr = dataset.subset(dataset.carrier_hz == carrier_hz).cfr
-    return np.mean(np.abs(cfr.astype(np.complex128)) ** 2, axis=1)
 
 
 @plain_style()

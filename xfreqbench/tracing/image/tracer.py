@@ -29,7 +29,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
-from xfreqbench.tracing.image.kernels.arrays import LANES, Aperture, Media, Sums
+from xfreqbench.tracing.image.kernels.arrays import LANES, Antenna, Aperture, Media, Sums
 from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import side_by_side
@@ -104,10 +104,10 @@ class ImageTracer:
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
         aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
-        self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene.receiver)
+        self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene)
         media = self._media_at_centre.in_lanes(*aperture.weight.shape)
         lowest_hz = min(ascending[0], SEARCHED_HZ)  # what follows must not depend on what other carriers are asked for
-        passing, _ = media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene.receiver)
+        passing, _ = media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene)
         is_opaque = are_opaque(passing) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
@@ -196,9 +196,9 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
 
 
 def media_of(
-    meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, receiver: ReceiverArray
+    meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, scene: Scene
 ) -> tuple[Media, Int[IntArray, "S"]]:
-    """Slabs of every material and thickness, one lane a carrier, with the antenna; and the slab of each mesh."""
+    """Slabs of every material and thickness, one lane a carrier, with the antennas; and the slab of each mesh."""
     kinds = slabs_of(meshes)
     eta = [[complex_permittivity(name, float(f), policy) for name, *_ in kinds] for f in carrier_hz]
     permittivity = np.array(eta, dtype=np.complex128).reshape(len(carrier_hz), len(kinds))
@@ -206,8 +206,9 @@ def media_of(
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
-    is_horizontal, is_dipole = receiver.polarization == "H", receiver.pattern == "dipole"
-    media = Media(permittivity, phase_thickness, lanes, is_horizontal, is_dipole)
+    antennas = (scene.transmitter_antenna, scene.receiver.antenna)
+    codes = (Antenna(polarization == "H", pattern == "dipole") for pattern, polarization in antennas)
+    media = Media(permittivity, phase_thickness, lanes, *codes)
     return media, np.array([kinds.index(mesh.slab) for mesh in meshes], dtype=np.int64)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
-from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.model import Antenna
 from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, point3f, rt
 from xfreqbench.types import FloatArray
@@ -26,11 +26,12 @@ BESIDE_M = 1e-4  # a ray this far off the vertical has an azimuth in Sionna RT, 
 
 
 class Field:
-    """Solves buffers of paths from T transmitters to R targets, all with the receiver's antenna."""
+    """Solves buffers of paths from T transmitters to R targets, by the antennas of either."""
 
-    def __init__(self, radio_scene: RadioScene, receiver: ReceiverArray) -> None:
+    def __init__(self, radio_scene: RadioScene, transmitter: Antenna, receiver: Antenna) -> None:
         self.radio_scene = radio_scene
-        self._patterns = antenna_array(receiver, np.zeros((1, 3))).antenna_pattern.patterns
+        antennas = (antenna_array(antenna, np.zeros((1, 3))) for antenna in (transmitter, receiver))
+        self._sent, self._received = (array.antenna_pattern.patterns for array in antennas)
 
     def find_paths(
         self,
@@ -93,8 +94,8 @@ class Field:
             tgt_positions=point3f(target_m),
             src_orientations=dr.zeros(mi.Point3f, len(tx_position_m)),
             tgt_orientations=dr.zeros(mi.Point3f, len(target_m)),
-            src_antenna_patterns=self._patterns,
-            tgt_antenna_patterns=self._patterns,
+            src_antenna_patterns=self._sent,
+            tgt_antenna_patterns=self._received,
         )
         gain = buffer.a[0][0]
         dr.eval(gain)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
-from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.model import Antenna, ReceiverArray
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
@@ -39,6 +39,7 @@ class ForwardRays:
         self,
         radio_scene: RadioScene,
         receiver: ReceiverArray,
+        transmitter: Antenna,
         carrier_hz: Float[FloatArray, "F"],
         settings: TraceSettings,
     ) -> None:
@@ -46,7 +47,7 @@ class ForwardRays:
         self.receiver = receiver
         self.carrier_hz = carrier_hz
         self.settings = settings
-        self._field = Field(radio_scene, receiver)
+        self._field = Field(radio_scene, transmitter, receiver.antenna)
         self._diffraction = "diffraction" in settings.named_interactions
         self._diffuse = "diffuse" in settings.named_interactions
 

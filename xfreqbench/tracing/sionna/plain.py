@@ -46,9 +46,9 @@ def loaded(scene: Scene, carrier_hz: float) -> Any:
     radio_scene = RadioScene(surface_meshes(scene))
     radio_scene.set_carrier(carrier_hz)
     sionna_scene, receiver = radio_scene.sionna, scene.receiver
-    sionna_scene.tx_array = antenna_array(receiver, np.zeros((1, 3)))
+    sionna_scene.tx_array = antenna_array(scene.transmitter_antenna, np.zeros((1, 3)))
     elements = receiver.element_position_wavelengths @ receiver.rotation.T
-    sionna_scene.rx_array = antenna_array(receiver, elements)
+    sionna_scene.rx_array = antenna_array(receiver.antenna, elements)
     sionna_scene.add(rt.Receiver(name="receiver", position=mi.Point3f(*receiver.position_m)))
     return sionna_scene
 

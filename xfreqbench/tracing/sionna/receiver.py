@@ -17,7 +17,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import triangle_corners_m
-from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.model import Antenna, ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
 from xfreqbench.tracing.sionna.chains import Chains, opaque_meshes, planes_of, shoot
 from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
@@ -61,6 +61,7 @@ class ReceiverRays:
         self,
         radio_scene: RadioScene,
         receiver: ReceiverArray,
+        transmitter: Antenna,
         carrier_hz: Float[FloatArray, "F"],
         settings: TraceSettings,
     ) -> None:
@@ -79,7 +80,7 @@ class ReceiverRays:
             np.asarray(receiver.position_m),
             radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()) * wavelength_m,
         )
-        self._field = Field(radio_scene, receiver)
+        self._field = Field(radio_scene, transmitter, receiver.antenna)
         self._buffer = _forward_buffer(self.chains, radio_scene)
         self._hits = _LastPoints(self.chains)
 

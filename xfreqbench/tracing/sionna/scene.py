@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
-from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.model import Antenna
 from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.system.signals import interrupted_afterwards
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
@@ -65,9 +65,9 @@ def point3f(positions_m: Float[NDArray[Any], "N 3"]) -> Any:
     return points
 
 
-def antenna_array(receiver: ReceiverArray, positions_wavelengths: Float[FloatArray, "M 3"]) -> Any:
-    """Sionna's array of the scene's antennas at the given positions, in wavelengths, in world axes."""
-    array = rt.PlanarArray(num_rows=1, num_cols=1, pattern=receiver.pattern, polarization=receiver.polarization)
+def antenna_array(antenna: Antenna, positions_wavelengths: Float[FloatArray, "M 3"]) -> Any:
+    """Sionna's array of equal antennas at the given positions, in wavelengths, in world axes."""
+    array = rt.PlanarArray(num_rows=1, num_cols=1, pattern=antenna.pattern, polarization=antenna.polarization)
     array.normalized_positions = point3f(positions_wavelengths)
     return array
 

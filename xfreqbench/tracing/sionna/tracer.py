@@ -51,7 +51,8 @@ class SionnaTracer:
         x, y, z = (receiver.position_m - self._origin_m).tolist()
         moved = [replace(mesh, vertices_m=mesh.vertices_m - self._origin_m) for mesh in meshes]
         radio_scene = RadioScene(moved, settings.materials)
-        self._rays = shooting(radio_scene, replace(receiver, position_m=(x, y, z)), carriers, settings)
+        moved_receiver, antenna = replace(receiver, position_m=(x, y, z)), prepared.scene.transmitter_antenna
+        self._rays = shooting(radio_scene, moved_receiver, antenna, carriers, settings)
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:

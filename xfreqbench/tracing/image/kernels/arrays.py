@@ -54,8 +54,15 @@ class Facets(NamedTuple):
     last: I64  # (N,)
 
 
+class Antenna(NamedTuple):
+    """What the antennas at one end of a path send or take."""
+
+    is_horizontal: bool
+    is_dipole: bool
+
+
 class Media(NamedTuple):
-    """Kinds of slabs at each carrier, and the one antenna that all devices have. (F carriers, K kinds, L lanes)
+    """Kinds of slabs at each carrier, and the antennas at either end. (F carriers, K kinds, L lanes)
 
     A lane is one of the N nodes of the array at one carrier, or one of its M elements. The nodes of all carriers come
     first, those of one carrier side by side: L = F·N + F·M.
@@ -64,8 +71,8 @@ class Media(NamedTuple):
     permittivity: C128  # (F, K) relative
     phase_thickness: F64  # (F, K): 2π d / λ
     lanes: F64  # (K, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
-    is_horizontal: bool
-    is_dipole: bool
+    transmitter: Antenna
+    receiver: Antenna
 
     def in_lanes(self, num_nodes: int, num_elements: int) -> Media:
         """The media of an array of so many nodes and elements, from those with one lane for each carrier."""

@@ -169,8 +169,9 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
     for c in range(3):
         wave[c * BLOCK] = mirror[0, c] * way[0] + mirror[1, c] * way[1] + mirror[2, c] * way[2]
         wave[(6 + c) * BLOCK] = 0.0
-    antenna = antenna_field(media, wave[0], wave[BLOCK], wave[2 * BLOCK], 1.0 - 2.0 * half)
-    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = antenna
+    antenna = media.receiver if half else media.transmitter
+    sent = antenna_field(antenna, wave[0], wave[BLOCK], wave[2 * BLOCK], 1.0 - 2.0 * half)
+    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = sent
     for s in range(side.length, -1, -1):
         for i in range(walk.num_crossed[s] - 1, -1, -1):
             q = walk.crossed[s, i]

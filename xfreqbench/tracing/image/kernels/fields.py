@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import BLOCK, F64, LANES, Facets, Media, Path, Walk
+from .arrays import BLOCK, F64, LANES, Antenna, Facets, Media, Path, Walk
 from .compiled import bare, lane
 from .slabs import cosine_and_sine, reflect, transmit
 
@@ -12,7 +12,7 @@ Image = tuple[float, float, float, float]  # squared distance, and the way from 
 
 
 @lane
-def antenna_field(media: Media, x: float, y: float, z: float, pole: float) -> tuple[float, float, float]:
+def antenna_field(antenna: Antenna, x: float, y: float, z: float, pole: float) -> tuple[float, float, float]:
     """World components of the antenna's real field towards a direction.
 
     `pole` is the cosine of the azimuth of a vertical direction: 1 at one end of a path and −1 at the other, as the ends
@@ -22,8 +22,8 @@ def antenna_field(media: Media, x: float, y: float, z: float, pole: float) -> tu
     inverse = 1.0 / max(horizontal, 1e-12)
     cos_phi = x * inverse if horizontal > 1e-12 else pole
     sin_phi = y * inverse if horizontal > 1e-12 else 0.0
-    scale = math.sqrt(1.5) * horizontal if media.is_dipole else 1.0
-    if media.is_horizontal:
+    scale = math.sqrt(1.5) * horizontal if antenna.is_dipole else 1.0
+    if antenna.is_horizontal:
         return -scale * sin_phi, scale * cos_phi, 0.0
     return scale * z * cos_phi, scale * z * sin_phi, -scale * horizontal
 
@@ -40,7 +40,7 @@ def _launch(media: Media, path: Path, start: F64, offset_m: F64, wave: F64, numb
         kz = iz + (mirror[2, 0] * x + mirror[2, 1] * y + mirror[2, 2] * z)
         inverse = 1.0 / math.sqrt(kx * kx + ky * ky + kz * kz)
         kx, ky, kz = kx * inverse, ky * inverse, kz * inverse
-        ex, ey, ez = antenna_field(media, kx, ky, kz, 1.0)
+        ex, ey, ez = antenna_field(media.transmitter, kx, ky, kz, 1.0)
         wave[i], wave[BLOCK + i], wave[2 * BLOCK + i] = kx, ky, kz
         wave[3 * BLOCK + i], wave[4 * BLOCK + i], wave[5 * BLOCK + i] = ex, ey, ez
         wave[6 * BLOCK + i], wave[7 * BLOCK + i], wave[8 * BLOCK + i] = 0.0, 0.0, 0.0
@@ -50,7 +50,7 @@ def _launch(media: Media, path: Path, start: F64, offset_m: F64, wave: F64, numb
 def _receive(media: Media, wave: F64, gain: F64, number: int) -> None:
     """What antennas take of waves, to `gain` (2, number)."""
     for i in range(number):
-        ex, ey, ez = antenna_field(media, -wave[i], -wave[BLOCK + i], -wave[2 * BLOCK + i], -1.0)
+        ex, ey, ez = antenna_field(media.receiver, -wave[i], -wave[BLOCK + i], -wave[2 * BLOCK + i], -1.0)
         gain[0, i] = wave[3 * BLOCK + i] * ex + wave[4 * BLOCK + i] * ey + wave[5 * BLOCK + i] * ez
         gain[1, i] = wave[6 * BLOCK + i] * ex + wave[7 * BLOCK + i] * ey + wave[8 * BLOCK + i] * ez
 
