@@ -196,6 +196,19 @@ def test_hidden_nodes_of_a_glb_are_left_out_with_their_children(tmp_path: Path) 
     assert len(meshes_of(tmp_path, "hidden.glb", content)) == 3
 
 
+def test_instances_blend_shapes_and_hidden_nodes_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    places = {"TRANSLATION": 2, "SCALE": 3}
+    extras = [([[5, 0, 0], [9, 0, 0]], "<f4"), ([[1, 1, 1]], "<f4")]
+    blend = {"primitive": {"targets": [{"POSITION": 3}]}, "mesh": {"weights": [1]}}
+    for extensions, change, told in (
+        ({"EXT_mesh_gpu_instancing": {"attributes": places}}, {}, "different numbers of instances"),
+        ({"KHR_node_visibility": {"visible": "false"}}, {}, "give true or false"),
+        ({}, blend, "moves 1 of 4 vertices"),
+    ):
+        with pytest.raises(SceneError, match=told):
+            meshes_of(tmp_path, "odd.glb", changed_square(extras, {"extensions": extensions}, **change))
+
+
 def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alone(tmp_path: Path) -> None:
     strange = {"extensions": {"ACME_bend": {}}}
     look = {"materials": [{"name": "itu_wood", "extensions": {"ACME_sheen": {}}}], "extensionsRequired": ["ACME_sheen"]}
