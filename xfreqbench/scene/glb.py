@@ -158,7 +158,7 @@ def _primitives(
             if weight and "POSITION" in target:
                 shift_m = _accessor(header, binary, target["POSITION"], {_FLOAT: "<f4"}, 3)
                 if len(shift_m) != len(position_m):
-                    raise ValueError(f"a blend shape of node {name!r} moves {len(shift_m)} of {len(position_m)} vertices")
+                    raise ValueError(f"a blend shape of {name!r} moves {len(shift_m)} of {len(position_m)} vertices")
                 position_m = position_m + weight * shift_m
         if "indices" in primitive:
             corners = _accessor(header, binary, primitive["indices"], _INDEX_TYPES, 1)[:, 0].astype(np.int64)
