@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -142,6 +143,23 @@ def test_leak_free_protocols_share_no_transmitter_between_training_and_test(data
         assert len(tested) == round(UNSEEN_SHARE * len(trained | tested))
         assert not split.shares_transmitters
         assert split.nearest_trained_m > 0
+
+
+@pytest.mark.parametrize("on", ["test", "validation"])
+def test_a_sample_that_is_given_twice_is_in_one_part(dataset: PasDataset, on: Literal["test", "validation"]) -> None:
+    position_m, carrier_hz = dataset.tables["tx_position_m"].copy(), dataset.header.carrier_hz.copy()
+    position_m[1:], carrier_hz[1] = position_m[0], carrier_hz[0] + 1
+    header = replace(dataset.header, carrier_hz=carrier_hz)
+    twice = replace(dataset, header=header, tables={**dataset.tables, "tx_position_m": position_m})
+    (split,) = make_splits(twice, "random-samples", on=on)
+    parts = (
+        {
+            (place, round(carrier_hz, -2))
+            for place, carrier_hz in zip(twice.place_index[rows].tolist(), twice.carrier_hz[rows].tolist(), strict=True)
+        }
+        for rows in (split.train, split.test)
+    )
+    assert not set.intersection(*parts)
 
 
 @pytest.mark.parametrize("on", ["test", "validation"])

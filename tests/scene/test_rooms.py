@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from tests.support import mesh_scenes
-from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, write_meshes
+from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, shape, write_meshes
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, parse_scene
-from xfreqbench.scene.placement import check_receiver, check_transmitters, place_transmitters
+from xfreqbench.scene.placement import are_outside, check_receiver, check_transmitters, place_transmitters
 from xfreqbench.scene.rooms import check_closed, objects_of
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -149,6 +149,13 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
         plan_generation(scene, [10e9], tx_position_m=grid.lattice_m)
     some = plan_generation(scene, [10e9], tx_position_m=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
     assert some.summary.endswith("; 1 transmitters stand outside")
+
+
+def test_nothing_is_outside_of_a_single_wall_however_it_is_turned(tmp_path: Path) -> None:
+    wall = '<transform name="to_world"><scale value="3"/><rotate x="1" angle="90"/><rotate {} angle="37"/></transform>'
+    for axis in ('z="1"', 'x="1" y="0.3"'):
+        scene = scene_with(tmp_path, WOOD, shape("rectangle", wall.format(axis)))
+        assert not are_outside(surface_meshes(scene), np.array([[9.0, 9.0, 9.0], [0.0, 0.0, -9.0]])).any()
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("cm", 100.0), ("in", 1 / 0.0254)])

@@ -50,15 +50,19 @@ def triangulated(
         ears = _ears(vertices_m[ring], normal[index]) if size_m2[index] > least_m2[index] else None
         if ears is not None:
             triangles[of_polygon[start[index]] + np.arange(len(ears))], are_fans = ring[ears], False
-        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and _is_flat(vertices_m[ring]):
+        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(
+            vertices_m[ring], FLATNESS
+        ):
             place_m = ", ".join(f"{coordinate:g}" for coordinate in vertices_m[ring[0]])
             raise ValueError(f"the face with a corner at ({place_m}) crosses itself; export the mesh as triangles")
     return triangles, are_fans
 
 
-def _is_flat(ring_m: Float[FloatArray, "n 3"]) -> bool:
-    size_m = np.linalg.svd(ring_m - ring_m.mean(axis=0), compute_uv=False)
-    return bool(size_m[2] <= FLATNESS * size_m[0])
+def is_flat(points_m: Float[FloatArray, "n 3"], share: float = FLATNESS) -> bool:
+    """Whether points lie within a share of their extent of one plane, however it is turned; root mean squares."""
+    away_m = points_m - points_m.mean(axis=0)
+    least_m2, _, most_m2 = np.linalg.eigvalsh(away_m.T @ away_m)
+    return bool(least_m2 <= share**2 * most_m2)
 
 
 def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> Int[IntArray, "t 3"] | None:
