@@ -288,6 +288,8 @@ def test_json_that_nests_without_end_is_refused(tmp_path: Path) -> None:
         ("v 0 0\n", "line 1 is no vertex"),
         ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is no vertex, or no face"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\nf 1 2", "line 6 is no vertex, or no face of three"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', of which nothing is read"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "faces without a material"),
         ("v nan 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "no face of any area|not finite"),
         ("usemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face of any area"),
@@ -380,6 +382,11 @@ def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
         (tmp_path / "cut.ply").write_bytes(cut)
         with pytest.raises(ValueError, match="ends within its faces"):
             read_mesh(tmp_path / "cut.ply", "ply")
+    whole = b"".join(rows)
+    for content, told in ((whole + rows[-1], "longer than its header"), (whole.replace(b"_ind", b"_x"), "no list")):
+        (tmp_path / "odd.ply").write_bytes(content)
+        with pytest.raises(ValueError, match=told):
+            read_mesh(tmp_path / "odd.ply", "ply")
 
 
 def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:

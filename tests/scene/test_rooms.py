@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from tests.support import mesh_scenes
-from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, shape, write_meshes
+from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, shape, to_world, write_meshes
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.meshes import surface_meshes
@@ -168,11 +168,15 @@ def test_a_room_in_another_unit_is_asked_about(tmp_path: Path, unit: str, scale:
     assert "meshes: 5.00 × 4.00 m, 3.00 m high; 94.00 of 94.00 m² mirror" in plan_generation(told, [10e9]).summary
 
 
-def test_the_plan_names_panes_that_nothing_passes() -> None:
+def test_the_plan_names_panes_that_nothing_passes(tmp_path: Path) -> None:
     pane, door = (box(name, [2.5, 0.5, 0.5], [2.5 + thick, 2, 2]) for name, thick in (("pane", 0.006), ("door", 0.04)))
     settings = TraceSettings("sionna")
     told = plan_generation(scene_of(ROOM, pane), [10e9], settings).summary
     assert "\nthinner than 10 mm, so that in Sionna RT nothing passes both faces: pane; " in told
+    turned = to_world('<scale x="0.003" y="0.5" z="0.5"/>', '<rotate z="1" y="1" angle="30"/>')
+    shape_of = shape("cube", turned.replace("</transform>", '<translate x="2.5" y="2" z="1.5"/></transform>'))
+    told = plan_generation(scene_with(tmp_path, WOOD, shape_of, toml="outside = true"), [10e9], settings).summary
+    assert "nothing passes both faces: s; " in told
     assert "thinner" not in plan_generation(scene_of(ROOM, door), [10e9], settings).summary
     assert "thinner" not in plan_generation(scene_of(ROOM, pane), [10e9]).summary
 

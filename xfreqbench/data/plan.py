@@ -32,6 +32,7 @@ from xfreqbench.scene.placement import (
     choose_transmitters,
     place_transmitters,
 )
+from xfreqbench.scene.polygons import extents_m
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
@@ -128,7 +129,7 @@ class Plan:
         thin = [
             mesh.name
             for mesh in self.geometry.meshes
-            if PLANE_TOLERANCE < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
+            if PLANE_TOLERANCE < extents_m(mesh.vertices_m)[0] < MIN_SEPARATION_M
             and mesh.material != "metal"
             and is_closed(mesh)
         ]

@@ -189,7 +189,7 @@ def _require_upright(
     single wall or ground has no inside.
     """
     vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
-    if np.abs(vertices_m).max(initial=0) <= FAR_M and is_flat(vertices_m, FLAT):  # others are refused later
+    if 0 < np.abs(vertices_m).max(initial=0) <= FAR_M and is_flat(vertices_m, FLAT):  # others are refused later
         return
     bounds_m = np.array([vertices_m.min(axis=0, initial=np.inf), vertices_m.max(axis=0, initial=-np.inf)])
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later

@@ -205,7 +205,7 @@ def _check_free(
 
 
 def _metres(point_m: Float[FloatArray, "3"]) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in point_m) + ") m"
+    return "(" + ", ".join(f"{round(value, 3):.10g}" for value in point_m) + ") m"
 
 
 def median_transmitter(tx_position_m: Float[FloatArray, "T 3"]) -> int:

@@ -53,16 +53,21 @@ def triangulated(
         elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(
             vertices_m[ring], FLATNESS
         ):
-            place_m = ", ".join(f"{coordinate:g}" for coordinate in vertices_m[ring[0]])
+            place_m = ", ".join(f"{round(coordinate, 3):.10g}" for coordinate in vertices_m[ring[0]])
             raise ValueError(f"the face with a corner at ({place_m}) crosses itself; export the mesh as triangles")
     return triangles, are_fans
 
 
-def is_flat(points_m: Float[FloatArray, "n 3"], share: float = FLATNESS) -> bool:
-    """Whether points lie within a share of their extent of one plane, however it is turned; root mean squares."""
+def extents_m(points_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "3"]:
+    """Extents of points along their principal axes, however they are turned, the least about first."""
     away_m = points_m - points_m.mean(axis=0)
-    least_m2, _, most_m2 = np.linalg.eigvalsh(away_m.T @ away_m)
-    return bool(least_m2 <= share**2 * most_m2)
+    return np.ptp(away_m @ np.linalg.eigh(away_m.T @ away_m)[1], axis=0)
+
+
+def is_flat(points_m: Float[FloatArray, "n 3"], share: float = FLATNESS) -> bool:
+    """Whether points lie within a share of their extent of one plane, however it is turned."""
+    extent_m = extents_m(points_m)
+    return bool(extent_m[0] <= share * extent_m.max())
 
 
 def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> Int[IntArray, "t 3"] | None:
