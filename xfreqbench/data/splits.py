@@ -114,7 +114,7 @@ class Split:
         """
         if not dataset.header.receiver.resolves_directions:
             raise DataError(
-                f"The maps of {dataset.path} are constant, because its array has one element or no extent, and every "
+                f"The maps of {dataset.path} are nearly constant, because its array has hardly any extent, and every "
                 "method would predict them. Generate data of an array of several elements, half a wavelength apart."
             )
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
