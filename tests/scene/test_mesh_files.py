@@ -393,6 +393,10 @@ def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_
     text = "usemtl itu_wood\nv 0 0 0\nv 2 2 {0}\nv 2 0 0\nv 0 2 -{0}\nf 1 2 3 4\n"
     with pytest.raises(SceneError, match=r"face with a corner at \(0, 0, 0\) crosses itself; export the mesh as tri"):
         meshes_of(tmp_path, "bow.obj", text.format(0))
+    window = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0], [1, 1], [3, 1], [3, 2], [1, 2], [1, 1]]  # turned as the wall is
+    (tmp_path / "window.ply").write_bytes(ply_bytes(placed(window, 0), [list(range(10))], binary=True))
+    with pytest.raises(ValueError, match="crosses itself"):
+        read_mesh(tmp_path / "window.ply", "ply")
     (bent,) = meshes_of(tmp_path, "bent.obj", text.format("1.5"))
     assert len(bent.triangles) == 2
 

@@ -100,7 +100,11 @@ class Plan:
             + self._mesh_notes
             + self._thin_notes
             + self._material_notes
-            + ("" if self.header.receiver.resolves_directions else "\nmaps are nearly constant: the array has hardly any extent")
+            + (
+                ""
+                if self.header.receiver.resolves_directions
+                else "\nmaps are nearly constant: the array has hardly any extent"
+            )
         )
 
     @property

@@ -130,7 +130,7 @@ class ReceiverArray:
 
     @property
     def resolves_directions(self) -> bool:
-        """Whether maps tell directions; those of one element, or of elements nearly at one point, are nearly constant."""
+        """Whether maps tell directions; those of one element, or of elements nearly at one point, hardly vary."""
         return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= LEAST_EXTENT_WAVELENGTHS
 
     @property

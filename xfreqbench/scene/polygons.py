@@ -96,7 +96,12 @@ def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> I
                 return None
         ears.append(ear[chosen])
         left = np.delete(left, chosen)
-    return np.array(ears)
+    found, corner = np.array(ears), x + 1j * y
+    away = corner - corner[found].mean(axis=1)[:, None]  # from triangles to corners
+    turns = np.angle(np.roll(away, -1, axis=1) / away).sum(axis=1) / (2 * np.pi)
+    u, v = x[found], y[found]
+    area_m2 = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (v[:, 1] - v[:, 0]) * (u[:, 2] - u[:, 0])
+    return None if (turns[area_m2 > flat_m2] > 1.5).any() else found  # it covers places twice
 
 
 def _is_empty(
