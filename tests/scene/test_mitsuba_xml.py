@@ -332,7 +332,9 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
         ([WOOD, WOOD.replace('"M"', '"N"').replace("wood", "glass"),
           file_shape("meshes/table.ply", NAMED.format("N"))], "has 2 materials; leave one"),
         ([WOOD.replace("</bsdf>", WOOD.replace('"M"', '"N"').replace("wood", "glass") + "</bsdf>"), TABLE_PLY],
-         "holds several of other properties"),
+         "holds several others"),
+        (["<bsdf type='mask' id='M'><bsdf type='diffuse' id='itu_wood'/><bsdf id='itu_glass'/></bsdf>",
+          TABLE_PLY], "holds several others"),
         (named("mat-Wood.001"), r"\[\[material\]\] name = 'mat-Wood.001'"),
     ],
 )  # fmt: skip

@@ -227,20 +227,21 @@ def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
 def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
     """What a material and those in it state: of each property the outermost."""
     names = [each.get("id", "") for each in nested]
-    name = next((name for name in names if plain_name(name) in ITU_MATERIALS), names[0])
-    stated = StatedMaterial(name)
+    of_p2040 = [name for name in names if plain_name(name) in ITU_MATERIALS]
+    name = of_p2040[0] if of_p2040 else names[0]
+    stated, are_several = StatedMaterial(name), len(set(map(plain_name, of_p2040))) > 1
     for each in nested:
         _check_properties(each, name, path)
-        if stated.material and _material(each, name, path) not in (None, stated.material):
-            raise SceneError(
-                f"{path}: material {name!r} holds several of other properties, but a surface has one; leave one."
-            )
+        material = _material(each, name, path)
+        are_several |= None not in (material, stated.material) and material != stated.material
         stated = StatedMaterial(
             name,
-            stated.material or _material(each, name, path),
+            stated.material or material,
             stated.thickness_m or _number(each, "thickness", path, 0.0, MAX_THICKNESS_M),
             stated.scattering or _scattering(each, name, path),
         )
+    if are_several:
+        raise SceneError(f"{path}: material {names[0]!r} holds several others, but a surface has one; leave one.")
     return stated
 
 
