@@ -142,6 +142,9 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
         with pytest.raises(PlacementError, match=r"The receiver .*outside of all meshes, at .*5\.00 × 4\.00 × 3\.00 m"):
             check_receiver(astray, meshes, 10e9)
         check_receiver(replace(astray, outside=True), meshes, 10e9)
+    far_m = (691000.25, 5334000.5, 1.5)
+    with pytest.raises(PlacementError, match=r"at \(691000\.25, 5334000\.5, 1\.5\) m"):
+        check_receiver(replace(scene, receiver=replace(scene.receiver, position_m=far_m)), meshes, 10e9)
     grid = replace(scene.transmitters, min_m=(7.0, 3.0, 1.5), max_m=(8.0, 3.0, 1.5))
     with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
         plan_generation(replace(scene, transmitters=grid), [10e9])
