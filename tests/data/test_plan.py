@@ -60,7 +60,7 @@ def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> 
     office = load_scene("office")
     alone = replace(office, receiver=replace(office.receiver, rows=1, cols=1))
     summaries = [plan_generation(scene, [1e9], num_transmitters=2).summary for scene in (office, alone)]
-    assert ["maps are constant" in summary for summary in summaries] == [False, True]
+    assert ["maps are nearly constant" in summary for summary in summaries] == [False, True]
 
 
 def test_meshes_and_mirrors_are_found_once_where_a_scene_is_planned_and_traced(

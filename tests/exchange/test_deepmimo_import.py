@@ -170,6 +170,10 @@ def retold(old: str, new: str) -> Callable[[Path], None]:
         (change("inter", lambda table: table * 11), r"inter_pos_t001_tx000_r000\.npz does not hold a point"),
         (change("inter_pos", lambda table: table * 1e9), r"inter_pos_t001_tx000_r000\.npz does not hold a point"),
         (change("aod_el", lambda table: table * 10), r"aod_el_t001_tx000_r000\.npz .* between -360 and 360"),
+        (retold("3500000000.0", "3.5"), r"rt_params\.frequency: Input should be greater than or equal to 1000000"),
+        (change("delay", lambda table: table * 1e6), "delay_t.* does not fit the lengths of 3 of 3 paths"),
+        (change("delay", lambda table: table + 5e-8), "does not fit the lengths of 3 of 3 paths"),
+        (change("power", lambda table: 10 ** (table / 10)), "do not lie between -600 and 0"),  # no dB
         (change("power", lambda table: table * np.nan), "holds no path"),
     ],
 )
@@ -227,6 +231,15 @@ def test_angles_that_do_not_lead_along_the_paths_are_refused(
     for spoil in spoils:
         spoil(folder)
     with pytest.raises(DataError, match=r"miss the next point of \d of \d paths; convert the scenario anew"):
+        import_deepmimo(folder, tmp_path / "city.h5")
+
+
+def test_phases_in_radians_are_refused(tmp_path: Path) -> None:
+    folder = scenario_by_hand(tmp_path / "city")
+    for path in set(folder.glob("*.npz")) - set(folder.glob("?x_pos*")):  # every path twice: six phases
+        change(path.name.partition("_t0")[0], lambda table: np.concatenate([table, table], axis=1))(folder)
+    change("phase", np.radians)(folder)
+    with pytest.raises(DataError, match="are radians; convert them to degrees"):
         import_deepmimo(folder, tmp_path / "city.h5")
 
 

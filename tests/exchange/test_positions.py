@@ -30,6 +30,9 @@ PLAIN = "1.0,2.5,1.2\n3.5,1.5,0.9\n"
         b"z [m],room,X_m,y (m)\n1.2,7,1.0,2.5\n0.9,8,3.5,1.5\n",
         b"# z y x\n1.2 2.5 1.0\n0.9 1.5 3.5\n",
         b"# positions x y z\n\n1.0 2.5 1.2 # by the door\n3.5 1.5 .9",
+        b"# y x z\n# surveyed in May\n\n2.5,1.0,1.2\n1.5,3.5,0.9\n",
+        b"# columns: z,y,x\n1.2 2.5 1.0\n0.9 1.5 3.5\n",
+        b"# z, y and x of the room\nx,y,z\n" + PLAIN.encode() + b",,\n",
         b"1.0,2.5,1.2,kitchen\n3.5,1.5,0.9,\n",
     ],
 )
@@ -51,6 +54,8 @@ def test_columns_are_found_by_their_names_or_are_three_of_numbers(tmp_path: Path
         ("1.0,2.5\n3.5,1.5\n", "2 columns of numbers"),
         ("1,2,3\n1,2,3,4\n", "line 2, is '1,2,3,4'"),
         ("x_mm,y_mm,z_mm\n1,2,3\n", "line 1, is 'x_mm, y_mm, z_mm', not x,y,z"),
+        ("# x [mm], y [mm], z [mm]\n1,2,3\n", "line 1"),
+        ("1.0,nan,2.5,1.2\n", "4 columns of numbers"),
         ("x,y,z,z\n1,2,3,4\n", "line 1"),
         ("1_0,2,3\n", "line 1, is '1_0,2,3'"),
         ("x,y,z\n1,nan,3\n", "line 2"),

@@ -73,14 +73,16 @@ OTHER_RANGES = {
 
 @pytest.mark.parametrize("change", OTHER_RANGES)
 def test_no_metric_takes_maps_of_another_range(change: str) -> None:
-    truth = random_maps(1)
+    truth = random_maps(2)
     changed = OTHER_RANGES[change](truth)
     for metric in METRICS.values():
         for predicted, true, name in ((changed, truth, "predicted"), (truth, changed, "truth")):
             with pytest.raises(ArgumentError, match=f"peak 1, but those of {name} run from .* to"):
                 metric.score(predicted, true, GRID)
-        with pytest.raises(ArgumentError, match=r"those of truth run from 0 to 1e-07\."):
-            metric.score(truth * np.float32(1e-7), truth * np.float32(1e-7), GRID)
+        small = truth * np.float32([[[1]], [[1e-7]]])
+        for predicted, true, name in ((small, truth, "predicted"), (truth, small, "truth")):
+            with pytest.raises(ArgumentError, match=rf"those of {name} run from 0 to 1e-07\."):
+                metric.score(predicted, true, GRID)
 
 
 def test_every_metric_prefers_the_truth_to_another_map() -> None:

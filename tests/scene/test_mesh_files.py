@@ -196,6 +196,19 @@ def test_hidden_nodes_of_a_glb_are_left_out_with_their_children(tmp_path: Path) 
     assert len(meshes_of(tmp_path, "hidden.glb", content)) == 3
 
 
+def test_instances_blend_shapes_and_hidden_nodes_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    places = {"TRANSLATION": 2, "SCALE": 3}
+    extras = [([[5, 0, 0], [9, 0, 0]], "<f4"), ([[1, 1, 1]], "<f4")]
+    blend = {"primitive": {"targets": [{"POSITION": 3}]}, "mesh": {"weights": [1]}}
+    for extensions, change, told in (
+        ({"EXT_mesh_gpu_instancing": {"attributes": places}}, {}, "different numbers of instances"),
+        ({"KHR_node_visibility": {"visible": "false"}}, {}, "give true or false"),
+        ({}, blend, "moves 1 of 4 vertices"),
+    ):
+        with pytest.raises(SceneError, match=told):
+            meshes_of(tmp_path, "odd.glb", changed_square(extras, {"extensions": extensions}, **change))
+
+
 def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alone(tmp_path: Path) -> None:
     strange = {"extensions": {"ACME_bend": {}}}
     look = {"materials": [{"name": "itu_wood", "extensions": {"ACME_sheen": {}}}], "extensionsRequired": ["ACME_sheen"]}
@@ -275,6 +288,8 @@ def test_json_that_nests_without_end_is_refused(tmp_path: Path) -> None:
         ("v 0 0\n", "line 1 is no vertex"),
         ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is no vertex, or no face"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\nf 1 2", "line 6 is no vertex, or no face of three"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', of which nothing is read"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "faces without a material"),
         ("v nan 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "no face of any area|not finite"),
         ("usemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face of any area"),
@@ -367,12 +382,21 @@ def test_faces_of_a_ply_may_have_any_number_of_corners(tmp_path: Path) -> None:
         (tmp_path / "cut.ply").write_bytes(cut)
         with pytest.raises(ValueError, match="ends within its faces"):
             read_mesh(tmp_path / "cut.ply", "ply")
+    whole = b"".join(rows)
+    for content, told in ((whole + rows[-1], "longer than its header"), (whole.replace(b"_ind", b"_x"), "no list")):
+        (tmp_path / "odd.ply").write_bytes(content)
+        with pytest.raises(ValueError, match=told):
+            read_mesh(tmp_path / "odd.ply", "ply")
 
 
 def test_a_flat_face_that_crosses_itself_is_refused_and_a_bent_one_is_a_fan(tmp_path: Path) -> None:
     text = "usemtl itu_wood\nv 0 0 0\nv 2 2 {0}\nv 2 0 0\nv 0 2 -{0}\nf 1 2 3 4\n"
     with pytest.raises(SceneError, match=r"face with a corner at \(0, 0, 0\) crosses itself; export the mesh as tri"):
         meshes_of(tmp_path, "bow.obj", text.format(0))
+    window = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0], [1, 1], [3, 1], [3, 2], [1, 2], [1, 1]]  # turned as the wall is
+    (tmp_path / "window.ply").write_bytes(ply_bytes(placed(window, 0), [list(range(10))], binary=True))
+    with pytest.raises(ValueError, match="crosses itself"):
+        read_mesh(tmp_path / "window.ply", "ply")
     (bent,) = meshes_of(tmp_path, "bent.obj", text.format("1.5"))
     assert len(bent.triangles) == 2
 

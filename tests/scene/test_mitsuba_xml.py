@@ -324,12 +324,30 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
         ([WOOD, shape("sphere", '<float name="radius" value="-1"/>')], "radius -1"),
         ([WOOD, WOOD.replace("wood", "metal"), TABLE_PLY], "two materials have the id 'M'"),
         (["<shape type='merge'><include filename='a.xml'/></shape>"], "directly below <scene>"),
+        ([WOOD, shape("sphere", '<integer name="radius" value="3"/>')], "give it once, as <float name='radius'"),
+        ([WOOD, shape("sphere", '<vector name="center" x="3"/>')], "as <point name='center'"),
+        ([WOOD, shape("sphere", '<point name="center" X="3"/>')], "a <point> with 'X'; give x, y and z"),
+        ([WOOD, shape("cube", to_world('<translate dx="3"/>'))], "a <translate> with 'dx'; give x, y and z"),
+        ([WOOD, shape("ply")], "names no file"),
+        ([WOOD, WOOD.replace('"M"', '"N"').replace("wood", "glass"),
+          file_shape("meshes/table.ply", NAMED.format("N"))], "has 2 materials; leave one"),
+        ([WOOD.replace("</bsdf>", WOOD.replace('"M"', '"N"').replace("wood", "glass") + "</bsdf>"), TABLE_PLY],
+         "holds several others"),
+        (["<bsdf type='mask' id='M'><bsdf type='diffuse' id='itu_wood'/><bsdf id='itu_glass'/></bsdf>",
+          TABLE_PLY], "holds several others"),
         (named("mat-Wood.001"), r"\[\[material\]\] name = 'mat-Wood.001'"),
     ],
 )  # fmt: skip
 def test_what_would_not_be_traced_as_it_is_meant_is_refused(folder: Path, elements: list[str], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         surface_meshes(scene_with(folder, *elements))
+
+
+@pytest.mark.parametrize("inside", ['<float name="Radius" value="3"/>', '<float name="diameter" value="3"/>'])
+def test_unknown_properties_of_shapes_are_refused(folder: Path, inside: str) -> None:
+    with pytest.raises(UnknownNameError, match="property of a sphere"):
+        only_mesh(folder, WOOD, shape("sphere", inside))
+    assert only_mesh(folder, WOOD, shape("sphere", '<boolean name="flip_normals" value="true"/><emitter type="area"/>'))
 
 
 def test_shapes_that_are_merged_are_read_one_by_one(folder: Path) -> None:

@@ -253,6 +253,9 @@ def test_a_cabinet_encloses_whichever_way_its_faces_are_turned_and_however_often
             mesh = replace(whole, triangles=triangles)
             assert enclosing_mesh([mesh], points).tolist() == [0, 0, 0, -1, -1], (flipped, len(triangles))
     assert enclosing_mesh([replace(whole, triangles=whole.triangles[1:])], points).tolist() == [-1] * 5
+    flap_m = np.vstack([whole.vertices_m, [[1, 1, 0.5], [3, 1, 0.5], [3, 4, 0.5]]])  # which stands out of it
+    shelved = replace(whole, vertices_m=flap_m, triangles=np.vstack([whole.triangles, [[8, 9, 10]]]))
+    assert enclosing_mesh([shelved], points).tolist() == [0, 0, 0, -1, -1]
     both_m = np.vstack([whole.vertices_m, 0.9 * whole.vertices_m + [0.2, 0.2, 0.06]])  # a hollow one of thick walls
     hollow = replace(whole, vertices_m=both_m, triangles=np.vstack([turned[:1], whole.triangles[1:], 8 + turned]))
     assert enclosing_mesh([hollow], points).tolist() == [-1, 0, 0, -1, -1]

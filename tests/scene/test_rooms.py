@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from tests.support import mesh_scenes
-from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, write_meshes
+from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, shape, to_world, write_meshes
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, parse_scene
-from xfreqbench.scene.placement import check_receiver, check_transmitters, place_transmitters
+from xfreqbench.scene.placement import are_outside, check_receiver, check_transmitters, place_transmitters
 from xfreqbench.scene.rooms import check_closed, objects_of
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -142,6 +142,9 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
         with pytest.raises(PlacementError, match=r"The receiver .*outside of all meshes, at .*5\.00 × 4\.00 × 3\.00 m"):
             check_receiver(astray, meshes, 10e9)
         check_receiver(replace(astray, outside=True), meshes, 10e9)
+    far_m = (691000.25, 5334000.5, 1.5)
+    with pytest.raises(PlacementError, match=r"at \(691000\.25, 5334000\.5, 1\.5\) m"):
+        check_receiver(replace(scene, receiver=replace(scene.receiver, position_m=far_m)), meshes, 10e9)
     grid = replace(scene.transmitters, min_m=(7.0, 3.0, 1.5), max_m=(8.0, 3.0, 1.5))
     with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
         plan_generation(replace(scene, transmitters=grid), [10e9])
@@ -149,6 +152,13 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
         plan_generation(scene, [10e9], tx_position_m=grid.lattice_m)
     some = plan_generation(scene, [10e9], tx_position_m=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
     assert some.summary.endswith("; 1 transmitters stand outside")
+
+
+def test_nothing_is_outside_of_a_single_wall_however_it_is_turned(tmp_path: Path) -> None:
+    wall = '<transform name="to_world"><scale value="3"/><rotate x="1" angle="90"/><rotate {} angle="37"/></transform>'
+    for axis in ('z="1"', 'x="1" y="0.3"'):
+        scene = scene_with(tmp_path, WOOD, shape("rectangle", wall.format(axis)))
+        assert not are_outside(surface_meshes(scene), np.array([[9.0, 9.0, 9.0], [0.0, 0.0, -9.0]])).any()
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("cm", 100.0), ("in", 1 / 0.0254)])
@@ -161,11 +171,15 @@ def test_a_room_in_another_unit_is_asked_about(tmp_path: Path, unit: str, scale:
     assert "meshes: 5.00 × 4.00 m, 3.00 m high; 94.00 of 94.00 m² mirror" in plan_generation(told, [10e9]).summary
 
 
-def test_the_plan_names_panes_that_nothing_passes() -> None:
+def test_the_plan_names_panes_that_nothing_passes(tmp_path: Path) -> None:
     pane, door = (box(name, [2.5, 0.5, 0.5], [2.5 + thick, 2, 2]) for name, thick in (("pane", 0.006), ("door", 0.04)))
     settings = TraceSettings("sionna")
     told = plan_generation(scene_of(ROOM, pane), [10e9], settings).summary
     assert "\nthinner than 10 mm, so that in Sionna RT nothing passes both faces: pane; " in told
+    turned = to_world('<scale x="0.003" y="0.5" z="0.5"/>', '<rotate z="1" y="1" angle="30"/>')
+    shape_of = shape("cube", turned.replace("</transform>", '<translate x="2.5" y="2" z="1.5"/></transform>'))
+    told = plan_generation(scene_with(tmp_path, WOOD, shape_of, toml="outside = true"), [10e9], settings).summary
+    assert "nothing passes both faces: s; " in told
     assert "thinner" not in plan_generation(scene_of(ROOM, door), [10e9], settings).summary
     assert "thinner" not in plan_generation(scene_of(ROOM, pane), [10e9]).summary
 

@@ -32,6 +32,7 @@ from xfreqbench.scene.placement import (
     choose_transmitters,
     place_transmitters,
 )
+from xfreqbench.scene.polygons import extents_m
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
@@ -100,7 +101,11 @@ class Plan:
             + self._thin_notes
             + self._near_notes
             + self._material_notes
-            + ("" if self.header.receiver.resolves_directions else "\nmaps are constant: the array has no extent")
+            + (
+                ""
+                if self.header.receiver.resolves_directions
+                else "\nmaps are nearly constant: the array has hardly any extent"
+            )
         )
 
     @property
@@ -129,7 +134,7 @@ class Plan:
         thin = [
             mesh.name
             for mesh in self.geometry.meshes
-            if PLANE_TOLERANCE < np.ptp(mesh.vertices_m, axis=0).min() < MIN_SEPARATION_M
+            if PLANE_TOLERANCE < extents_m(mesh.vertices_m)[0] < MIN_SEPARATION_M
             and mesh.material != "metal"
             and is_closed(mesh)
         ]

@@ -22,8 +22,8 @@ part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at
 the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
 them the room and the receiver are the same in training and in test.
 
-Transmitters within a millimetre of each other are one place, and in one part. A carrier that agrees with a tested one
-in nine digits is neither trained on nor tested with it.
+Transmitters within a millimetre of each other are one place, and in one part, and so are samples of one place at one
+carrier. A carrier that agrees with a tested one in nine digits is neither trained on nor tested with it.
 
 A sample that no path reaches is in neither part, because a channel of zeros has no map.
 
@@ -114,7 +114,7 @@ class Split:
         """
         if not dataset.header.receiver.resolves_directions:
             raise DataError(
-                f"The maps of {dataset.path} are constant, because its array has one element or no extent, and every "
+                f"The maps of {dataset.path} are nearly constant, because its array has hardly any extent, and every "
                 "method would predict them. Generate data of an array of several elements, half a wavelength apart."
             )
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
@@ -202,7 +202,7 @@ def random_samples(dataset: PasDataset) -> list[Split]:
     and every tested carrier at other transmitters. The fifth is drawn at random, the same at every call for the same
     number of samples. Raises `ProtocolError` where no sample is left to train or to test on.
     """
-    masks = _sample_masks(np.ones(len(dataset), bool), UNSEEN_SHARE)
+    masks = _sample_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
     return [Split.of(dataset, "random-samples", "random-samples", *masks)]
 
 
@@ -308,12 +308,19 @@ def _is_unseen(dataset: PasDataset) -> Mask:
     return np.isin(dataset.place_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
 
 
-def _sample_masks(is_offered: Mask, share: float) -> tuple[Mask, Mask]:
-    """Which of the offered samples are trained on, and which are tested, a share of them."""
+def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
+    """Which of the offered samples are trained on, and which are tested, a share of them.
+
+    Samples of one place at carriers that agree in nine digits are one.
+    """
+    carrier_hz, carrier = np.unique(dataset.carrier_hz, return_inverse=True)
+    is_new = ~np.isclose(carrier_hz[1:], carrier_hz[:-1], rtol=SAME_CARRIER, atol=0)
+    sample = dataset.place_index * len(carrier_hz) + np.concatenate([[0], np.cumsum(is_new)])[carrier]
     offered = np.flatnonzero(is_offered)
-    number = max(1, round(share * len(offered)))
-    is_tested = np.zeros(len(is_offered), bool)
-    is_tested[np.random.default_rng(_SEED).permutation(offered)[:number]] = True
+    first = offered[np.sort(np.unique(sample[offered], return_index=True)[1])]
+    number = max(1, round(share * len(first)))
+    tested = np.random.default_rng(_SEED).permutation(first)[:number]
+    is_tested = is_offered & np.isin(sample, sample[tested])
     return is_offered & ~is_tested, is_tested
 
 
@@ -353,7 +360,7 @@ def _validation_split(dataset: PasDataset, split: Split) -> Split:
     name = protocol + split.name.removeprefix(split.protocol)
     is_offered = np.isin(np.arange(len(dataset)), split.train)
     if split.protocol == "random-samples":
-        masks = _sample_masks(is_offered, VALIDATION_SHARE)
+        masks = _sample_masks(dataset, is_offered, VALIDATION_SHARE)
     elif split.protocol == "held-out-block":
         _require_training_tx(dataset.subset(split.train), name)
         of_trained = np.isin(dataset.place_index, dataset.place_index[split.train])

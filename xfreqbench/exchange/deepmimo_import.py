@@ -40,13 +40,15 @@ PARAMETERS = "params.json"
 _OF_PATHS = ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter")
 _CODES = {digit: code for code, digit in DIGITS.items()}
 _MOST_DIGITS = 16  # of which a float64 holds every one
+LEAST_CARRIER_HZ = 1e6  # what is lower is in another unit
+_LATE_M, _LATE = 1.0, 0.1  # how far a delay may be off the length of its path, plus a share of that
 _OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
 _AT_ONCE = 64  # users whose paths and maps are made together
 _ADVICE = "Convert the scenario anew, with all its matrices."
 
 
 class _Tracing(BaseModel):
-    frequency: Annotated[float, Field(gt=0, lt=1e15)]
+    frequency: Annotated[float, Field(ge=LEAST_CARRIER_HZ, lt=1e15)]
     raytracer_name: str
 
 
@@ -167,7 +169,7 @@ def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
         files,
     )
     _require_meaning(scenario)
-    _require_angles(scenario, elevations)
+    _require_geometry(scenario, elevations)
     if elevations == "horizon":
         scenario.of_paths.update({key: 90 - scenario.of_paths[key] for key in ("aoa_el", "aod_el")})
     return scenario
@@ -206,9 +208,12 @@ def _require_meaning(scenario: Scenario) -> None:
         if not (np.abs(place_m) <= FAR_M).all():
             raise DataError(f"{files[key]} holds positions beyond {FAR_M:g} m, or no numbers.")
     angles = ((key, -360.0, 360.0) for key in ("aoa_az", "aoa_el", "aod_az", "aod_el"))
-    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 100.0), *angles):
+    for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 0.0), *angles):
         if not ((tables[key][is_path] >= low) & (tables[key][is_path] <= high)).all():
             raise DataError(f"{files[key]} holds numbers that do not lie between {low:g} and {high:g}.")
+    phase_deg = np.abs(tables["phase"][is_path])
+    if len(phase_deg) >= 4 and 0 < phase_deg.max() <= 3.15:
+        raise DataError(f"{files['phase']} holds phases of 0 to π alone, which are radians; convert them to degrees.")
     digits = _digits(tables["inter"][is_path])
     is_met = digits > 0
     is_whole = (np.diff(is_met.astype(int), axis=1) >= 0).all() and (tables["inter"][is_path] % 1 == 0).all()
@@ -222,8 +227,8 @@ def _require_meaning(scenario: Scenario) -> None:
         raise DataError(f"{files['inter_pos']} does not hold a point for each interaction that inter names.")
 
 
-def _require_angles(scenario: Scenario, elevations: Elevations) -> None:
-    """Raise `DataError` unless paths leave the station, and reach users, along the lines to the points that they meet.
+def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
+    """Raise `DataError` unless paths lead from the station over the points that they meet to users, and delays say so.
 
     A path in sight has to. Of all paths half may miss, for converters tell the points of some interactions roughly.
     """
@@ -232,6 +237,9 @@ def _require_angles(scenario: Scenario, elevations: Elevations) -> None:
     num_met = (_digits(tables["inter"]) > 0).sum(axis=1)
     rows, in_sight, points_m = np.arange(len(user)), num_met == 0, scenario.point_m[user, place]
     ends_m = {"aod": np.broadcast_to(scenario.station_m, (len(user), 3)), "aoa": scenario.user_m[user]}
+
+    def is_wrong(off: Bool[NDArray[np.bool_], "P"]) -> bool:
+        return bool(off[in_sight].any() or off.sum() > len(off) / 2)
 
     def misses(end: str, counted_from: Elevations) -> Bool[NDArray[np.bool_], "P"]:
         other = ends_m["aoa" if end == "aod" else "aod"]
@@ -244,8 +252,18 @@ def _require_angles(scenario: Scenario, elevations: Elevations) -> None:
 
     def faults(counted_from: Elevations) -> dict[str, int]:
         missing = {end: misses(end, counted_from) for end in ends_m}
-        return {end: int(off.sum()) for end, off in missing.items() if off[in_sight].any() or off.sum() > len(off) / 2}
+        return {end: int(off.sum()) for end, off in missing.items() if is_wrong(off)}
 
+    station_m, user_m = (ends_m[end][:, None] for end in ("aod", "aoa"))
+    is_met = np.arange(points_m.shape[1])[None, :, None] < num_met[:, None, None]
+    way_m = np.concatenate([station_m, np.where(is_met, points_m, user_m), user_m], axis=1)
+    length_m = np.linalg.norm(np.diff(way_m, axis=1), axis=2).sum(axis=1)
+    is_late = np.abs(tables["delay"] * SPEED_OF_LIGHT_M_S - length_m) > _LATE_M + _LATE * length_m
+    if is_wrong(is_late):
+        raise DataError(
+            f"{scenario.files['delay']} does not fit the lengths of {is_late.sum()} of {len(user)} paths; convert the "
+            "scenario anew, with delays in seconds from the transmission and positions in metres."
+        )
     instead: Elevations = "horizon" if elevations == "zenith" else "zenith"
     for end, num_off in faults(elevations).items():
         advice = f"counted from the {instead} they hit it: give --elevations {instead}"

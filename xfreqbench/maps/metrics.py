@@ -27,7 +27,7 @@ SSIM_WINDOW = 7  # scikit-image's default, uniform
 POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
 NUM_RESAMPLES = 1000
-LEAST_PEAK = 1e-3  # of true maps that are not constant: SSIM and PSNR of absolute powers say nothing
+LEAST_PEAK = 1e-3  # of maps that are not constant: SSIM and PSNR of absolute powers say nothing
 
 structural_similarity: Any = _untyped_structural_similarity
 
@@ -58,9 +58,11 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
                 f"predicted has shape {predicted.shape} and truth {truth.shape}."
             )
         for name, maps in (("predicted", predicted), ("truth", truth)):
-            low, high = maps.min(initial=0), maps.max(initial=0)
-            is_tiny = name == "truth" and 0 < high < LEAST_PEAK and np.ptp(maps) > 0
-            if is_tiny or not (low >= -RANGE_TOLERANCE and high <= 1 + RANGE_TOLERANCE):
+            low, peaks = maps.min(initial=0), maps.max(axis=(1, 2), initial=0)
+            small = maps[(peaks > 0) & (peaks < LEAST_PEAK)]
+            is_tiny = np.ptp(small, axis=(1, 2)).any()
+            if is_tiny or not (low >= -RANGE_TOLERANCE and (peaks <= 1 + RANGE_TOLERANCE).all()):
+                high = small.max() if is_tiny else peaks.max()
                 raise ArgumentError(
                     f"{score.__name__} compares maps of values from 0 to 1 and peak 1, but those of {name} run from "
                     f"{low:g} to {high:g}. Turn dB into power, and divide each map by its maximum."

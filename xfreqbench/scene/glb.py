@@ -100,7 +100,10 @@ def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[Float
         if index in met or index < 0:
             raise ValueError(f"node {index} stands in two places of its tree")
         met.add(index)
-        if not nodes[index].get("extensions", {}).get(_VISIBILITY, {}).get("visible", True):
+        is_visible = nodes[index].get("extensions", {}).get(_VISIBILITY, {}).get("visible", True)
+        if not isinstance(is_visible, bool):
+            raise ValueError(f"node {index} is {is_visible!r} in {_VISIBILITY}; give true or false")
+        if not is_visible:
             continue
         matrix = above @ _local_matrix(nodes[index])
         yield nodes[index], matrix
@@ -126,6 +129,8 @@ def _instances(header: dict[str, Any], binary: bytes, node: dict[str, Any]) -> I
         yield np.eye(4)
         return
     values = [_accessor(header, binary, index, *kinds[name]).astype(np.float64) for name, index in given.items()]
+    if len(set(map(len, values))) > 1:
+        raise ValueError(f"{_INSTANCES} of node {node.get('name')!r} has attributes of different numbers of instances")
     for place in zip(*values, strict=True):
         yield _local_matrix({name.lower(): value for name, value in zip(given, place, strict=True)})
 
@@ -151,7 +156,10 @@ def _primitives(
         weights = node.get("weights", mesh.get("weights", []))
         for target, weight in zip(primitive.get("targets", []), weights, strict=False):
             if weight and "POSITION" in target:
-                position_m = position_m + weight * _accessor(header, binary, target["POSITION"], {_FLOAT: "<f4"}, 3)
+                shift_m = _accessor(header, binary, target["POSITION"], {_FLOAT: "<f4"}, 3)
+                if len(shift_m) != len(position_m):
+                    raise ValueError(f"a blend shape of {name!r} moves {len(shift_m)} of {len(position_m)} vertices")
+                position_m = position_m + weight * shift_m
         if "indices" in primitive:
             corners = _accessor(header, binary, primitive["indices"], _INDEX_TYPES, 1)[:, 0].astype(np.int64)
         else:

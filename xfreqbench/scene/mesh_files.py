@@ -26,6 +26,7 @@ MeshKind = Literal["ply", "stl", "obj"]
 SCENE_SUFFIXES = (".glb", ".obj")  # of files that are a whole scene
 _PLY_FACES = ("vertex_index", "vertex_indices")
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
+_UNREAD = ("surf", "fo", "call")  # of an OBJ: free-form surfaces, an old word for faces, other files
 _UNEXPECTED = "unexpected length"  # what trimesh says of a binary PLY that is cut, or has faces of several sizes
 
 
@@ -89,6 +90,11 @@ def _read_ply(content: bytes) -> Triangles:
     """Triangles of a PLY, as trimesh reads them, but for concave faces, and for faces of several sizes in binary."""
     header, end, body = content.partition(b"end_header")
     content = _in_ascii(header) + end + body
+    if b"element face" in header and not any(name.encode() in header for name in _PLY_FACES):
+        raise ValueError("its faces have no list vertex_indices; export it again")
+    counts = [words[2] for words in map(bytes.split, header.splitlines()) if words[:1] == [b"element"]]
+    if b"ascii" in header and sum(map(bool, map(bytes.strip, body.splitlines()))) > sum(map(int, counts)):
+        raise ValueError("it is longer than its header says")
     try:  # from memory: no texture is looked for beside the file
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type="ply", process=False, skip_materials=True)
         raw = mesh.metadata.get("_ply_raw", {})  # none where there are no faces
@@ -228,6 +234,8 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
     name, material = "unnamed", ""
     for number, line in _logical_lines(_in_utf8(content).decode("utf-8", "surrogateescape")):
         keyword, _, rest = line.partition(" ")
+        if keyword in _UNREAD:
+            raise ValueError(f"line {number} is {keyword!r}, of which nothing is read here; export meshes as faces (f)")
         try:
             if keyword == "v":
                 x, y, z = map(float, rest.split()[:3])
@@ -235,8 +243,10 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
             elif keyword == "f":
                 part = parts.get((name, material)) or parts.setdefault((name, material), _ObjPart(name, material))
                 part.faces.append([_obj_index(word, len(vertices)) for word in rest.split()])
+                if len(part.faces[-1]) < 3:
+                    raise ValueError("it is cut")
         except ValueError as error:
-            raise ValueError(f"line {number} is no vertex, or no face of the vertices before it") from error
+            raise ValueError(f"line {number} is no vertex, or no face of three vertices or more before it") from error
         if keyword in ("o", "g"):
             name = rest.strip() or "unnamed"
         elif keyword == "usemtl":

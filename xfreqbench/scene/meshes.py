@@ -22,11 +22,13 @@ from xfreqbench.scene.materials import ConstantMaterial, Material, Scattering
 from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
 from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
+from xfreqbench.scene.polygons import is_flat
 from xfreqbench.types import FloatArray, IntArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
 PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 _UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
+FLAT = 0.01  # a scene is a single wall where its vertices lie within this share of its extent of one plane
 FLOOR_M = 0.3  # the most that a floor is thick, or a room off the middle where it is centred
 SLIVER = 1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 
@@ -183,9 +185,12 @@ def _require_upright(
     """Raise `SceneError` where what a file holds seems to lie on its side when it is read with `up` upwards.
 
     So it does where the receiver, or receiver and grid, stand outside of the box about everything, and inside if the
-    other axis were up; and where its middle is at height 0, on which it would stand if the other axis were up.
+    other axis were up; and where its middle is at height 0, on which it would stand if the other axis were up. A
+    single wall or ground has no inside.
     """
     vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
+    if 0 < np.abs(vertices_m).max(initial=0) <= FAR_M and is_flat(vertices_m, FLAT):  # others are refused later
+        return
     bounds_m = np.array([vertices_m.min(axis=0, initial=np.inf), vertices_m.max(axis=0, initial=-np.inf)])
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
         boxes_m = {axis: np.sort(UNIT_M[scene.unit or "m"] * bounds_m @ turn.T, axis=0) for axis, turn in turns.items()}

@@ -64,6 +64,13 @@ _OWN_PROPERTIES = {
 _COLOURS = ("color", "reflectance", "base_color")
 _FORMS = ("rectangle", "cube", "sphere")
 _FILES = get_args(MeshKind)
+_OF_SHAPES = {  # properties that Mitsuba has, and the element of each
+    **dict.fromkeys(("flip_normals", "face_normals", "flip_tex_coords"), "boolean"),
+    "silhouette_sampling_weight": "float",
+}
+_OF_KIND = {"sphere": {"center": "point", "radius": "float"}, **{kind: {"filename": "string"} for kind in _FILES}}
+_OBJECTS = ("bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform")  # in shapes, but no properties
+_ATTRIBUTES = ("x", "y", "z", "value", "angle", "name", "id")  # of points, steps of transforms and numbers
 FLAT = 1e-12  # a matrix is singular where its determinant is this share of its columns' lengths
 
 
@@ -91,6 +98,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
                 f"{where} is a {kind!r}. Use {', '.join(_FORMS)}, or export it as one of "
                 f"{', '.join(_FILES)} in world coordinates."
             )
+        _check_shape(shape, kind, where)
         slab = slab_of(stated(_bsdf_of(shape, bsdfs, where)), materials, where, name)
         if kind in _FORMS:
             triangles, source = _form(shape, kind, where), where
@@ -201,6 +209,8 @@ def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
     own = [*shape.findall("./bsdf"), *referred]
     if not own:
         raise SceneError(f"{where} refers to no material of this file; add <ref id='mat-…'/>.")
+    if not all(_are_alike(own[0], other) for other in own):
+        raise SceneError(f"{where} has {len(own)} materials; leave one, and split the shape where it has several.")
     return own[0]
 
 
@@ -217,16 +227,21 @@ def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
 def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
     """What a material and those in it state: of each property the outermost."""
     names = [each.get("id", "") for each in nested]
-    name = next((name for name in names if plain_name(name) in ITU_MATERIALS), names[0])
-    stated = StatedMaterial(name)
+    of_p2040 = [name for name in names if plain_name(name) in ITU_MATERIALS]
+    name = of_p2040[0] if of_p2040 else names[0]
+    stated, are_several = StatedMaterial(name), len(set(map(plain_name, of_p2040))) > 1
     for each in nested:
         _check_properties(each, name, path)
+        material = _material(each, name, path)
+        are_several |= None not in (material, stated.material) and material != stated.material
         stated = StatedMaterial(
             name,
-            stated.material or _material(each, name, path),
+            stated.material or material,
             stated.thickness_m or _number(each, "thickness", path, 0.0, MAX_THICKNESS_M),
             stated.scattering or _scattering(each, name, path),
         )
+    if are_several:
+        raise SceneError(f"{path}: material {names[0]!r} holds several others, but a surface has one; leave one.")
     return stated
 
 
@@ -318,6 +333,19 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
     return number
 
 
+def _check_shape(shape: Element, kind: str, where: str) -> None:
+    """Raise `SceneError` or `UnknownNameError` for a property of a shape that would be passed over."""
+    known = _OF_SHAPES | _OF_KIND.get(kind, {})
+    given = [(each.get("name", ""), each.tag) for each in shape if each.tag not in _OBJECTS]
+    for name, tag in given:
+        if name not in known:
+            raise UnknownNameError(f"property of a {kind}, as in {where}, called", name, known)
+        if tag != known[name] or given.count((name, tag)) > 1:
+            raise SceneError(f"{where} has <{tag} name={name!r}/>; give it once, as <{known[name]} name={name!r} …/>.")
+    if kind in _FILES and not _text(shape, "filename"):
+        raise SceneError(f"{where} names no file; add <string name='filename' value='….{kind}'/>.")
+
+
 def _form(shape: Element, kind: str, where: str) -> Triangles:
     """Triangles of a shape that needs no file, as Mitsuba defines it: two units wide about the origin."""
     if kind == "rectangle":
@@ -394,6 +422,8 @@ def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatA
 
 def vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Float[FloatArray, "3"]:
     """The three numbers of an element: from `x`, `y` and `z`, each with a default, or from one or three in `value`."""
+    if unknown := set(element.attrib).difference(_ATTRIBUTES):
+        raise SceneError(f"{where} has a <{element.tag}> with {min(unknown)!r}; give x, y and z, or value.")
     if "value" not in element.attrib:
         return np.array([_numbers(element.get(axis, str(default)), element, where, 1)[0] for axis in "xyz"])
     return _numbers(element.get("value", ""), element, where, 1, 3) * np.ones(3)

@@ -24,7 +24,7 @@ from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
-LEAST_EXTENT_WAVELENGTHS = 0.01  # of an array; maps of a smaller one vary by less than half a percent
+LEAST_EXTENT_WAVELENGTHS = 0.05  # of an array; any two maps of a smaller one have an SSIM above .998
 NEAR_M = 32.0  # from the origin, where single precision holds coordinates to 4 µm
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
@@ -149,7 +149,7 @@ class ReceiverArray:
 
     @property
     def resolves_directions(self) -> bool:
-        """Whether maps tell directions; those of one element, or of elements nearly at one point, are constant."""
+        """Whether maps tell directions; those of one element, or of elements nearly at one point, hardly vary."""
         return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= LEAST_EXTENT_WAVELENGTHS
 
     @property

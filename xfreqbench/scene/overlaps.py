@@ -31,7 +31,7 @@ def check_overlaps(geometry: Geometry) -> None:
     pair = _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M)
     if pair is not None:
         a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
-        place_m = ", ".join(f"{coordinate:.4g}" for coordinate in corners_m[pair[1]].mean(axis=0))
+        place_m = ", ".join(f"{round(coordinate, 3):.10g}" for coordinate in corners_m[pair[1]].mean(axis=0))
         raise SceneError(
             f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane, at ({place_m}) m: a ray "
             "could meet either. Cut the one out of the other, set them at least 1 cm apart, or make both of one slab."

@@ -10,15 +10,15 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from xfreqbench.errors import PlacementError, SceneError
-from xfreqbench.scene.meshes import SIONNA, SurfaceMesh, bounds_m
+from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
 from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 HIGHEST_ROOM_M, HIGHEST_SCENE_M = 60.0, 1000.0  # what is higher is asked for its unit
-FLAT = 0.01  # a scene is a single wall where its least extent is this share of its largest
 MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
 
 
@@ -177,10 +177,9 @@ def are_outside(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"
     Nothing is outside of a single wall or ground, which holds nothing.
     """
     low_m, high_m = bounds_m(meshes)
-    extent_m = high_m - low_m
-    if extent_m.min() < FLAT * extent_m.max():
+    if is_flat(np.concatenate([mesh.vertices_m for mesh in meshes]), FLAT):
         return np.zeros(len(points_m), dtype=bool)
-    high_m[2] += extent_m.max()
+    high_m[2] += (high_m - low_m).max()
     return np.asarray(((points_m < low_m) | (points_m > high_m)).any(axis=1))
 
 
@@ -211,7 +210,7 @@ def _check_free(
 
 
 def _metres(point_m: Float[FloatArray, "3"]) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in point_m) + ") m"
+    return "(" + ", ".join(f"{round(value, 3):.10g}" for value in point_m) + ") m"
 
 
 def median_transmitter(tx_position_m: Float[FloatArray, "T 3"]) -> int:

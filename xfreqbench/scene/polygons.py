@@ -50,15 +50,24 @@ def triangulated(
         ears = _ears(vertices_m[ring], normal[index]) if size_m2[index] > least_m2[index] else None
         if ears is not None:
             triangles[of_polygon[start[index]] + np.arange(len(ears))], are_fans = ring[ears], False
-        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and _is_flat(vertices_m[ring]):
-            place_m = ", ".join(f"{coordinate:g}" for coordinate in vertices_m[ring[0]])
+        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(
+            vertices_m[ring], FLATNESS
+        ):
+            place_m = ", ".join(f"{round(coordinate, 3):.10g}" for coordinate in vertices_m[ring[0]])
             raise ValueError(f"the face with a corner at ({place_m}) crosses itself; export the mesh as triangles")
     return triangles, are_fans
 
 
-def _is_flat(ring_m: Float[FloatArray, "n 3"]) -> bool:
-    size_m = np.linalg.svd(ring_m - ring_m.mean(axis=0), compute_uv=False)
-    return bool(size_m[2] <= FLATNESS * size_m[0])
+def extents_m(points_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "3"]:
+    """Extents of points along their principal axes, however they are turned, the least about first."""
+    away_m = points_m - points_m.mean(axis=0)
+    return np.ptp(away_m @ np.linalg.eigh(away_m.T @ away_m)[1], axis=0)
+
+
+def is_flat(points_m: Float[FloatArray, "n 3"], share: float = FLATNESS) -> bool:
+    """Whether points lie within a share of their extent of one plane, however it is turned."""
+    extent_m = extents_m(points_m)
+    return bool(extent_m[0] <= share * extent_m.max())
 
 
 def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> Int[IntArray, "t 3"] | None:
@@ -87,7 +96,12 @@ def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> I
                 return None
         ears.append(ear[chosen])
         left = np.delete(left, chosen)
-    return np.array(ears)
+    found, corner = np.array(ears), x + 1j * y
+    away = corner - corner[found].mean(axis=1)[:, None]  # from triangles to corners
+    turns = np.angle(np.roll(away, -1, axis=1) / away).sum(axis=1) / (2 * np.pi)
+    u, v = x[found], y[found]
+    area_m2 = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (v[:, 1] - v[:, 0]) * (u[:, 2] - u[:, 0])
+    return None if (turns[area_m2 > flat_m2] > 1.5).any() else found  # it covers places twice
 
 
 def _is_empty(

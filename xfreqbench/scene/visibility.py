@@ -41,15 +41,26 @@ def enclosing_mesh(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N
 
 
 def is_closed(mesh: SurfaceMesh) -> bool:
-    """Whether every edge of a mesh belongs to two of its triangles, so that it has an inside."""
+    """Whether a mesh, or a part of it, has two triangles at every edge, so that it has an inside."""
     return bool(_shell(mesh).is_watertight)
 
 
 def _shell(mesh: SurfaceMesh) -> trimesh.Trimesh:
-    """A mesh with every vertex and every triangle once, whichever side the others of a triangle show."""
+    """A mesh with every vertex and every triangle once, whichever side the others of a triangle show.
+
+    Parts that have an edge of one triangle alone, or of more than two, are left out: flaps and shelves.
+    """
     shell = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
     if not shell.is_watertight:
         shell.update_faces(shell.unique_faces())
+    if not shell.is_watertight:
+        number, edge = len(shell.faces), shell.edges_unique_inverse
+        is_open = (np.bincount(edge) != 2)[edge].reshape(-1, 3).any(axis=1)
+        if not is_open.all():
+            ends = np.repeat(np.arange(number), 3), number + edge
+            links = coo_array((np.ones(len(edge)), ends), shape=(number + edge.max() + 1,) * 2)
+            part = connected_components(links, directed=False)[1][:number]
+            shell.update_faces(~np.isin(part, part[is_open]))
     return shell
 
 

@@ -29,7 +29,7 @@ def describe(path: Path) -> str:
         f"{receiver.pattern} pattern, polarization {receiver.polarization}",
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths"
-        f"{'' if receiver.resolves_directions else '; constant, for the array has no extent'}",
+        f"{'' if receiver.resolves_directions else '; nearly constant, for the array has hardly any extent'}",
         *_paths_line(dataset),
         "settings   " + ", ".join(f"{name} {_in_words(value)}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
