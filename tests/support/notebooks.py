@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from pathlib import Path
@@ -28,6 +29,7 @@ def execute(path: Path, folder: Path) -> Any:
     from nbclient import NotebookClient
 
     notebook = read(path)
+    os.environ.pop("MPLBACKEND", None)  # which our command sets; a notebook draws inline
     NotebookClient(notebook, timeout=240, resources={"metadata": {"path": str(folder)}}).execute()
     return nbformat.reads(nbformat.writes(notebook).replace(f"{folder}/", ""), as_version=4)
 

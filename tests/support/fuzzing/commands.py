@@ -17,7 +17,7 @@ RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
 WRITTEN: tuple[str, ...] = ()  # an output, of which is read only whether it is the command's own
 
-_SLOW = ("view", "plot", "findings", "residual", "benchmark")  # they draw, trace or run for a second
+_SLOW = ("view", "plot", "findings", "residual", "benchmark", "bench measured")  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
@@ -66,10 +66,14 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "bench scale-out": {"output": ("records",)},
     "bench peers": {"output": ("records",)},
     "bench stress": {"output": ("records",)},
+    "bench measured": {"scene": SCENE, "measured": ("measurement",), "output": ("records",)},
 }
 READ_NOTHING = ("scenes", "methods", "check-method")
 MEASURING = {  # which take long, and read the records that they add to by the same lines of code as `report`
-    *((f"bench {name}", "records") for name in ("generate", "render", "savings", "scale-out", "peers", "stress"))
+    *(
+        (f"bench {name}", "records")
+        for name in ("generate", "render", "savings", "scale-out", "peers", "stress", "measured")
+    )
 }
 
 _FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {each}' for each in FITTED)}"
@@ -77,6 +81,7 @@ _NEAREST = "--method nearest --targets 10 --budget 3steps -q"
 _BENCHMARK = "benchmark --preset fuzz --data data --results results -q"
 _SCORE = f"score theirs.h5 --data {DATA} -q --results"
 _REPORT = "report results -o new/board.md --html new/board.html -q"
+_MEASURED = "bench measured ./{0}.toml measured.csv --freqs 10 --max-depth 1 -q"
 _MAPS = "report results -o new/board.md --maps new/maps.jsonl -q"
 
 # The command lines by kind and command, given in a folder with the sound files; outputs are `new` and in `results`.
@@ -125,11 +130,13 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
     "fingerprint": {
         "bench fingerprint": (f"bench fingerprint ./room.toml -o {FINGERPRINT} --interactions specular,refraction -q",)
     },
+    "measurement": {"bench measured": (_MEASURED.format("room"),)},
     "positions": {"generate": ("generate room.toml --tx-positions tx.csv -o taken.h5 --freqs 1,10 -q",)},
     "scene": {
         "generate": ("generate room.toml -o taken.h5 --freqs 1,10 -q",),
         "view": ("view room.toml -o new -q",),
         "bench generate": ("bench generate ./room.toml",),
+        "bench measured": (_MEASURED.format("room"),),
         "bench reference": ("bench reference ./room.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./room.toml -o taken.h5 -q",),
     },
@@ -140,6 +147,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "plot": ("plot mesh.h5 -o new.svg --of power",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
         "bench generate": ("bench generate ./mesh.toml",),
+        "bench measured": (_MEASURED.format("mesh"),),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),
         "bench fingerprint": ("bench fingerprint ./mesh.toml -o taken.h5 -q",),
     },

@@ -204,6 +204,7 @@ NUM_INPUTS = {
     "fingerprint": 20,
     "damaged bytes": 60,
     "positions": 20,
+    "measurement": 20,
     "scene": 30,
     "mesh": 30,
     "option texts of run": 60,

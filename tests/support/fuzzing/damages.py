@@ -137,6 +137,12 @@ def _positions() -> st.SearchStrategy[Damage]:
     return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n"))
 
 
+def _measurements() -> st.SearchStrategy[Damage]:
+    cells = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=5).map(",".join)
+    texts = st.lists(cells, max_size=4).map(lambda rows: "\n".join(["x,y,z,power", *rows]).encode())
+    return in_place_of("measured.csv", texts | st.binary(max_size=60) | cut_or_flipped(sound_files()["measured.csv"]))
+
+
 def _scenes() -> st.SearchStrategy[Damage]:
     text = sound_files()["room.toml"].decode()
     spoilt = spoilt_json(ROOM).map(toml_file) | edited(text) | JSON_VALUES.map(toml_file)
@@ -214,6 +220,7 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "DeepMIMO scenario of MATLAB": functools.partial(_scenarios, "mats/", _mat),
     "fingerprint": _fingerprints,
     "positions": _positions,
+    "measurement": _measurements,
     "scene": _scenes,
     "mesh": _meshes,
 }

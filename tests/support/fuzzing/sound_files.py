@@ -88,6 +88,8 @@ def _write_scenes() -> None:
     Path("mesh.toml").write_text(REFERRING_SCENE, "utf-8")
     Path("room.xml").write_text(XML, "utf-8")
     Path("wall.ply").write_text(ASCII_PLY, "utf-8")
+    rows = (f"{0.7 + 0.05 * n},{1.1 + n % 3},1.2,{-40 - n % 7}" for n in range(40))
+    Path("measured.csv").write_text("\n".join(["x,y,z,power", *rows]), "utf-8")
 
 
 def _tell_findings(folder: ResultsFolder) -> None:
