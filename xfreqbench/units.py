@@ -36,3 +36,8 @@ def format_ghz(carrier_hz: float) -> str:
 def format_ghz_list(carrier_hz: Iterable[float]) -> str:
     """Carriers as a user writes them, to the hertz: `60, 94 GHz`."""
     return ", ".join(f"{carrier / 1e9:.12g}" for carrier in carrier_hz) + " GHz"
+
+
+def format_point(point_m: Iterable[float]) -> str:
+    """A place as text, in metres to the millimetre, however far from the origin: `(691608.25, 5334762.5, 1.2)`."""
+    return f"({', '.join(f'{round(coordinate, 3):.10g}' for coordinate in point_m)})"

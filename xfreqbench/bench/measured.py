@@ -222,9 +222,7 @@ def _traced_db(
                     power[1, d, n, r] += of_path[(length <= depth) & is_plain].sum()
                 done += 1
                 progress(done, total)
-    with np.errstate(divide="ignore"):
-        level_db = np.where(power > 0, 10 * np.log10(power), np.nan)
-    level_db = np.where(np.isnan(level_db), np.nanmin(level_db), level_db)  # where no path arrives, the weakest power
+    level_db = 10 * np.log10(np.maximum(power, power[power > 0].min()))  # where no path arrives, the weakest power
     has_edges = "diffraction" in settings.named_interactions
     models = {f"traced, depth {depth}": level_db[0, d] for d, depth in enumerate(depths)}
     return models | ({f"traced, depth {depths[-1]}, without diffraction": level_db[1, -1]} if has_edges else {})
@@ -244,12 +242,9 @@ def _scores(
     counts = np.bincount(cell, is_scored.sum(axis=1), num_cells)
     drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), _NUM_RESAMPLES)
     low, high = np.quantile(np.sqrt(drawn @ squares / np.maximum(drawn @ counts, 1)), [0.025, 0.975])
-    means = [
-        np.bincount(cell[known], error[known], num_cells)[present]
-        / np.bincount(cell[known], minlength=num_cells)[present]
-        for error, known in zip(error_db.T, is_scored.T, strict=True)
-        for present in [np.bincount(cell[known], minlength=num_cells) > 0]
-    ]
+    block = (cell[:, None] + num_cells * np.arange(error_db.shape[1]))[is_scored]  # a cell of a receiver
+    num_scored = np.bincount(block)
+    means = np.bincount(block, error_db[is_scored])[num_scored > 0] / num_scored[num_scored > 0]
     model_db = np.where(is_scored, error_db + power_db, np.nan)
     a, b = (values - np.nanmean(values, axis=0) for values in (model_db, np.where(is_scored, power_db, np.nan)))
     r = np.nansum(a * b) / np.sqrt(np.nansum(a * a) * np.nansum(b * b))
@@ -257,7 +252,7 @@ def _scores(
     return (
         f"{_rms(error_db[is_scored]):.2f} [{low:.2f}, {high:.2f}]",
         *(f"{_rms(part):.2f}" if len(part) else "–" for part in sights),
-        f"{_rms(np.concatenate(means)):.2f}",
+        f"{_rms(means):.2f}",
         f"{np.median(np.abs(error_db[is_scored])):.2f}",
         f"{r:.2f}",
     )

@@ -188,17 +188,17 @@ def info(
     print(describe(file))
     verify(file)
     print("every hash holds")
-    print(compare_fingerprint(open_dataset(file)).verdict)
+    dataset = open_dataset(file)
+    print(compare_fingerprint(dataset).verdict)
     if retrace:
-        dataset = open_dataset(file)
         worst = require_origin(dataset, drawn_rows(dataset, retrace, seed))
         print(f"{min(retrace, len(dataset))} samples traced again: {worst}, the others by less")
     if glints:
         from xfreqbench.data.glints import glints as left_out
 
-        print(left_out(open_dataset(file), glints, seed))
+        print(left_out(dataset, glints, seed))
     if statistics:
-        print(f"\n{open_dataset(file).statistics(seed=seed)}")
+        print(f"\n{dataset.statistics(seed=seed)}")
 
 
 @app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 --carriers 2.4,24.25 -o maps.pdf"))

@@ -28,7 +28,7 @@ TR38901_SPREADS: Mapping[str, tuple[tuple[float, float], tuple[float, float]]] =
     }
 )
 MMMAGIC_SPREADS: Mapping[str, tuple[tuple[float, float], tuple[float, float]]] = MappingProxyType(
-    {"lgDS": ((-7.75, -0.13), (-7.58, -0.01)), "lgASA": ((2.09, -0.24), (1.863, -0.11))}
+    {"lgDS": ((-7.75, -0.13), (-7.58, -0.01)), "lgASA": ((2.09, -0.24), TR38901_SPREADS["lgASA"][1])}
 )
 TR38901_K_DB = 7.0  # in sight
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ class ChannelStatistics:
     absorption: Float[FloatArray, "F"]
     source: str
 
-    @property
+    @cached_property
     def rows(self) -> list[dict[str, Any]]:
         """A row for the transmitters in sight, and for those that are not, at each carrier, where there are any.
 

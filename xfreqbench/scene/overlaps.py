@@ -10,6 +10,7 @@ from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.meshes import slabs_of, triangle_corners_m
 from xfreqbench.scene.patches import rounding_m, sides_m
 from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_point
 
 MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
 NEAR_M, NEAR_OVERLAP_M = 1e-3, 0.02  # surfaces that are nearer, and share more, were most likely meant to be one
@@ -31,10 +32,10 @@ def check_overlaps(geometry: Geometry) -> None:
     pair = _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M)
     if pair is not None:
         a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
-        place_m = ", ".join(f"{round(coordinate, 3):.10g}" for coordinate in corners_m[pair[1]].mean(axis=0))
         raise SceneError(
-            f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane, at ({place_m}) m: a ray "
-            "could meet either. Cut the one out of the other, set them at least 1 cm apart, or make both of one slab."
+            f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane, at "
+            f"{format_point(corners_m[pair[1]].mean(axis=0))} m: a ray could meet either. Cut the one out of the "
+            "other, set them at least 1 cm apart, or make both of one slab."
         )
 
 
@@ -53,8 +54,7 @@ def nearly_in_one_plane(geometry: Geometry) -> str | None:
     normal = np.cross(large_m[1] - large_m[0], large_m[2] - large_m[0])
     apart_m = np.abs((small_m - large_m[0]) @ normal).max() / np.linalg.norm(normal)
     a, b = (geometry.meshes[mesh].name for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
-    place_m = ", ".join(f"{coordinate:.4g}" for coordinate in small_m.mean(axis=0))
-    return f"{a!r} and {b!r} lie {apart_m * 1e3:.2g} mm apart at ({place_m}) m"
+    return f"{a!r} and {b!r} lie {apart_m * 1e3:.2g} mm apart at {format_point(small_m.mean(axis=0))} m"
 
 
 def _overlapping(

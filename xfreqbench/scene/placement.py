@@ -16,7 +16,7 @@ from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.types import FloatArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz, format_point
 
 HIGHEST_ROOM_M, HIGHEST_SCENE_M = 60.0, 1000.0  # what is higher is asked for its unit
 MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
@@ -102,7 +102,7 @@ def check_transmitters(
     if not is_near.all():
         row = int(np.flatnonzero(~is_near.all(axis=1))[0])
         raise PlacementError(
-            f"Transmitter {row} stands at {_metres(tx_position_m[row])}; give finite metres, up to {FAR_M:g}."
+            f"Transmitter {row} stands at {format_point(tx_position_m[row])} m; give finite metres, up to {FAR_M:g}."
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
     _check_inside(scene, meshes, tx_position_m, "Every transmitter")
@@ -118,7 +118,7 @@ def _check_off_the_array(scene: Scene, tx_position_m: Float[FloatArray, "T 3"], 
         index = int(distance_m.argmin())
         raise PlacementError(
             f"Transmitter {index} stands {distance_m[index] * 1e3:.1f} mm from the receiver array, at "
-            f"{_metres(tx_position_m[index])} at {format_ghz(carrier_hz)}. Keep at least "
+            f"{format_point(tx_position_m[index])} m at {format_ghz(carrier_hz)}. Keep at least "
             f"{MIN_SEPARATION_M * 1e3:g} mm away."
         )
 
@@ -140,9 +140,9 @@ def _check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[F
     """Raise `PlacementError` where all points stand outside of a mesh file's scene, unless it says `outside`."""
     if _has_file(scene) and not scene.outside and are_outside(meshes, points_m).all():
         raise PlacementError(
-            f"{what} of scene {scene.name!r} stands outside of all meshes, at {_metres(points_m[0])}; they measure "
-            f"{_size(meshes)} from {_metres(bounds_m(meshes)[0])}. Move it, or say in the scene's TOML how the file is "
-            "meant, as in unit = 'mm' and up = 'y', or outside = true where it is to stand there."
+            f"{what} of scene {scene.name!r} stands outside of all meshes, at {format_point(points_m[0])} m; they "
+            f"measure {_size(meshes)} from {format_point(bounds_m(meshes)[0])} m. Move it, or say in the scene's TOML "
+            "how the file is meant, as in unit = 'mm' and up = 'y', or outside = true where it is to stand there."
         )
 
 
@@ -197,7 +197,7 @@ def _check_free(
         index = int(np.flatnonzero(enclosing >= 0)[0])
         name = objects[enclosing[index]].name
         raise PlacementError(
-            f"{what} {index} stands inside {name!r}, at {_metres(points_m[index])}{at}. "
+            f"{what} {index} stands inside {name!r}, at {format_point(points_m[index])} m{at}. "
             f"Move it into free space, or, where that is a room, say rooms = [{name!r}] in the scene's TOML."
         )
     distance_m = distance_to_surfaces(meshes, points_m)
@@ -205,12 +205,8 @@ def _check_free(
         index = int(distance_m.argmin())
         raise PlacementError(
             f"{what} {index} stands {distance_m[index] * 1e3:.1f} mm from a surface, at "
-            f"{_metres(points_m[index])}{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
+            f"{format_point(points_m[index])} m{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
         )
-
-
-def _metres(point_m: Float[FloatArray, "3"]) -> str:
-    return "(" + ", ".join(f"{round(value, 3):.10g}" for value in point_m) + ") m"
 
 
 def median_transmitter(tx_position_m: Float[FloatArray, "T 3"]) -> int:

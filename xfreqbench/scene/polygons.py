@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.units import format_point
 
 MAX_CORNERS = 1000  # of a concave face: its time grows with the square of the number
 OVERLAP = 1e-6  # by how much of its size squared triangles of a polygon may overlap: corners are rounded
@@ -53,8 +54,10 @@ def triangulated(
         elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(
             vertices_m[ring], FLATNESS
         ):
-            place_m = ", ".join(f"{round(coordinate, 3):.10g}" for coordinate in vertices_m[ring[0]])
-            raise ValueError(f"the face with a corner at ({place_m}) crosses itself; export the mesh as triangles")
+            raise ValueError(
+                f"the face with a corner at {format_point(vertices_m[ring[0]])} crosses itself; "
+                "export the mesh as triangles"
+            )
     return triangles, are_fans
 
 
