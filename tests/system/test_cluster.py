@@ -74,11 +74,16 @@ class Started:
 
     def signal_a_busy_worker(self, sent: signal.Signals) -> int:
         """A signal to one that holds a task, as soon as there is one; its process id."""
-        _wait(lambda: any(self.client.processing().values()), timeout_s=60)
-        busy = [worker for worker, tasks in self.client.processing().items() if tasks][:1]
-        (process,) = self.client.run(os.getpid, workers=busy).values()
-        os.kill(process, sent)
-        return process
+        processes: list[int] = []
+
+        def one_answers() -> bool:  # which the scheduler may have dropped meanwhile, on a machine that is busy
+            busy = [worker for worker, tasks in self.client.processing().items() if tasks][:1]
+            processes[:] = self.client.run(os.getpid, workers=busy).values() if busy else []
+            return len(processes) == 1
+
+        _wait(one_answers, timeout_s=60)
+        os.kill(processes[0], sent)
+        return processes[0]
 
     def num_lost_tasks(self) -> int:
         """Tasks, each as often as it was lost with a worker."""
@@ -388,7 +393,7 @@ def test_the_run_of_a_suspended_worker_is_made_by_another_once_the_scheduler_dro
     paper_dataset(tmp_path / "data.h5", num_tx=4)
     method = f"{Patient.__module__}:{Patient.__name__}"
     command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
-    with started(tmp_path, 2, WORKER_TTL="3s") as running:
+    with started(tmp_path, 2, WORKER_TTL="8s") as running:
         with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
             running.signal_a_busy_worker(signal.SIGSTOP)
             _, message = driver.communicate()
