@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import inner_carriers_hz
-from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget, Progress
-from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters, TransmitterLookup
+from xfreqbench.methods.learning.loss_kernels import similarities
+from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters, TransmitterLookup, WeightedRows
 from xfreqbench.types import FloatArray, IntArray
 
 KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
@@ -53,13 +52,7 @@ class KNearest(TransmitterLookup):
         is_known = self.transmitters.knows(tx_position_m)
         is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
         kinds = np.where(is_known, KINDS[0], np.where(is_heard, KINDS[1], KINDS[2]))
-        maps = []
-        for position_m, each_hz, kind in zip(tx_position_m, carrier_hz, kinds, strict=True):
-            counts = self.counts[kind]
-            rows, tx, distance_m = self._neighbours(position_m, each_hz, counts[0])
-            weights = self._weights(tx, distance_m, counts)
-            maps.append(self.transmitters.blend(rows[weights > 0], weights[weights > 0]))
-        return np.stack(maps)
+        return self.transmitters.sums(map(self._weighted, tx_position_m, carrier_hz, kinds))
 
     def findings(self) -> Mapping[str, Mapping[str, int | str]]:
         """For each kind of query how many transmitters are averaged, and how many carriers of each."""
@@ -86,6 +79,12 @@ class KNearest(TransmitterLookup):
         self.transmitters = transmitters
         self._softening_m = max(transmitters.spacing_m / 2, SAME_TRANSMITTER_M)
 
+    def _weighted(self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float, kind: str) -> WeightedRows:
+        counts = self.counts[kind]
+        rows, tx, distance_m = self._neighbours(tx_position_m, carrier_hz, counts[0])
+        (weights,) = self._weights(tx, distance_m, np.array([counts]))
+        return rows[weights > 0], weights[weights > 0]
+
     def _neighbours(
         self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float, count: int
     ) -> tuple[Int[IntArray, "n"], Int[IntArray, "n"], Float[FloatArray, "n"]]:
@@ -103,14 +102,17 @@ class KNearest(TransmitterLookup):
         return np.concatenate(found), place, distance_m[place]
 
     def _weights(
-        self, tx: Int[IntArray, "n"], distance_m: Float[FloatArray, "n"], counts: tuple[int, int]
-    ) -> Float[FloatArray, "n"]:
-        """The weight of each row, ordered as `_neighbours` does; 0 beyond the counts of transmitters and carriers."""
-        num_tx, num_carriers = counts
+        self, tx: Int[IntArray, "n"], distance_m: Float[FloatArray, "n"], counts: Int[IntArray, "C 2"]
+    ) -> Float[FloatArray, "C n"]:
+        """The weight of each row, ordered as `_neighbours` does, by each of C counts of transmitters and carriers.
+
+        It is 0 beyond the counts.
+        """
+        num_tx, num_carriers = counts[:, :1], counts[:, 1:]
         place_tx = np.unique(tx, return_inverse=True)[1]
         place_carrier = np.arange(len(tx)) - np.searchsorted(place_tx, place_tx)
         is_taken = (place_tx < num_tx) & (place_carrier < num_carriers)
-        of_each = np.minimum(np.bincount(place_tx), num_carriers)[place_tx]
+        of_each = np.minimum(np.bincount(place_tx)[place_tx], num_carriers)
         return is_taken / of_each / (distance_m + self._softening_m)
 
     def _best_counts(self) -> dict[str, tuple[int, int]]:
@@ -118,15 +120,19 @@ class KNearest(TransmitterLookup):
 
         Of equally good ones it is that of the fewest transmitters, and then of the most carriers.
         """
-        train = self.transmitters.train
-        coarse = AngularGrid(train.grid.elevation_rad[::_STRIDE], train.grid.azimuth_rad[::_STRIDE])
-        inner_hz = inner_carriers_hz(train)
+        train, inner_hz = self.transmitters.train, inner_carriers_hz(self.transmitters.train)
+        queries = np.random.default_rng(0).permutation(len(train))[:_NUM_QUERIES].tolist()
+        near = [self._neighbours(train.tx_position_m[q], train.carrier_hz[q], max(_NUM_TX) + 1) for q in queries]
+        needed = np.unique(np.concatenate([queries, *(rows for rows, _, _ in near)]))
+        coarse = [maps[:, ::_STRIDE, ::_STRIDE] for _, maps in train.subset(needed).batches(_NUM_QUERIES)]
+        known = np.concatenate(coarse)
         scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
-        for query in np.random.default_rng(0).permutation(len(train))[:_NUM_QUERIES].tolist():
-            position_m, each_hz = train.tx_position_m[query], train.carrier_hz[query]
-            rows, tx, distance_m = self._neighbours(position_m, each_hz, max(_NUM_TX) + 1)
-            maps = train.pas(rows)[:, ::_STRIDE, ::_STRIDE]
-            truth = train.pas(query)[:, ::_STRIDE, ::_STRIDE].repeat(len(_COUNTS), 0)
+        for query, (rows, tx, distance_m) in zip(queries, near, strict=True):
+            each_hz = train.carrier_hz[query]
+            maps, truth = (
+                known[np.searchsorted(needed, rows)],
+                known[[np.searchsorted(needed, query)]].repeat(len(_COUNTS), 0),
+            )
             same_carrier = train.carrier_hz[rows] == each_hz
             same_tx = train.place_index[rows] == train.place_index[query]
             is_inner = each_hz in inner_hz or not len(inner_hz)
@@ -134,10 +140,10 @@ class KNearest(TransmitterLookup):
                 left = ~left_out
                 if not left.any() or not (is_inner or kind == KINDS[1]):
                     continue
-                weights = np.array([self._weights(tx[left], distance_m[left], each) for each in _COUNTS])
+                weights = self._weights(tx[left], distance_m[left], np.array(_COUNTS))
                 blended = np.tensordot(weights.astype(np.float32), maps[left], axes=1)
                 blended /= blended.max(axis=(1, 2), keepdims=True)
-                scores[kind].append(ssim(blended, truth, coarse))
+                scores[kind].append(similarities(blended, truth))
         return {kind: _best(each) for kind, each in scores.items()}
 
 

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from pydantic import Field
 from typing_extensions import Doc
 
-from xfreqbench.methods.lookup import TransmitterLookup
+from xfreqbench.methods.lookup import TransmitterLookup, WeightedRows
 from xfreqbench.types import FloatArray
 
 
@@ -27,13 +26,7 @@ class MeanOverFrequency(TransmitterLookup):
 
     Config = MeanOverFrequencyConfig
 
-    def predict(
-        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Float[NDArray[np.float32], "B E A"]:
-        """For each query, the mean map, scaled to peak 1."""
-        maps = []
-        for position_m in tx_position_m:
-            nearest = self.transmitters.nearest(position_m, self.config.num_nearest)
-            rows = self.transmitters.rows(nearest)
-            maps.append(self.transmitters.blend(rows, np.ones(len(rows))))
-        return np.stack(maps)
+    def weighted(self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> WeightedRows:
+        """All rows of the transmitter, or of the nearest ones, with equal weights."""
+        rows = self.transmitters.rows(self.transmitters.nearest(tx_position_m, self.config.num_nearest))
+        return rows, np.ones(len(rows))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,8 +24,10 @@ from xfreqbench.system.files import read_bytes
 from xfreqbench.types import FloatArray, IntArray
 
 SAME_TRANSMITTER_M = 1e-6
+_MOST_MAPS = 512  # in memory at once: 66 MB
 _CONFIG_FILE, _ROWS_FILE = "config.json", "training_rows.json"
 _STORED_ROWS = TypeAdapter(tuple[str, str, list[Annotated[int, Field(ge=0, lt=2**63)]]])
+WeightedRows = tuple[Int[IntArray, "n"], Float[FloatArray, "n"]]
 
 
 class TrainingTransmitters:
@@ -70,10 +72,26 @@ class TrainingTransmitters:
         rows = self._row[transmitters]
         return rows[rows >= 0]
 
-    def blend(self, rows: Int[IntArray, "n"], weights: Float[FloatArray, "n"]) -> Float[NDArray[np.float32], "E A"]:
-        """The weighted sum of training maps, scaled to peak 1, as a map (E, A); rows and weights are (n,)."""
-        blended = np.einsum("n,nea->ea", weights.astype(np.float32), self.train.pas(rows))
-        return blended / blended.max()
+    def sums(self, asked: Iterable[WeightedRows]) -> Float[NDArray[np.float32], "B E A"]:
+        """Weighted sums of training maps, each scaled to peak 1, for the rows and weights of B queries.
+
+        What neighbouring queries share is read, and summed, once.
+        """
+        maps: dict[int, Float[NDArray[np.float32], "E A"]] = {}
+        summed: list[Float[NDArray[np.float32], "E A"]] = []
+        before: WeightedRows | None = None
+        for rows, weights in asked:
+            if before is None or not all(map(np.array_equal, before, (rows, weights))):
+                missing = [row for row in rows.tolist() if row not in maps]
+                if len(maps) + len(missing) > _MOST_MAPS:
+                    maps, missing = {}, rows.tolist()
+                maps.update(zip(missing, self.train.pas(missing), strict=True))
+                total = np.zeros(self.train.grid.shape, np.float32)
+                for row, weight in zip(rows.tolist(), weights.astype(np.float32), strict=True):
+                    total += weight * maps[row]
+                before, scaled = (rows, weights), total / total.max()
+            summed.append(scaled)
+        return np.stack(summed)
 
     def save(self, directory: Path) -> None:
         """Store which rows of which data set these are, without the maps."""
@@ -97,7 +115,10 @@ class NoOptions:
 
 
 class TransmitterLookup:
-    """A predictor that learns nothing, without its `predict`; that one looks up training samples in `transmitters`."""
+    """A predictor that learns nothing: subclasses say which training samples a query's map is the sum of.
+
+    They look them up in `transmitters`. One whose maps are no such sums has a `predict` of its own.
+    """
 
     Config: ClassVar[type] = NoOptions
     num_parameters = 0
@@ -109,6 +130,16 @@ class TransmitterLookup:
         """Remember which rows were trained on."""
         self.transmitters = TrainingTransmitters(train)
         yield Progress(step=1, loss=math.nan)
+
+    def weighted(self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> WeightedRows:
+        """The training rows whose maps are summed for a query, and the weight of each."""
+        raise NotImplementedError
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[NDArray[np.float32], "B E A"]:
+        """For each query, the weighted sum of training maps, scaled to peak 1."""
+        return self.transmitters.sums(map(self.weighted, tx_position_m, carrier_hz))
 
     def save(self, directory: Path) -> None:
         """Store the configuration and which rows were trained on."""

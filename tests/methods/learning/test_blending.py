@@ -154,7 +154,10 @@ def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
     class RightAt(TransmitterLookup):
         def predict(self, tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
             is_known = (tx_position_m[:, None] == known_m).all(-1).any(1)
-            return np.where(is_known[:, None, None], truth(tx_position_m, carrier_hz), np.float32(1))
+            maps = np.where(is_known[:, None, None], truth(tx_position_m, carrier_hz), np.float32(1))
+            known = self.transmitters.train if hasattr(self, "transmitters") else train
+            every = train.grid.shape[0] // known.grid.shape[0]  # of rows, on a coarse grid
+            return maps[:, ::every, ::every]
 
     return RightAt
 
@@ -177,6 +180,16 @@ def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(train: PasDa
         learned = right_at(train, transmitters)()
         blend = Blend.chosen((right_at(train, ()),), train, holdout, learned.predict)
         assert blend.choices[KINDS[1]].weight == weight
+
+
+def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[int] = []
+    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
+    with monkeypatch.context() as patched:
+        stored = PasDataset.pas
+        patched.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
+        Blend.chosen(TRIVIAL, train, holdout, told(noise))
+    assert 0 < len(read) == len(set(read)) <= len(train)
 
 
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
 from itertools import count
 from pathlib import Path
@@ -64,6 +66,27 @@ def test_sixty_steps_lower_the_loss(method: type[LearnedMethod], dataset: PasDat
     model = tiny(method, ssim_weight=0.0, learning_rate=0.01)
     losses = [point.loss for point in trained(model, dataset, 60)]
     assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])  # the worst of eight seeds came to 0.78
+
+
+def test_a_fit_makes_the_steps_of_torchs_adam_without_importing_its_compiler(dataset: PasDataset) -> None:
+    code = f"""
+import sys, torch
+from xfreqbench.baselines.xfreq_gs import XFreqGS
+from xfreqbench.data.dataset import open_dataset
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.fitting import fit_within
+from xfreqbench.methods.learning.training import Adam
+fit_within(XFreqGS(XFreqGS.Config(**{TINY})), open_dataset({str(dataset.path)!r}), Budget(max_steps=2), 0)
+assert "torch._dynamo" not in sys.modules
+ours, theirs = (torch.nn.Parameter(torch.linspace(-1, 1, 9)) for _ in range(2))
+for parameter, kind in ((ours, Adam), (theirs, torch.optim.Adam)):
+    optimizer = kind([{{"params": [parameter], "lr": 0.1}}], fused=True)
+    for _ in range(3):
+        parameter.grad = parameter.detach() ** 2 - 0.1
+        optimizer.step()
+assert torch.equal(ours, theirs)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @every_method

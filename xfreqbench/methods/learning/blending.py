@@ -20,7 +20,8 @@ from pydantic import BaseModel, ConfigDict
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.learning.mixing import WEIGHTS, Predict, mixed, similarities, similarities_by_weight
+from xfreqbench.methods.learning.coarse import CoarseDataset
+from xfreqbench.methods.learning.mixing import STRIDE, WEIGHTS, Predict, mixed, similarities, similarities_by_weight
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps
 
@@ -139,18 +140,19 @@ class Blend:
         transmitters, a fifth of them unseen in turn, and the weight the smallest that is not worse than the best by
         more than the standard error of their difference.
         """
-        left = train.subset(holdout.left)
+        coarse = CoarseDataset.of(train, STRIDE)
+        left = coarse.subset(holdout.left)
         knowing = {predictor.__name__: _knowing(predictor, left).predict for predictor in predictors}
         choices = dict(before)
         for kind, of_kind in holdout.rows.items():
             if len(of_kind) < _LEAST_ROWS:
                 continue
-            rows = train.subset(of_kind)
+            rows = coarse.subset(of_kind)
             are_few = len(np.unique(rows.tx_index)) < _FEW_TX
             known = knowing
             if are_few and kind in KINDS[1:3]:
                 unseen_hz = rows.carrier_hz[0] if kind == KINDS[2] else None
-                name = _best_at_unseen(predictors, train, unseen_hz)
+                name = _best_at_unseen(predictors, coarse, unseen_hz)
                 known = {name: knowing[name]}
             choices[kind] = _best(rows, predict, known, is_cautious=are_few)
         return cls(predictors, train, choices)
@@ -207,7 +209,7 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
             continue
         for predictor in predictors:
             maps = _knowing(predictor, left).predict(rows.tx_position_m, rows.carrier_hz)
-            sums[predictor.__name__] += similarities(maps, rows.pas()).sum()
+            sums[predictor.__name__] += similarities(maps, rows.pas(), 1).sum()
     return max(sums, key=lambda name: sums[name])
 
 
@@ -218,9 +220,9 @@ def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *,
     smallest.
     """
     query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
-    learned, maps = predict(*query), {name: known(*query) for name, known in trivial.items()}
-    name = max(maps, key=lambda name: similarities(maps[name], truth).mean())
-    similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth), strict=True))
+    learned, maps = predict(*query)[:, ::STRIDE, ::STRIDE], {name: known(*query) for name, known in trivial.items()}
+    name = max(maps, key=lambda name: similarities(maps[name], truth, 1).mean())
+    similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth, 1), strict=True))
     best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
         best = next(weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index))

@@ -10,9 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from xfreqbench.maps.metrics import SSIM_WINDOW
-from xfreqbench.methods.learning.loss_kernels import ssim_and_l1
-
-SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for a data range of 1
+from xfreqbench.methods.learning.loss_kernels import SSIM_C1, c2_of_view, ssim_and_l1
 
 
 def map_loss(
@@ -44,7 +42,7 @@ def ssim_of_each(
     much within the window as within the score's window of 7 × 7. C₂ is multiplied by that, where it is above 1, so
     that slopes are weighed against it as the score weighs them.
     """
-    c2 = _c2_of_view(window, stride)
+    c2 = c2_of_view(window, stride)
     unbiased = window**2 / (window**2 - 1)
     mean_x, mean_y = _box(predicted, window), _box(truth, window)
     variance_x = unbiased * (_box(predicted * predicted, window) - mean_x * mean_x)
@@ -55,11 +53,6 @@ def ssim_of_each(
     return (luminance * structure).mean(dim=(1, 2))
 
 
-def _c2_of_view(window: int, stride: int) -> float:
-    """C₂ for windows of a view; see `ssim_of_each`."""
-    return SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
-
-
 class _MapLoss(torch.autograd.Function):
     """`map_loss` on a processor: the loss and its slope by `predicted` in one pass, by a compiled kernel."""
 
@@ -68,7 +61,7 @@ class _MapLoss(torch.autograd.Function):
         maps = predicted.detach().contiguous()
         slope = torch.empty_like(maps)
         arrays = maps.numpy(), truth.detach().contiguous().numpy()
-        c2 = _c2_of_view(window, stride)
+        c2 = c2_of_view(window, stride)
         ssim, l1 = ssim_and_l1(*arrays, window, SSIM_C1, c2, ssim_weight, slope.numpy())
         ctx.save_for_backward(slope)
         return predicted.new_tensor((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim))

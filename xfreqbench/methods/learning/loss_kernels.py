@@ -1,4 +1,4 @@
-"""Compiled kernel of the loss of Eq. 12, with its slope, in one pass over maps of float32 and in one thread."""
+"""Compiled kernels of SSIM, and of the loss of Eq. 12 with its slope: one pass over float32 maps, in one thread."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from xfreqbench.maps.metrics import SSIM_WINDOW
+
 F32 = NDArray[np.float32]
 FAST = {"nsz", "arcp", "contract", "reassoc"}  # not nnan: a loss that is not finite has to show
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for a data range of 1
 _NUM_MEANS = 5  # of x, y, x², y² and xy over a window
 _NUM_SLOPES = 3  # ∂SSIM/∂x = a + b x + c y within a window
+
+
+def c2_of_view(window: int, stride: int) -> float:
+    """C₂ for windows of a view; see `loss.ssim_of_each`."""
+    return SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -32,6 +40,24 @@ def ssim_and_l1(
             ssim += _ssim_of_windows(means, window, np.float32(c1), np.float32(c2), of_windows)
             _add_slopes(x, y, row, window, of_ssim, of_windows, summed, of_map)
     return ssim / num_windows, l1 / predicted.size
+
+
+def similarities(predicted: F32, truth: F32, window: int = SSIM_WINDOW, stride: int = 1) -> NDArray[np.float64]:
+    """SSIM of each of n maps (n, E, A), contiguous, with the true ones: as `loss.ssim_of_each`, without its slope."""
+    return _ssim_of_maps(predicted, truth, window, SSIM_C1, c2_of_view(window, stride))
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _ssim_of_maps(predicted: F32, truth: F32, window: int, c1: float, c2: float) -> NDArray[np.float64]:
+    num_maps, rows, columns = predicted.shape
+    down, across = rows - window + 1, columns - window + 1
+    of_columns, means = (np.empty((_NUM_MEANS, columns), np.float32), np.empty((_NUM_MEANS, across), np.float32))
+    slopes, ssim = np.empty((_NUM_SLOPES, across), np.float32), np.zeros(num_maps)
+    for nth in range(num_maps):
+        for row in range(down):
+            _means_of_windows(predicted[nth], truth[nth], row, window, of_columns, means)
+            ssim[nth] += _ssim_of_windows(means, window, np.float32(c1), np.float32(c2), slopes)
+    return ssim / (down * across)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from xfreqbench.methods.learning.loss import ssim_of_each
+from xfreqbench.methods.learning import loss_kernels
 from xfreqbench.types import FloatArray, Maps
 
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps; one of them is chosen
-_STRIDE, _WINDOW = 3, 3  # of the SSIM that compares maps
-_AT_ONCE = 64
+STRIDE, _WINDOW = 3, 3  # of the SSIM that compares maps
 _TINY = 1e-12  # peak of a map where no path arrives
 
 Predict = Callable[[Float[FloatArray, "B 3"], Float[FloatArray, "B"]], Maps]
@@ -29,16 +27,16 @@ def mixed(
     return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)
 
 
-def similarities(maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]) -> Float[FloatArray, "n"]:
-    """SSIM of each of n maps, coarsely."""
-    compared = (np.ascontiguousarray(of_all[:, ::_STRIDE, ::_STRIDE]) for of_all in (maps, truth))
-    parts = (torch.as_tensor(coarse).split(_AT_ONCE) for coarse in compared)
-    similar = [ssim_of_each(shown, true, _WINDOW, _STRIDE) for shown, true in zip(*parts, strict=True)]
-    return torch.cat(similar).numpy().astype(np.float64)
+def similarities(
+    maps: Float[Maps, "n E A"], truth: Float[Maps, "n E A"], stride: int = STRIDE
+) -> Float[FloatArray, "n"]:
+    """SSIM of each of n maps, coarsely: on every `stride`-th row and column, 1 for maps of every third one."""
+    shown, true = (np.ascontiguousarray(of_all[:, ::stride, ::stride], np.float32) for of_all in (maps, truth))
+    return loss_kernels.similarities(shown, true, _WINDOW, STRIDE)
 
 
 def similarities_by_weight(
-    learned: Float[Maps, "n E A"], other: Float[Maps, "n E A"], truth: Float[Maps, "n E A"]
+    learned: Float[Maps, "n E A"], other: Float[Maps, "n E A"], truth: Float[Maps, "n E A"], stride: int = STRIDE
 ) -> Float[FloatArray, "W n"]:
-    """SSIM of n mixed maps, coarsely, for each of `WEIGHTS`."""
-    return np.array([similarities(mixed(weight, learned, other), truth) for weight in WEIGHTS])
+    """SSIM of n mixed maps, coarsely as by `similarities`, for each of `WEIGHTS`."""
+    return np.array([similarities(mixed(weight, learned, other), truth, stride) for weight in WEIGHTS])

@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
+from inspect import unwrap
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -67,6 +68,13 @@ class TrainingConfig:
         Literal["auto", "none"], Doc("with the best trivial predictor, by weights from validation rows")
     ] = "none"
     device: Annotated[str, Doc("where it computes: cpu, cuda or cuda:0")] = "cpu"
+
+
+class Adam(torch.optim.Adam):
+    """Adam as it is, without torch's compiler around it, whose import takes seconds and which nothing uses here."""
+
+    add_param_group = unwrap(torch.optim.Optimizer.add_param_group)
+    step = torch.no_grad()(unwrap(torch.optim.Adam.step))
 
 
 class ChannelField(nn.Module):
@@ -291,7 +299,7 @@ class LearnedMethod:
 
     def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
         """Adam for the field's parameters, without any moments yet."""
-        optimizer = torch.optim.Adam(field.parameter_groups(self.config.learning_rate), fused=True)
+        optimizer = Adam(field.parameter_groups(self.config.learning_rate), fused=True)
         for group in optimizer.param_groups:
             group["initial_lr"] = group["lr"]
         return optimizer
@@ -333,7 +341,7 @@ class LearnedMethod:
         """Make one step; return the loss before it."""
         share, before = training.share, list(training.field.parameters())
         loss = self.batch_loss(training, targets)
-        training.optimizer.zero_grad(set_to_none=True)
+        training.field.zero_grad(set_to_none=True)
         loss.backward()
         training.step += 1
         _require_finite(training, loss)
