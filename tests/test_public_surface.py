@@ -91,8 +91,9 @@ def test_functions_are_not_mistaken_for_the_modules_of_their_names() -> None:
 
 
 def test_a_name_that_there_is_not_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no_such_name"):
-        _ = xb.no_such_name  # type: ignore[attr-defined]
+    for name, hint in {"no_such_name": "docs/api.md", "load_dataset": "Did you mean 'open_dataset'"}.items():
+        with pytest.raises(AttributeError, match=rf"{name}.*{hint}"):
+            getattr(xb, name)
 
 
 def test_the_import_brings_nothing_heavy_and_of_ours_the_places_of_caches_alone() -> None:

@@ -40,12 +40,28 @@ def was_interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
+_OTHER_WORDS = {  # what others say, and the name of it here
+    "leave-one-out": "lofo",
+    "leave-one-frequency-out": "lofo",
+    "random": "random-samples",
+    "reflection": "specular",
+    "reflections": "specular",
+    "scattering": "diffuse",
+    "transmission": "refraction",
+    "drywall": "plasterboard",
+    "gypsum": "plasterboard",
+    "aluminium": "metal",
+    "steel": "metal",
+}
+
+
 class UnknownNameError(XFreqBenchError):
     """There is no such `kind` of thing as `given`; the message names the nearest of `choices`, and all of them."""
 
     def __init__(self, kind: str, given: str, choices: Iterable[str]) -> None:
         known = sorted(choices)
-        nearest = difflib.get_close_matches(given, known, n=1, cutoff=0.4)
+        meant = _OTHER_WORDS.get(given.lower().replace("_", "-").replace(" ", "-"))
+        nearest = [meant] if meant in known else difflib.get_close_matches(given, known, n=1, cutoff=0.4)
         hint = f" Did you mean {nearest[0]!r}?" if nearest else ""
         super().__init__(f"There is no {kind} {given!r}.{hint} Choose one of: {', '.join(known)}.")
         self._arguments = kind, given, known

@@ -78,6 +78,13 @@ def test_what_is_not_there_is_an_index_error_that_says_what_is(dataset: PasDatas
         dataset[rows]  # type: ignore[call-overload]
 
 
+def test_a_read_of_more_than_a_gigabyte_is_warned_of(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xfreqbench.data.dataset._WARNED_BYTES", 11 * 4 * 90 * 360)
+    dataset.pas(range(11))
+    with pytest.warns(UserWarning, match=r"reads 12 maps of .*pas\(rows\) reads some of them"):
+        dataset.pas()
+
+
 def test_a_notebook_shows_names_as_they_are(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>\n"
     header = replace(make_header(), scene_name=hostile)

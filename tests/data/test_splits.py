@@ -100,8 +100,23 @@ def test_missing_carriers_are_named(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5")
     with pytest.raises(ProtocolError, match=r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"):
         make_splits(dataset, "lofo")
-    with pytest.raises(ProtocolError, match=r"needs 24.25, 60, 94 GHz"):
+    with pytest.raises(
+        ProtocolError, match=r"tests 24.25 GHz and trains on 10, 37 GHz; or .*carriers 10,24.25,37 \(in"
+    ):
         make_splits(dataset, "sparse")
+
+
+def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0, 24.25, 37.0))
+    assert [split.name for split in make_splits(dataset, "sparse")] == ["sparse-24.25GHz-from-10-37GHz"]
+    with pytest.raises(ProtocolError, match=r"trains on 10, 37, 94 GHz; or .*carriers 10,24.25,37,94 \(in GHz\)"):
+        make_splits(dataset, "sparse", on="validation")
+
+
+@pytest.mark.parametrize(("said", "name"), [("leave-one-out", "lofo"), ("Random", "random-samples"), ("lof", "lofo")])
+def test_a_protocol_by_the_name_that_others_give_it_is_told(dataset: PasDataset, said: str, name: str) -> None:
+    with pytest.raises(UnknownNameError, match=f"Did you mean '{name}'"):
+        make_splits(dataset, said)
 
 
 def test_one_carrier_alone_cannot_be_left_out(tmp_path: Path) -> None:

@@ -37,7 +37,12 @@ ANSWERED = {  # call: what is asked of its answer
     "xb.leaderboard(xb.run(data, ['nearest'], targets_ghz='all'))": "'nearest' in str(answer)",
     "xb.metrics.ssim(maps.tolist(), maps, data.grid)": "(answer == 1).all()",
     "xb.score(data.pas(split.test).tolist(), split, data)['ssim']": "(answer == 1).all()",
+    "xb.run(data, Mine, targets_ghz=10)": "answer[0].job.method == '__main__:Mine' and len(repr(answer)) < 200",
+    "xb.run(data, {Nearest: {}}, targets_ghz=10)": "answer[0].job.method == 'nearest'",
+    "repr(split)": "answer == \"<Split 'lofo-10GHz': 8 samples to train on, 4 to test on>\"",
     "data.plot(np.int64(-1))": "len(answer.axes) == 2",
+    "data[3:].to_xarray().sel(sample=4)": "(answer.pas == data.pas(4)[0]).all() and answer.carrier_hz == data.carrier_hz[4]",
+    "data.to_xarray().tx_position_m": "answer.units == 'm' and answer.dims == ('sample', 'axis')",
     "beam.maps(data.cfr[:2].tolist())": "answer[0].shape == (2, 90, 360)",
     "xb.AngularGrid([0, 1], [0, 1, 2]).directions": "answer.shape == (2, 3, 3)",
 }
@@ -49,6 +54,7 @@ REFUSED = {  # call: what the error says
     "xb.make_tracer(scene, [24.25e9])": "Was that hertz?",
     "xb.make_tracer(scene, [])": "freqs_ghz=[]: Value should have at least 1 item",
     "xb.make_tracer(scene, [1], xb.TraceSettings(solver='imag'))": "Did you mean 'image'",
+    "xb.generate('empty', 'x.h5', [2.4], interactions=['reflection'])": "Did you mean 'specular'?",
     "xb.load_scene(3)": "name_or_path=3",
     "xb.load_scene(Path('x.toml'))": "cannot be read",
     "xb.parse_scene(Path('x.toml'))": "Input should be a valid string",
@@ -68,7 +74,12 @@ REFUSED = {  # call: what the error says
     "xb.run(data)": "run needs methods",
     "xb.run(data, 3)": "3 in methods",
     "xb.run(data, 'nearest', targets_ghz=10e9)": "Was that hertz? Then it is 10 in GHz",
-    "xb.run(data, xb.Budget)": "methods=<class",
+    "xb.run(data, xb.Budget, targets_ghz=10)": "contract:Budget' lacks fit, predict, save, load",
+    "xb.run(data, type('Lost', (), {}))": "Define it at the top level of a module",
+    "xb.run(data, Mine, targets_ghz=10, executor=2)": "Put the class into a module",
+    "xb.run(data, method='nearest')": "run takes no 'method'. Did you mean methods?",
+    "xb.run(data, 'nearest', seed=1)": "run takes no 'seed'. Did you mean seeds?",
+    "xb.generate('empty', 'x.h5', freqs=[2.4])": "generate takes no 'freqs'. Did you mean freqs_ghz?",
     "xb.run(data, 'nearest', on='valid')": "'test' or 'validation'",
     "xb.run(data, 'nearest', targets_ghz=10, on='validation')": "there must be 3 or more",
     "xb.run(data, 'nearest', seeds=[-1])": "-1 in seeds: Input should be greater than or equal to 0",
@@ -86,7 +97,7 @@ REFUSED = {  # call: what the error says
     "xb.read_records(None)": "results=None",
     "xb.leaderboard([])": "none are given",
     "xb.leaderboard(3)": "results=3",
-    "xb.check_method(3)": "name=3: Input should be a valid string",
+    "xb.check_method(3)": "method=3: Input should be a valid string",
     "xb.Budget('5m')": "'5m' in place of a budget",
     "xb.Budget(max_steps=0)": "a number above 0",
     "xb.metrics.ssim(maps[0], maps[0], data.grid)": "(N, 90, 360) on this grid, but predicted has shape (90, 360)",
@@ -106,6 +117,10 @@ import json, sys
 from pathlib import Path
 import numpy as np
 import xfreqbench as xb
+from xfreqbench.baselines.nearest import Nearest
+
+class Mine(Nearest):
+    pass
 
 data, scene = xb.open_dataset("data.h5"), xb.load_scene("empty")
 tracer, maps = xb.make_tracer(scene, [24.25]), data.pas([0, 1])

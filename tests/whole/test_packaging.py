@@ -16,6 +16,12 @@ def test_every_package_is_in_the_wheel() -> None:
     assert set(listed) == packages | {"xfreqbench.examples", "xfreqbench.scenes"}
 
 
+def test_a_type_checker_reads_the_types_of_an_installed_package() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert "py.typed" in settings["package-data"]["xfreqbench"]
+    assert (ROOT / "xfreqbench" / "py.typed").is_file()
+
+
 def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     """`constraints.txt` pins versions of dependencies; `pyproject.toml` says which ones may be installed."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -6,11 +6,13 @@ published as maps alone has no channels, and is read in the same way.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from importlib.metadata import entry_points
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
@@ -45,8 +47,19 @@ from xfreqbench.data.paths import (
 )
 from xfreqbench.data.recipe import Recipe, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
-from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
-from xfreqbench.errors import DataError
+from xfreqbench.data.schema import (
+    AXIS,
+    AZIMUTH,
+    CARRIER,
+    ELEMENT,
+    ELEVATION,
+    SCHEMA,
+    TX,
+    DatasetHeader,
+    constants,
+    variables,
+)
+from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam, power_of
 from xfreqbench.maps.drawing import map_figure
 from xfreqbench.maps.grid import AngularGrid
@@ -63,6 +76,7 @@ SAME_PLACE_M = 1e-3
 TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _ITERATED_MAPS = 64  # read at once: 8 MB
 _SHOWN_CARRIERS = 12
+_WARNED_BYTES = 1e9  # of maps that are read at once
 
 
 class Sample(NamedTuple):
@@ -260,9 +274,16 @@ class PasDataset:
     def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
         """Maps of some samples, with peak 1; one number gives (1, E, A). Raises `DataError` and `IndexError`.
 
-        A map takes 130 kB of memory: see `batches`.
+        A map takes 130 kB of memory: see `batches`. Above a gigabyte it warns.
         """
         rows = chosen_rows(rows, len(self))
+        num_bytes = len(self.rows[rows]) * 4 * prod(self.grid.shape)
+        if num_bytes > _WARNED_BYTES:
+            warnings.warn(
+                f"pas() reads {len(self.rows[rows])} maps of {self.path}, {num_bytes / 1e9:.1f} GB. pas(rows) reads "
+                "some of them, as in pas([0, 7]) or pas(slice(0, None, 5)), and batches(64) one part after the other.",
+                stacklevel=2,
+            )
         if not self.header.maps:
             return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
         asked = self.rows[rows].tolist()
@@ -272,6 +293,38 @@ class PasDataset:
             for index, row in enumerate(asked):
                 maps[index] = stored[divmod(row, self.num_carriers)]
         return maps
+
+    def to_xarray(self) -> Any:
+        """The samples as an `xarray.Dataset` along `sample`, with the names, units and angles of the file.
+
+        Coordinates of a sample are its transmitter `tx`, its position (x, y, z) and its carrier. All maps are read: for
+        some, take a subset first, as in `data[:50].to_xarray()`. Raises as `pas` does, and `XFreqBenchError` where
+        xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise XFreqBenchError("to_xarray needs xarray. Run: pip install xarray") from error
+        dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
+        told = {variable.name: variable for variable in variables(self.header, self.grid)}
+        where = {TX: self.tx_index, CARRIER: self.carrier_hz, "tx_position_m": self.tx_position_m}
+        of_samples = where | {
+            "line_of_sight": self.line_of_sight,
+            "peak_power": self.peak_power,
+            "num_paths": self.num_paths,
+            **({"cfr": self.cfr} if self.header.channels else {}),
+            "pas": self.pas(),
+        }
+        arrays = {
+            name: (dims.get(name, "sample"), values, {"units": told[name].units, "long_name": told[name].long_name})
+            for name, values in of_samples.items()
+        }
+        angles = {ELEVATION: np.degrees(self.grid.elevation_rad), AZIMUTH: np.degrees(self.grid.azimuth_rad)}
+        axes = {name: (name, values, {"units": told[name].units}) for name, values in angles.items()}
+        title = {"scene": self.header.scene_name, "recipe": self.recipe.name, "source": str(self.path)}
+        return xarray.Dataset(arrays, axes | {AXIS: ["x", "y", "z"], "sample": self.rows}, title).set_coords(
+            list(where)
+        )
 
     def plot(self, sample: int) -> Any:
         """A Matplotlib figure of the map of a sample, by its number: a disc seen from the pole, in dB below the peak.
@@ -346,7 +399,9 @@ class PasDataset:
     def torch(self) -> Any:
         """The samples as a `torch.utils.data.Dataset`: each is (map, tx_position_m, carrier_hz, cfr), as tensors.
 
-        A `DataLoader` takes it, with forked or spawned workers too. It is `TensorSamples` of
+        A `DataLoader` takes it, with forked or spawned workers too. Reading a map takes a tenth of a millisecond of a
+        core, and handing it over from a worker as much again: workers relieve a busy training loop of half of it, and
+        slow an idle one down. It is `TensorSamples` of
         `xfreqbench.methods.learning.samples`, found by its entry point: this floor knows no PyTorch. Raises
         `DataError` where the installation lacks the entry point.
         """

@@ -80,7 +80,7 @@ TargetsGhz = Literal["all"] | CarriersGhz | None
 ScoredOn = Literal["test", "validation"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Split:
     """The samples to train on and to test on, by their numbers in the data set.
 
@@ -129,6 +129,9 @@ class Split:
         distance_m = float(np.median(trained_positions.query(dataset.tx_position_m[test])[0]))
         return cls(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared, distance_m)
 
+    def __repr__(self) -> str:
+        return f"<Split {self.name!r}: {len(self.train)} samples to train on, {len(self.test)} to test on>"
+
     @cached_property
     def sha256(self) -> str:
         """Hash of the name, the protocol, its version, and the numbers of all samples."""
@@ -149,17 +152,34 @@ def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> 
 def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
     """Train on all samples at two, three or five carriers (the paper's), test all at another carrier.
 
-    Returns three splits. It leaks places: every tested transmitter is trained on at the training carriers. Raises
-    `ProtocolError` where the data lack one of the carriers.
+    Returns the splits of which the data have all carriers. It leaks places: every tested transmitter is trained on at
+    the training carriers. Raises `ProtocolError` where there is no such split.
     """
-    trainings = [[ghz_to_hz(carrier) for carrier in training] for training in SPARSE_TRAINING_GHZ]
-    _require_carriers(dataset, "sparse", sorted({test_hz, *trainings[-1], *trainings[1]}))
+    trainings = list(map(_in_hz, SPARSE_TRAINING_GHZ))
+    served = [training_hz for training_hz in trainings if np.isin([test_hz, *training_hz], dataset.carrier_hz).all()]
+    if not served:
+        raise _sparse_error(dataset, test_hz, trainings)
     splits = []
-    for training_hz in trainings:
+    for training_hz in served:
         name = f"sparse-{_dense(format_ghz(test_hz))}-from-{_dense(format_ghz_list(training_hz))}"
         trained = np.isin(dataset.carrier_hz, training_hz)
         splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == test_hz))
     return splits
+
+
+def _in_hz(carriers_ghz: Sequence[float]) -> list[float]:
+    return list(map(ghz_to_hz, carriers_ghz))
+
+
+def _sparse_error(dataset: PasDataset, test_hz: float, trainings: Sequence[Sequence[float]]) -> ProtocolError:
+    """What to generate for at least one split that tests at a carrier and trains at some of several sets of them."""
+    trained = "; or ".join(map(format_ghz_list, trainings))
+    asked = ",".join(f"{carrier / 1e9:g}" for carrier in sorted([test_hz, *trainings[0]]))
+    return ProtocolError(
+        f"Protocol 'sparse' tests {format_ghz(test_hz)} and trains on {trained}, but the data set has "
+        f"{format_ghz_list(np.unique(dataset.carrier_hz))}. Generate data with the carriers {asked} (in GHz) or more, or "
+        "run protocol 'lofo' with targets that the data set has."
+    )
 
 
 def held_out_tx(dataset: PasDataset) -> list[Split]:
@@ -250,7 +270,10 @@ def make_splits(
     if on == "test":
         return splits
     if protocol == "sparse":
-        splits = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
+        inner = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
+        if not inner:
+            raise _sparse_error(dataset, SPARSE_TEST_HZ, list(map(_in_hz, SPARSE_TRAINING_GHZ[1:])))
+        splits = inner
     return [_validation_split(dataset, split) for split in splits]
 
 
@@ -414,7 +437,7 @@ def _require_carriers(dataset: PasDataset, protocol: str, needed_hz: Sequence[fl
     if missing:
         raise ProtocolError(
             f"Protocol {protocol!r} needs {format_ghz_list(missing)}, but the data set has "
-            f"{format_ghz_list(present)}. Generate those carriers too, or choose other targets."
+            f"{format_ghz_list(present)}. Choose targets that it has, or generate those carriers too."
         )
 
 

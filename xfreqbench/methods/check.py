@@ -21,7 +21,7 @@ from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Method, Progress
 from xfreqbench.methods.fitting import checked_num_parameters, fit_within, predict_checked
 from xfreqbench.methods.guard import method_code
-from xfreqbench.methods.registry import build_method
+from xfreqbench.methods.registry import build_method, name_of
 from xfreqbench.system.arguments import Texts, checked
 from xfreqbench.types import IntArray
 from xfreqbench.units import ghz_to_hz
@@ -59,14 +59,14 @@ class CheckResult:
 
 
 @checked
-def check_method(name: str, overrides: Texts = ()) -> list[CheckResult]:
-    """Check a method, given by name or as `package.module:Class`; returns a result for each requirement.
+def check_method(method: str | type, overrides: Texts = ()) -> list[CheckResult]:
+    """Check a method, given by name, as `package.module:Class` or as a class; returns a result for each requirement.
 
     The checks construct, fit, predict and save, in this order, and end early for a method that cannot be
     constructed or fitted, or does not predict maps. Raises `UnknownNameError` for an unknown name or option.
     """
     with tempfile.TemporaryDirectory() as folder:
-        trial = _Trial(name, tuple(overrides), Path(folder))
+        trial = _Trial(name_of(method), tuple(overrides), Path(folder))
         trial.working_folder.mkdir()
         return list(_results(trial))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from inspect import getdoc
+from inspect import getdoc, getsource
 from pathlib import Path
 from typing import Any, cast
 
@@ -56,6 +58,19 @@ def method_description(name: str) -> tuple[str, list[OptionRow]]:
 
 def _docstring(named: Any) -> str:
     return readable(getdoc(named) or "")
+
+
+def name_of(method: str | type) -> str:
+    """The name by which `resolve_method` finds a method: a class's entry point or `package.module:Class`; a text stays.
+
+    Raises `MethodError` for a class that cannot be found by its name, such as one defined in a function.
+    """
+    if isinstance(method, str):
+        return method
+    name = f"{method.__module__}:{method.__qualname__}"
+    if getattr(sys.modules.get(method.__module__), method.__qualname__, None) is not method:
+        raise MethodError(f"Class {name!r} cannot be found by this name. Define it at the top level of a module.")
+    return next((entry.name for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.value == name), name)
 
 
 def resolve_method(name: str) -> Callable[..., Method]:
@@ -145,11 +160,16 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
 
 
 def code_sha256(method: Method) -> str:
-    """Hash of the code that a method's `fit` and `predict` can reach; a class typed into a shell has none of its own.
+    """Hash of the code that a method's `fit` and `predict` can reach; of a class in a notebook, its own text alone.
 
     It covers the modules of the method's class and of its bases, and all that they import, in whichever
     folder: of `xfreqbench`, of the method's own package, and of files beside it that are not an installed library.
     Libraries such as PyTorch are not part of it; their versions stand in every record.
     `xfreqbench.system.source` says how imports are followed, and which of them cannot be seen.
     """
-    return reachable_sha256(base.__module__ for base in type(method).__mro__)
+    found = reachable_sha256(base.__module__ for base in type(method).__mro__)
+    if getattr(sys.modules.get(type(method).__module__), "__file__", None):
+        return found
+    with suppress(OSError, TypeError):  # a class typed into a plain shell has no text
+        found = hashlib.sha256(f"{found}{getsource(type(method))}".encode()).hexdigest()
+    return found

@@ -14,6 +14,7 @@ from typing import Any
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
 from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
+from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Method
@@ -115,6 +116,16 @@ def protocol_tasks(
         for seed in seeds
         for split in splits
     ]
+
+
+def require_importable(tasks: Sequence[Task]) -> None:
+    """Raise `MethodError` for a method that other processes cannot import, as it is defined in the running program."""
+    for name in {task.job.method for task in tasks}:
+        if name.startswith("__main__:"):
+            raise MethodError(
+                f"Method {name!r} is defined in the running program, where workers do not see it. Put the class into a "
+                "module and import it from there, or run with executor='serial'."
+            )
 
 
 def require_runnable(tasks: Sequence[Task], folder: ResultsFolder) -> None:

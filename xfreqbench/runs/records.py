@@ -246,6 +246,17 @@ class RunRecord(SealedModel):
     external: External | None = None
     fit_processor_seconds: Seconds | None = None
 
+    def __repr__(self) -> str:
+        job, ssim = self.job, self.scores.get("ssim")
+        score = f"median SSIM {ssim.median:.4f}, " if ssim else ""
+        options = f" ({', '.join(job.overrides)})" if job.overrides else ""
+        return (
+            f"<RunRecord {self.id}: {job.method}{options} on {job.split} of {self.scene}, seed {job.seed}, "
+            f"{score}{self.num_test} test samples>"
+        )
+
+    __str__ = __repr__
+
     @property
     def core_share(self) -> float:
         """Processor time of the fit by its wall time; nan where it is not known, and for fits of under a second.

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 from uuid import uuid4
 
-from pydantic import InstanceOf
+from pydantic import BeforeValidator, InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import ScoredOn, TargetsGhz
@@ -33,29 +33,30 @@ from xfreqbench.errors import (
 from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
 from xfreqbench.methods.guard import plain_json
-from xfreqbench.methods.registry import device_option, method_names
+from xfreqbench.methods.registry import device_option, method_names, name_of
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import Task, protocol_tasks, require_runnable
+from xfreqbench.runs.jobs import Task, protocol_tasks, require_importable, require_runnable
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
-from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked
+from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
 from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.system.files import read_text, storage_errors
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
 
 _LOOK_S = 0.5  # between two looks at what other processes are at
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
+Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str | type, Options]
 
 
 @checked
 def run(
     data: FilePath | InstanceOf[PasDataset],
-    methods: Texts | Mapping[str, Options],
+    methods: Methods,
     protocol: str = "lofo",
     results: FilePath = "results",
     *,
@@ -69,9 +70,9 @@ def run(
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
-    `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; as
-    a mapping it gives each name its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts
-    `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
+    `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; a class
+    stands for its name. As a mapping it gives each its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or
+    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
@@ -85,12 +86,14 @@ def run(
     run raises its own error.
     """
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device)
+    if executor != SERIAL:
+        require_importable(tasks)
     return run_shown(tasks, Path(results), executor, progress)
 
 
 def asked_tasks(
     data: str | Path | PasDataset,
-    methods: Sequence[str] | Mapping[str, Options],
+    methods: Methods,
     protocol: str,
     targets_ghz: TargetsGhz,
     on: ScoredOn,
@@ -109,7 +112,8 @@ def asked_tasks(
         data = data.path
     if not isinstance(methods, Mapping):
         methods = dict.fromkeys(method_names() if list(methods) == ["all"] else methods, ())
-    named = [(name, (*_texts(given), *device_option(name, device))) for name, given in methods.items()]
+    options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
+    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
     return protocol_tasks(str(data), open_dataset(data), named, protocol, targets_ghz, seeds, limit, on)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -15,11 +17,12 @@ from xfreqbench.units import format_point
 MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
 NEAR_M, NEAR_OVERLAP_M = 1e-3, 0.02  # surfaces that are nearer, and share more, were most likely meant to be one
 MAX_PAIRS = 250_000  # looked at together
+_MAX_NAMED = 10  # overlaps in a message
 _MORTON_BITS = 10  # of each axis
 
 
 def check_overlaps(geometry: Geometry) -> None:
-    """Raise `SceneError` for two surfaces of different slabs that overlap in one plane.
+    """Raise `SceneError` that names the surfaces of different slabs that overlap in one plane, pair by pair.
 
     They are parallel within `PLANE_TOLERANCE`, or what float32 leaves uncertain of the narrower triangle, and the
     smaller triangle lies within as many metres of the plane of the larger.
@@ -29,13 +32,20 @@ def check_overlaps(geometry: Geometry) -> None:
         return
     slabs = slabs_of(geometry.meshes)
     slab = np.array([slabs.index(mesh.slab) for mesh in geometry.meshes])[geometry.mesh_of_triangle]
-    pair = _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M)
-    if pair is not None:
+    found: dict[str, str] = {}  # a place by the two names
+    for pair in _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M):
         a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
+        names = f"{a.name!r} ({a.material}) and {b.name!r} ({b.material})"
+        if names not in found:
+            found[names] = format_point(corners_m[pair[1]].mean(axis=0))
+        if len(found) > _MAX_NAMED:
+            break
+    if found:
+        shown = [f"{names} overlap in one plane, at {place} m" for names, place in [*found.items()][:_MAX_NAMED]]
+        more = ", and more do" if len(found) > _MAX_NAMED else ""
         raise SceneError(
-            f"{a.name!r} ({a.material}) and {b.name!r} ({b.material}) overlap in one plane, at "
-            f"{format_point(corners_m[pair[1]].mean(axis=0))} m: a ray could meet either. Cut the one out of the "
-            "other, set them at least 1 cm apart, or make both of one slab."
+            f"{'; '.join(shown)}{more}: a ray could meet either. Cut the one out of the other, set them at least 1 cm "
+            "apart, or make both of one slab."
         )
 
 
@@ -47,7 +57,7 @@ def nearly_in_one_plane(geometry: Geometry) -> str | None:
     corners_m = triangle_corners_m(geometry.meshes)
     if not len(corners_m):
         return None
-    pair = _overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, NEAR_OVERLAP_M)
+    pair = next(_overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, NEAR_OVERLAP_M), None)
     if pair is None:
         return None
     large_m, small_m = corners_m[list(pair)]
@@ -59,8 +69,8 @@ def nearly_in_one_plane(geometry: Geometry) -> str | None:
 
 def _overlapping(
     corners_m: Float[FloatArray, "K 3 3"], slab: Int[IntArray, "K"], tolerance_m: float, least_shared_m: float
-) -> tuple[int, int] | None:
-    """Two triangles of different slabs that overlap in one plane within a tolerance, the larger first, or None.
+) -> Iterator[tuple[int, int]]:
+    """Every two triangles of different slabs that overlap in one plane within a tolerance, the larger first.
 
     Halves of a sorted list of triangles are compared with each other, and with themselves, and halves of those as long
     as the boxes about them meet. A box holds places, and the feet of perpendiculars from one point, which are the same
@@ -100,10 +110,10 @@ def _overlapping(
         in_plane = (np.abs(height_m).max(axis=1) < tolerance_m) & (tilt <= np.maximum(*tilt_rad[pairs]))
         large, small = large[in_plane], small[in_plane]
         shared_m = _shared_m(corners_m[large], corners_m[small], normal[large])
-        if (shared_m >= least_shared_m).any():
-            widest = shared_m.argmax()
-            return int(large[widest]), int(small[widest])
-    return None
+        for place in np.argsort(-shared_m, kind="stable"):  # the widest overlap first
+            if shared_m[place] < least_shared_m:
+                break
+            yield int(large[place]), int(small[place])
 
 
 def _meeting(box: Float[FloatArray, "n 14"], pairs: Int[IntArray, "2 p"]) -> Int[IntArray, "2 m"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import reprlib
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from functools import cache, wraps
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
@@ -51,13 +52,15 @@ def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
 def _words(function: Callable[..., Any], error: ValidationError) -> str:
     """What is wrong with the first argument that is, from one or more reasons: one for each type it might have had."""
     names = list(inspect.signature(function).parameters)
-    faults = error.errors(include_url=False)
+    faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "unexpected_keyword_argument")
     first, name = faults[0], faults[0]["loc"][0]
     name = names[name] if isinstance(name, int) and name < len(names) else name
     if first["type"] in ("missing_argument", "missing_keyword_only_argument"):
         return f"{function.__name__} needs {name}. It takes {', '.join(names)}."
     if name not in names:
-        return f"{function.__name__} takes no {name!r}. It takes {', '.join(names)}."
+        nearest = get_close_matches(str(name), names, n=1)
+        hint = f" Did you mean {nearest[0]}?" if nearest else ""
+        return f"{function.__name__} takes no {name!r}.{hint} It takes {', '.join(names)}."
     if first["type"] == "unexpected_positional_argument":
         return f"{function.__name__} takes {name} by its name alone: write {name}={reprlib.repr(first['input'])}."
     reasons = dict.fromkeys(
@@ -69,11 +72,11 @@ def _words(function: Callable[..., Any], error: ValidationError) -> str:
     return f"{function.__name__} cannot use {what}: {'; or: '.join([*reasons][:_MAX_REASONS])}."
 
 
-def _each(given: Any) -> Any:
-    """One number or text as a list of one, an array as a list, and anything else as it is."""
+def listed(given: Any) -> Any:
+    """One number, text or class as a list of one, an array as a list, and anything else as it is."""
     if isinstance(given, np.ndarray | np.generic):
         given = given.tolist()
-    return [given] if isinstance(given, int | float | str) else given
+    return [given] if isinstance(given, int | float | str | type) else given
 
 
 def _carrier_ghz(carrier_ghz: float) -> float:
@@ -99,16 +102,16 @@ def _path(given: Any) -> str | Path:
 
 FilePath = Annotated[str | Path, PlainValidator(_path)]
 CarriersGhz = Annotated[
-    Sequence[Annotated[float, AfterValidator(_carrier_ghz)]], BeforeValidator(_each), Field(min_length=1)
+    Sequence[Annotated[float, AfterValidator(_carrier_ghz)]], BeforeValidator(listed), Field(min_length=1)
 ]  # one carrier is a list of one
 Numbers = Annotated[
-    Sequence[Annotated[float, Field(gt=0, le=1e15)]], BeforeValidator(_each), Field(min_length=1)
+    Sequence[Annotated[float, Field(gt=0, le=1e15)]], BeforeValidator(listed), Field(min_length=1)
 ]  # carriers: one number is a list of one
 WholeNumbers = Annotated[
-    Sequence[Annotated[int, Field(ge=0, lt=2**63)]], BeforeValidator(_each), Field(min_length=1)
+    Sequence[Annotated[int, Field(ge=0, lt=2**63)]], BeforeValidator(listed), Field(min_length=1)
 ]  # seeds: one number is a list of one
 Word = Annotated[str, Field(coerce_numbers_to_str=True)]  # or a number in place of its digits
-Texts = Annotated[Sequence[str], BeforeValidator(_each)]  # one text is a list of one
+Texts = Annotated[Sequence[str], BeforeValidator(listed)]  # one text is a list of one
 Positions = Annotated[  # one is a list of one
     Float[FloatArray, "T 3"], PlainValidator(lambda given: np.atleast_2d(_array(given, "(T, 3)")))
 ]

@@ -199,6 +199,7 @@ def _is_idle(path: Path, source: bytes) -> bool:
 
 
 _IDLE_BEGINNINGS = (
+    "def __getattr__(",  # offers names lazily
     "from __future__ ",
     "from typing ",
     "import lazy_loader",
