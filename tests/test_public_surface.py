@@ -23,6 +23,8 @@ PUBLIC = [
     "make_tracer",
     "generate",
     "open_dataset",
+    "load",
+    "fetch",
     "PasDataset",
     "AngularGrid",
     "BartlettBeam",

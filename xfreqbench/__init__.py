@@ -5,11 +5,14 @@ used. Everything else may change.
 """
 
 import os
+import sys
 
 import lazy_loader as lazy
 
 from xfreqbench.system.caches import settle_caches
 
+if sys.platform == "win32":
+    raise ImportError("xfreqbench runs on Linux. On Windows, install it in WSL: run wsl --install, and pip there.")
 settle_caches()  # before any library looks for its own
 
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep

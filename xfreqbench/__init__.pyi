@@ -4,6 +4,8 @@ from . import errors as errors
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
+from .data.shipped import fetch as fetch
+from .data.shipped import load as load
 from .data.splits import Split as Split
 from .data.splits import make_splits as make_splits
 from .data.splits import protocols as protocols

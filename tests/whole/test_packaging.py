@@ -1,11 +1,27 @@
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 import tomllib
+from functools import partial
+from pathlib import Path
+from subprocess import DEVNULL
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.support.places import ROOT
+
+PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
+FIRST_STEPS = """
+import sys, xfreqbench as xb
+assert xb.__file__.startswith(sys.prefix), xb.__file__
+data = xb.load("office")
+assert data.pas(3).max() == 1 and "nearest" in xb.methods() and "lounge" in xb.scenes()
+xb.run(data, "nearest", targets_ghz=[10], results="results", budget="3steps")
+"""
 
 
 def test_every_package_is_in_the_wheel() -> None:
@@ -31,3 +47,30 @@ def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     needed = [Requirement(each) for each in project["dependencies"]]
     allowed = {each.name: each.specifier.contains(pinned[canonicalize_name(each.name)]) for each in needed}
     assert all(allowed.values()), allowed
+
+
+def test_windows_is_told_what_runs_it() -> None:
+    program = "import sys; sys.platform = 'win32'; import xfreqbench"
+    refused = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert refused.stderr.splitlines()[-1].startswith("ImportError: xfreqbench runs on Linux. On Windows, install")
+
+
+@pytest.mark.slow
+def test_the_wheel_of_the_source_archive_works_outside_the_clone(tmp_path: Path) -> None:
+    """In an environment that has our dependencies on its path, but no clone."""
+    run = partial(subprocess.run, check=True, cwd=tmp_path)
+    for name in ("xfreqbench", "baselines", "scenes", "examples"):
+        shutil.copytree(ROOT / name, tmp_path / "source" / name)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path / "source")
+    run([sys.executable, "-m", "build", "--no-isolation", "--outdir", "dist", "source"], stdout=DEVNULL, stderr=DEVNULL)
+    made = sorted((tmp_path / "dist").iterdir())
+    assert [path.suffix for path in made] == [".whl", ".gz"]
+    run([sys.executable, "-m", "twine", "check", "--strict", *made])
+    run([sys.executable, "-m", "venv", "clean"])
+    clean = tmp_path / "clean/bin/python"
+    site = Path(run([clean, "-c", PURELIB], capture_output=True, text=True).stdout.strip())
+    (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    run([clean, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", made[0]])
+    run([clean, "-W", "error", "-c", FIRST_STEPS])
+    run([clean.with_name("xfreqbench"), "report", "results", "-o", "board.md", "-q"])

@@ -1,4 +1,4 @@
-"""Where Numba and Matplotlib keep what they have made: their own places, or a folder of ours where those fail."""
+"""Where fetched data, and what Numba and Matplotlib make, are kept: the usual places, or ours where those fail."""
 
 from __future__ import annotations
 
@@ -25,6 +25,14 @@ def settle_caches() -> None:
     if missing:
         folder = _own_folder() or _passing_folder()
         os.environ.update({name: str(folder / _VARIABLES[name]) for name in missing} if folder else {})
+
+
+def data_folder() -> Path:
+    """Where fetched data sets are kept: the user's folder for caches, or ours where that cannot be written."""
+    import pooch
+
+    folder = Path(pooch.os_cache("xfreqbench"))
+    return folder if _is_writable(folder) else (_own_folder() or folder) / "data"
 
 
 def _home_folders() -> list[Path]:

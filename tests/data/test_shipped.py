@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pooch
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.data import shipped
+from xfreqbench.data.fingerprint import compare_fingerprint
+from xfreqbench.data.generate import plan_of
+from xfreqbench.data.recipe import Recipe
+from xfreqbench.errors import DataError, UnknownNameError
+from xfreqbench.scene.model import shipped_folder
+from xfreqbench.units import PAPER_CARRIERS_GHZ
+
+OFFICE = shipped_folder() / "office.h5"
+
+
+class Server:
+    """Serves `content` at an address on this machine; `asked` are the ranges that were asked for, one an answer."""
+
+    def __init__(self) -> None:
+        self.content, self.breaks_after, self.asked = OFFICE.read_bytes(), 0, list[str]()
+        self.http = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, self))
+        self.url = f"http://127.0.0.1:{self.http.server_port}/office.h5"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    def __init__(self, server: Server, *arguments: object) -> None:
+        self.served = server
+        super().__init__(*arguments)  # type: ignore[arg-type]
+
+    def do_GET(self) -> None:
+        server, asked = self.served, self.headers["Range"] or ""
+        server.asked.append(asked)
+        found = re.fullmatch(r"bytes=(\d+)-", asked)
+        rest = server.content[int(found[1]) :] if found else server.content
+        self.send_response(206 if found else 200)
+        self.send_header("Content-Length", str(len(rest)))
+        self.end_headers()
+        broken, server.breaks_after = server.breaks_after, 0
+        self.wfile.write(rest[:broken] if broken else rest)
+
+    def log_message(self, *_: object) -> None: ...
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("time.sleep", lambda _: None)  # between two tries
+    server = Server()
+    Thread(target=server.http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    yield server
+    server.http.shutdown()
+    server.http.server_close()
+
+
+def test_the_office_ships_as_it_would_be_traced_now() -> None:
+    """If not: `xfreqbench generate office --no-maps -o scenes/office.h5`, and its sha256 into scenes/registry.txt."""
+    data = xb.load("office")
+    assert data.path == OFFICE.resolve() and shipped.registered()["office"].sha256 == pooch.file_hash(OFFICE)
+    chosen = {"tx": None, "tx_positions": None, "pas_kind": "power", "maps": False, "paths": False, "receiver": None}
+    plan = plan_of("office", PAPER_CARRIERS_GHZ, xb.TraceSettings(), **chosen)  # type: ignore[arg-type]
+    asked = Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, data.grid)
+    assert data.recipe == asked
+    match = compare_fingerprint(data)
+    assert match.difference is not None and match.difference <= match.tolerance
+    assert data.pas(7).max() == 1
+
+
+def test_a_name_that_does_not_ship_says_what_does() -> None:
+    with pytest.raises(UnknownNameError, match=r"no data set 'offcie'. Did you mean 'office'"):
+        xb.load("offcie")
+    with pytest.raises(DataError, match=r"generate lounge --no-maps -o lounge.h5"):
+        xb.load("lounge")
+    with pytest.raises(UnknownNameError, match="https"):
+        xb.fetch("nowhere")
+
+
+def test_a_download_goes_on_where_it_broke_off_and_is_kept(server: Server, tmp_path: Path) -> None:
+    server.breaks_after = 600_000
+    fetched = xb.fetch(server.url, hashlib.sha256(server.content).hexdigest())
+    assert server.asked[0] == "" and int(server.asked[1].strip("bytes=-")) > 500_000
+    assert fetched.path.read_bytes() == server.content and fetched.path.is_relative_to(tmp_path / "xfreqbench")
+    assert xb.fetch(server.url).sha256 == fetched.sha256 and len(server.asked) == 2
+    assert [path.name for path in fetched.path.parent.iterdir()] == [fetched.path.name]
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["sha256 given", "its own hash"])
+def test_a_flipped_byte_is_refused_and_not_kept(server: Server, tmp_path: Path, known: bool) -> None:
+    sha256 = hashlib.sha256(server.content).hexdigest() if known else None
+    server.content = server.content[:900_000] + bytes([server.content[900_000] ^ 1]) + server.content[900_001:]
+    with pytest.raises(DataError, match="not the file that was asked for" if known else "differs from its sha256"):
+        xb.fetch(server.url, sha256)
+    assert not list((tmp_path / "xfreqbench").iterdir())
+
+
+def test_what_is_registered_is_fetched_by_its_name_and_then_loaded(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = f"hall.h5 {hashlib.sha256(server.content).hexdigest()} {server.url}"
+    (tmp_path / shipped.REGISTRY).write_text(line)
+    monkeypatch.setattr(shipped, "shipped_folder", lambda: tmp_path)
+    with pytest.raises(DataError, match=r"fetch\('hall'\)"):
+        xb.load("hall")
+    fetched = xb.fetch("hall")
+    server.content = b""  # nothing more is asked of it
+    assert xb.load("hall").path == fetched.path == xb.fetch("hall").path
+
+
+def test_an_address_where_nothing_answers_is_an_error_of_ours(server: Server) -> None:
+    with pytest.raises(DataError, match=r"cannot be fetched.*goes on from there"):
+        xb.fetch("http://127.0.0.1:9/office.h5")

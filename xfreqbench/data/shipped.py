@@ -1,0 +1,129 @@
+"""Data sets by name or address: those that ship with the toolkit, and those that are fetched and kept."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import pooch
+import requests
+from pydantic import Field
+
+from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.errors import DataError, UnknownNameError
+from xfreqbench.scene.model import shipped_folder, shipped_scenes
+from xfreqbench.system.arguments import Word, checked
+from xfreqbench.system.caches import data_folder
+from xfreqbench.system.files import sole_writer, storage_errors
+
+REGISTRY = "registry.txt"  # a line each: file, sha256 and, unless it ships, its address, as pooch reads them
+_ENDING = ".h5"
+_TIMEOUT_S = 30.0  # without a byte
+_BLOCK_BYTES = 1 << 16  # at most so much of a broken download is lost
+
+Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
+
+
+class Registered(NamedTuple):
+    """A data set of the registry; `url` is None where it ships with the toolkit."""
+
+    file: str
+    sha256: str
+    url: str | None
+
+
+def registered() -> Mapping[str, Registered]:
+    """The data sets that have a name, by that name."""
+    book = _book({}, {})
+    book.load_registry(shipped_folder() / REGISTRY)
+    return {
+        file.removesuffix(_ENDING): Registered(file, sha256, book.urls.get(file))
+        for file, sha256 in book.registry.items()
+    }
+
+
+@checked
+def load(name: Word) -> PasDataset:
+    """Open the data set of a name, which ships with the toolkit or was fetched before; no network is asked.
+
+    Data that ship hold channels, without maps: these are derived when they are read. Raises `UnknownNameError` for a
+    name that there is not, and `DataError` for data that do not ship and were not fetched yet.
+    """
+    known = registered()
+    if name not in known:
+        if name in shipped_scenes():
+            raise DataError(
+                f"The data of scene {name!r} do not ship; those of {', '.join(sorted(known))} do. Trace them once, "
+                f"which takes minutes: xfreqbench generate {name} --no-maps -o {name}.h5"
+            )
+        raise UnknownNameError("data set", name, known)
+    found = known[name]
+    path = shipped_folder() / found.file if found.url is None else data_folder() / found.file
+    if found.url is not None and not path.exists():
+        raise DataError(f"{name!r} was not fetched yet. Fetch it once: xfreqbench.fetch({name!r})")
+    return open_dataset(path)
+
+
+@checked
+def fetch(name_or_url: Word, sha256: Sha256 | None = None) -> PasDataset:
+    """Download a data set by its name or its address (http, https) once, keep it, and open it.
+
+    What was fetched before is not downloaded again, and a download that broke off goes on where it stopped. The file is
+    kept only if it has the `sha256` that is given, or is registered for its name. Without one, its bytes are compared
+    with the hash that every data set carries in itself. It is kept in the user's folder for caches, which is
+    `$XDG_CACHE_HOME/xfreqbench` or `~/.cache/xfreqbench`.
+
+    Raises `UnknownNameError` for a name that there is not, `DataError` where nothing answers, or what comes is no data
+    set or has another hash, and `StorageError`.
+    """
+    url, file = name_or_url, ""
+    if not url.startswith(("http://", "https://")):
+        known = registered()
+        if name_or_url not in known:
+            raise UnknownNameError("data set", name_or_url, [*known, "https://…"])
+        file, registered_sha256, address = known[name_or_url]
+        if address is None:
+            return load(name_or_url)
+        url, sha256 = address, sha256 or registered_sha256
+    file = file or pooch.utils.unique_file_name(url)
+    folder = data_folder()
+    path, book = folder / file, _book({file: sha256 and sha256.lower()}, {file: url})
+    with sole_writer(path), storage_errors(path):
+        try:
+            book.fetch(file, downloader=_go_on)
+        except requests.RequestException as error:
+            raise DataError(
+                f"{url} cannot be fetched: {error}. What has arrived is kept: the same call goes on from there."
+            ) from error
+        except ValueError as error:  # pooch's word for another hash
+            raise DataError(f"{url} is not the file that was asked for, and is not kept: {error}") from error
+    try:
+        verify(path)
+        return open_dataset(path)
+    except DataError:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def _book(registry: dict[str, Any], urls: dict[str, str]) -> Any:
+    """What pooch needs to fetch files into our folder; a broken download is tried once more at once."""
+    return pooch.create(data_folder(), base_url="", registry=registry, urls=urls, retry_if_failed=1)
+
+
+def _go_on(url: str, output: str, book: Any) -> None:
+    """Download into `output`, from where an earlier download broke off: that is kept beside it, by the file's name."""
+    (file,) = book.registry
+    partial = Path(output).with_name(f".{file}.partial")
+    with partial.open("ab") as stored:
+        start = stored.tell()
+        asked = {"Range": f"bytes={start}-"} if start else {}
+        with requests.get(url, headers=asked, stream=True, timeout=_TIMEOUT_S) as answer:
+            if answer.status_code != requests.codes.requested_range_not_satisfiable:  # that is: nothing is missing
+                answer.raise_for_status()
+                if answer.status_code != requests.codes.partial_content:  # the server sends all of it
+                    stored.truncate(0)
+                for block in answer.iter_content(_BLOCK_BYTES):
+                    stored.write(block)
+    shutil.move(partial, output)
