@@ -17,7 +17,7 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
-from xfreqbench.scene.model import Scene, TransmitterGrid, load_scene
+from xfreqbench.scene.model import POLARIZATION_PAIRS, Scene, TransmitterGrid, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import Paths
@@ -214,3 +214,22 @@ def test_a_traced_direct_path_peaks_where_the_transmitter_stands_in_the_receiver
         peak = receiver.rotation @ grid.directions[np.unravel_index(pas_map.argmax(), grid.shape)]
         angle_deg = np.degrees(np.arccos(peak @ towards / np.linalg.norm(towards)))
         assert angle_deg < 2.5  # one degree of the grid, and the curved wave front at 1 GHz
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_all_pairs_of_polarizations_are_those_of_a_public_solve_with_two_polarizations(solver: SolverName) -> None:
+    from xfreqbench.tracing.sionna.plain import loaded, solve
+    from xfreqbench.tracing.sionna.scene import rt
+
+    scene, tx, carrier_hz = simple_scenes(ONE_ELEMENT)["two boxes"], TRANSMITTERS_M[:1], 10e9
+    public = loaded(scene, carrier_hz)
+    public.tx_array = public.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
+    gain, _ = solve(public, tx, SETTINGS.interactions, 3, SETTINGS.rays, 1).cir(
+        normalize_delays=False, out_type="numpy"
+    )
+    expected = gain[0, :, 0].sum(axis=(2, 3))  # heard by, sent by
+    first = tracer_of(PreparedScene.of(scene), [carrier_hz], replace(SETTINGS, solver=solver))
+    for pair in POLARIZATION_PAIRS:
+        traced = first.with_antennas(scene.with_polarization(pair)).channel(tx).cfr.item()
+        sent, heard = ("VH".index(letter) for letter in pair)
+        assert abs(traced - expected[heard, sent]) < 1e-3 * np.abs(expected).max(), pair

@@ -72,7 +72,7 @@ def make_fingerprint(
 
 def _chosen(scene: Scene, lowest_carrier_hz: float) -> Float[FloatArray, "T 3"]:
     """Up to 64 positions of a scene's grid: those that `generate --tx 24` takes, then those of `--tx 48`."""
-    usable = place_transmitters(scene, surface_meshes(scene), lowest_carrier_hz)
+    usable = place_transmitters(scene.with_receiver(), surface_meshes(scene), lowest_carrier_hz)
     seed, most = TraceSettings().seed, len(usable.tx_position_m)
     choices = [choose_transmitters(usable, min(number, most), seed).tolist() for number in _COMMON_CHOICES]
     distinct = dict.fromkeys(tuple(place) for choice in choices for place in choice)

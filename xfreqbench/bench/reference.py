@@ -174,7 +174,7 @@ def _empty_reference(scene: Scene) -> Reference:
 def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
     """Positions of transmitters. Half of them see the receiver, or more if too few are in shadow."""
     meshes = surface_meshes(scene)
-    usable = place_transmitters(scene, meshes)
+    usable = place_transmitters(scene.with_receiver(), meshes)
     lit = sees(meshes, usable.tx_position_m, np.asarray(scene.receiver.position_m))
     num_shadowed = min(REFERENCE_TRANSMITTERS // 2, int((~lit).sum()))
     kinds = ((lit, REFERENCE_TRANSMITTERS - num_shadowed), (~lit, num_shadowed))

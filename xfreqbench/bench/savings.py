@@ -98,7 +98,9 @@ class Workload:
 def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     """Transmitters of the office at the paper's carriers, with a solver at its defaults."""
     scene = load_scene("office")
-    tx_position_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), num_tx, seed=1)
+    tx_position_m = choose_transmitters(
+        place_transmitters(scene.with_receiver(), surface_meshes(scene)), num_tx, seed=1
+    )
     carriers = tuple(ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ)
     return Workload(scene, tx_position_m, carriers, TraceSettings(solver, WITHOUT_DIFFRACTION))
 

@@ -19,7 +19,7 @@ from xfreqbench.cli.options import (
     example,
     parse_carriers_ghz,
     parse_carriers_hz,
-    parse_interactions,
+    parse_names,
     say,
     say_written,
 )
@@ -82,7 +82,18 @@ def generate(
         Parameter(negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."),
     ] = False,
     receiver: Annotated[
-        str | None, Parameter(help="Name of the receiver, of a scene with several; the first if absent.")
+        str | None,
+        Parameter(
+            help="Receivers of a scene with several, comma-separated, or `all`: one file holds them; the first if "
+            "absent."
+        ),
+    ] = None,
+    polarization: Annotated[
+        str | None,
+        Parameter(
+            help="V or H, for transmitters and receivers; V,H: all four pairs, VV, VH (sent in V, heard in H), HV and "
+            "HH, in one file; or some of these pairs. As the scene says if absent."
+        ),
     ] = None,
     executor: Executor = "serial",
     dry_run: Annotated[
@@ -104,14 +115,15 @@ def generate(
     from xfreqbench.tracing.tracer import TraceSettings
 
     require_executor(executor)
-    freqs_ghz, names = parse_carriers_ghz(freqs), parse_interactions(interactions)
+    freqs_ghz, names = parse_carriers_ghz(freqs), parse_names(interactions)
     chosen = {
         "tx": tx,
         "tx_positions": _read_positions(tx_positions),
         "pas_kind": pas_kind,
         "maps": maps,
         "paths": paths,
-        "receiver": receiver,
+        "receiver": parse_names(receiver),
+        "polarization": parse_names(polarization),
     }
     if dry_run:
         settings = TraceSettings(solver, interactions_named(names), max_depth, rays, seed, materials)
@@ -190,9 +202,10 @@ def info(
     print("every hash holds")
     dataset = open_dataset(file)
     print(compare_fingerprint(dataset).verdict)
-    if retrace:
-        worst = require_origin(dataset, drawn_rows(dataset, retrace, seed))
-        print(f"{min(retrace, len(dataset))} samples traced again: {worst}, the others by less")
+    for link in dataset.links() if retrace else ():
+        worst = require_origin(link, drawn_rows(link, retrace, seed))
+        of = "".join(f" of {name}" for name in link.link_names if name)
+        print(f"{min(retrace, len(link))} samples{of} traced again: {worst}, the others by less")
     if glints:
         from xfreqbench.data.glints import glints as left_out
 

@@ -8,16 +8,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import (
-    Interactions,
-    Output,
-    Quiet,
-    bench,
-    example,
-    parse_carriers_hz,
-    parse_interactions,
-    say,
-)
+from xfreqbench.cli.options import Interactions, Output, Quiet, bench, example, parse_carriers_hz, parse_names, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -226,5 +217,5 @@ def bench_fingerprint(
 
     is_new = not output.exists()
     with progress_bars("transmitters", [f"fingerprint of {scene}"], quiet) as (progress,):
-        make_fingerprint(load_scene(scene), output, progress, parse_interactions(interactions))
+        make_fingerprint(load_scene(scene), output, progress, parse_names(interactions))
     say(f"wrote {output}" if is_new else f"{output} already holds this fingerprint", quiet)

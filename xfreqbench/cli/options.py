@@ -83,8 +83,8 @@ Interactions = Annotated[
 ]
 
 
-def parse_interactions(text: str | None) -> list[str] | None:
-    """Names from text such as `specular,refraction`, or None for those of ground truth."""
+def parse_names(text: str | None) -> list[str] | None:
+    """Names from text such as `specular,refraction`, or None for the default."""
     return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
 
 

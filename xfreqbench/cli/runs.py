@@ -139,6 +139,12 @@ def run(
         ),
     ] = "5m",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")] = "cpu",
+    receiver: Annotated[
+        str | None, Parameter(help="Receiver that methods hear, of data with several; the first if absent.")
+    ] = None,
+    polarization: Annotated[
+        str | None, Parameter(help="Pair of polarizations, of data with several, as in VH; the first if absent.")
+    ] = None,
     set_: Overrides = (),
     executor: Executor = "serial",
     dry_run: Annotated[
@@ -158,7 +164,8 @@ def run(
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
     methods, targets_ghz = dict.fromkeys(names, set_), parse_targets_ghz(targets)
-    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device)
+    link = receiver, polarization
+    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
     if dry_run:
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return

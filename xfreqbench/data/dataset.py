@@ -6,12 +6,15 @@ published as maps alone has no channels, and is read in the same way.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from importlib.metadata import entry_points
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -96,14 +99,20 @@ class PasDataset:
     tx_index · F + carrier index, where F is the number of carriers. Maps stay on disk until they are asked for, or
     are derived from the channels where none are stored. A data set is pickled as its path and rows, and `is_isolated`
     after `isolated`.
+
+    A file may hold several links, one for each receiver and pair of polarizations: a data set shows one of them, with
+    its header as it is in a file of its own, and a `sha256` of its own. `file_header` tells of all links, and `link`
+    has the numbers of the receiver and of the pair that are shown; see `at` and `links`.
     """
 
     path: Path
     header: DatasetHeader
-    sha256: str
+    file_sha256: str
     beam: BartlettBeam
     tables: Mapping[str, NDArray[Any]]
     rows: Int[IntArray, "N"]
+    file_header: DatasetHeader
+    link: tuple[int, int] = (0, 0)
     is_isolated: bool = False
 
     def __len__(self) -> int:
@@ -143,7 +152,10 @@ class PasDataset:
         more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
         elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
         subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
+        every = zip(("receiver", "sent, heard"), self.link_names, (self.receivers, self.polarizations), strict=True)
+        links = {kind: f"{name}, of {', '.join(names)}" for kind, name, names in every if names}
         return {
+            **links,
             "scene": f"{header.scene_name!r}, {header.num_tx} transmitters × {self.num_carriers} carriers",
             "carriers": format_ghz_list(shown) + more,
             "maps": f"{header.pas_kind}, {self.grid.shape[0]} elevations × {self.grid.shape[1]} azimuths",
@@ -153,6 +165,48 @@ class PasDataset:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return reopen, (str(self.path), self.sha256, self.rows, self.is_isolated)
+
+    @property
+    def receivers(self) -> tuple[str, ...]:
+        """Names of the receivers in the file; empty where it holds one alone."""
+        return self.file_header.receivers
+
+    @property
+    def polarizations(self) -> tuple[str, ...]:
+        """Pairs of polarizations in the file, as `VH`: sent in V and heard in H; empty where it holds one alone."""
+        return self.file_header.polarizations
+
+    @checked
+    def at(self, receiver: str | None = None, polarization: str | None = None) -> PasDataset:
+        """The same samples of another link of the file, of the same receiver or polarization where none is given.
+
+        Raises `UnknownNameError`, and `DataError` for what a method is given to train on, which is one link alone.
+        """
+        if self.is_isolated:
+            raise DataError(f"{self.path} is shown to methods with one receiver and one polarization.")
+        shown = self.link_names
+        return open_dataset(self.path, receiver or shown[0], polarization or shown[1]).subset(self.rows)
+
+    def links(self) -> Iterator[PasDataset]:
+        """The same samples of each link of the file: all polarizations of the first receiver, then of the next."""
+        for receiver, polarization in product(self.receivers or (None,), self.polarizations or (None,)):
+            yield self.at(receiver, polarization) if self.file_header.link_axes else self
+
+    @property
+    def link_names(self) -> tuple[str | None, str | None]:
+        """The receiver and the pair of polarizations that are shown; None where the file holds one alone."""
+        receiver, pair = self.link
+        return (
+            self.receivers[receiver] if self.receivers else None,
+            self.polarizations[pair] if self.polarizations else None,
+        )
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file's content; in a file of several links, of that and of which one is shown."""
+        if not self.file_header.link_axes:
+            return self.file_sha256
+        return hashlib.sha256(json.dumps([self.file_sha256, *self.link]).encode()).hexdigest()
 
     @property
     def grid(self) -> AngularGrid:
@@ -291,7 +345,8 @@ class PasDataset:
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, "dataset 'pas'"):
             stored = file["pas"]
             for index, row in enumerate(asked):
-                maps[index] = stored[divmod(row, self.num_carriers)]
+                tx, carrier = divmod(row, self.num_carriers)
+                maps[index] = stored[(tx, *_at(self.file_header, self.link), carrier)]
         return maps
 
     def to_xarray(self) -> Any:
@@ -347,7 +402,8 @@ class PasDataset:
         self._require_paths()
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
-            stored = read_paths(file, totals, self.tables[OFFSET][tx : tx + 2])
+            first = tx * max(1, len(self.receivers)) + self.link[0]
+            stored = self._of_link(read_paths(file, totals, self.tables[OFFSET][first : first + 2]))
             return SamplePaths.of(stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names)
 
     def stored_paths(self) -> tuple[RaggedPaths, tuple[str, ...]]:
@@ -355,7 +411,12 @@ class PasDataset:
         self._require_paths()
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
-            return read_paths(file, totals, self.tables[OFFSET]), totals.surface_names
+            every = read_paths(file, totals, self.tables[OFFSET])
+            return self._of_link(every.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names
+
+    def _of_link(self, paths: RaggedPaths) -> RaggedPaths:
+        """Paths of one receiver with the gains of one pair of polarizations."""
+        return replace(paths, gain=paths.gain[:, self.link[1]]) if self.polarizations else paths
 
     def _require_paths(self) -> None:
         if OFFSET not in self.tables:
@@ -432,25 +493,43 @@ class PasDataset:
 
 
 @checked
-def open_dataset(path: FilePath) -> PasDataset:
-    """All samples of a data set; raises `DataError` for a file that is missing, damaged or no data set."""
+def open_dataset(path: FilePath, receiver: str | None = None, polarization: str | None = None) -> PasDataset:
+    """The samples of a data set; raises `DataError` for a file that is missing, damaged or no data set.
+
+    Of a file with several receivers or pairs of polarizations, one of each is opened: the first where none is named.
+    Raises `UnknownNameError` for one that the file does not hold.
+    """
     path = Path(path)
     with open_sealed(path, SCHEMA) as file:
-        header = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
+        whole = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
+        link = whole.link(receiver, polarization)
+        header = whole.at(*link)
         grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
-        require_layout(file, variables(header, grid))
+        require_layout(file, variables(whole, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: read_array(file, name) for name in names if header.channels or name != "cfr"}
         if header.paths:
             totals = stored_totals(file)
-            require_layout(file, path_variables(header.num_tx, len(header.carrier_hz), totals))
+            require_layout(file, path_variables(whole, totals))
             tables[OFFSET] = stored_offsets(file, totals.num_paths)
         beam = BartlettBeam(read_array(file, "element_position_wavelengths"), grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}
         _require_meaning({CARRIER: header.carrier_hz, **angles, **elements, **tables})
+        if whole.link_axes:
+            at: Any = (slice(None), *_at(whole, link))
+            for name in tables.keys() & {"peak_power", "num_paths", "cfr"}:
+                tables[name] = np.ascontiguousarray(tables[name][at])
+            if whole.receivers:
+                tables["line_of_sight"] = np.ascontiguousarray(tables["line_of_sight"][:, link[0]])
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
-        return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows)
+        return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows, whole, link)
+
+
+def _at(whole: DatasetHeader, link: tuple[int, int]) -> tuple[int, ...]:
+    """Where a link is along the axes that a file has for links."""
+    axes = zip((whole.receivers, whole.polarizations), link, strict=True)
+    return tuple(number for names, number in axes if names)
 
 
 def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
@@ -473,8 +552,8 @@ def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:
 
 def reopen(path: str, sha256: str, rows: Rows, is_isolated: bool = False) -> PasDataset:
     """The rows of a data set that was pickled; raises `DataError` if the file has changed since."""
-    dataset = open_dataset(path)
-    if dataset.sha256 != sha256:
+    dataset = next((link for link in open_dataset(path).links() if link.sha256 == sha256), None)
+    if dataset is None:
         raise DataError(f"{path} is another data set than before: its sha256 was {sha256}.")
     return dataset.subset(rows).isolated() if is_isolated else dataset.subset(rows)
 
@@ -498,7 +577,7 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
             existing = open_dataset(file)
         except DataError as error:
             return f"holds no data set that can be read: {error}"
-        differing = differences(asked, job_of(existing.header, existing.tables["tx_position_m"]))
+        differing = differences(asked, job_of(existing.file_header, existing.tables["tx_position_m"]))
         return f"holds another data set, with {differing}" if differing else None
 
     return require_own(path, fault_of)

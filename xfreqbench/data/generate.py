@@ -18,7 +18,7 @@ from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
 from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
-from xfreqbench.data.trace import channel_by, forget_rays, traced, traced_alike
+from xfreqbench.data.trace import channel_by, forget_rays, traced, traced_alike, tracers_of
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -30,7 +30,7 @@ from xfreqbench.system.bars import progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
-from xfreqbench.tracing.solvers import interactions_named, tracer_of
+from xfreqbench.tracing.solvers import interactions_named
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
@@ -58,7 +58,8 @@ def generate(
     materials: MaterialPolicy = "error",
     maps: bool = True,
     paths: bool = False,
-    receiver: str | None = None,
+    receiver: Texts | None = None,
+    polarization: Texts | None = None,
     executor: Word = SERIAL,
     progress: bool = False,
     tell: Callable[[str], None] | None = None,
@@ -71,6 +72,10 @@ def generate(
     defaults: without `interactions` they are specular, refraction, and diffraction where solver `image` traces it.
     `executor` is `serial`, a number of processes, or `dask://host:port`, and `progress` draws bars on stderr. `tell` is
     given counts and size of what will be traced, in a few lines, before the first ray.
+
+    `receiver` names one or several of the scene's receivers, or is `all`; without it the first is traced.
+    `polarization` is V or H, or both for all four pairs of what is sent and heard: `VV`, `VH`, `HV` and `HH`. A file
+    with several of either holds a link for each receiver and pair, of which the first is opened; see `PasDataset.at`.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
     what is raised. Mistakes are `XFreqBenchError`s, before the first ray where that is possible.
@@ -85,6 +90,7 @@ def generate(
         maps=maps,
         paths=paths,
         receiver=receiver,
+        polarization=polarization,
     )
     if tell:
         tell(plan.summary)
@@ -108,7 +114,8 @@ def plan_of(
     pas_kind: str,
     maps: bool,
     paths: bool,
-    receiver: str | None,
+    receiver: Sequence[str] | None,
+    polarization: Sequence[str] | None = None,
 ) -> Plan:
     """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
     if tx is not None and tx_positions is not None:
@@ -122,7 +129,8 @@ def plan_of(
         pas_kind=pas_kind,
         maps=maps,
         paths=paths,
-        receiver=receiver,
+        receivers=receiver,
+        polarizations=polarization,
     )
 
 
@@ -191,7 +199,10 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
     beam = BartlettBeam(plan.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
 
     def prove(written: Path) -> None:
-        require_origin(open_dataset(written), _sampled(plan, store.kept), folder=plan.scene.folder, workers=workers)
+        sampled = _sampled(plan, store.kept)
+        for number, link in enumerate(open_dataset(written).links()):
+            rows = sampled[number % len(sampled) :: plan.num_links]
+            require_origin(link, rows, folder=plan.scene.folder, workers=workers)
 
     totals = None
     if plan.header.paths:
@@ -223,9 +234,9 @@ def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
     for settings in (replace(plan.settings, rays=_FEW_RAYS), plan.settings):
         start = time.perf_counter()
-        tracer = tracer_of(plan.tracing.prepared(), plan.tracing.carrier_hz, settings)
-        channel_by(tracer, plan.tracing, plan.tx_position_m[spread[:1]])
+        tracers = tracers_of(plan.tracing, settings)
+        channel_by(tracers, plan.tracing, plan.tx_position_m[spread[:1]])
     shot = time.perf_counter()
-    channel_by(tracer, plan.tracing, plan.tx_position_m[spread])
+    channel_by(tracers, plan.tracing, plan.tx_position_m[spread])
     per_transmitter = (time.perf_counter() - shot) / probes
     return shot - start + per_transmitter * len(plan.tx_position_m)

@@ -12,6 +12,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import Variable, read_array, text_attributes
+from xfreqbench.data.schema import CARRIER, POLARIZATION, DatasetHeader
 from xfreqbench.errors import DataError
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import (
@@ -166,13 +167,14 @@ class SamplePaths:
         )
 
 
-def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[Variable]:
+def path_variables(header: DatasetHeader, totals: PathTotals) -> list[Variable]:
     """The variables of the group, in the order of the file; all but the offsets of transmitters are compressed."""
-    P, N = totals.num_paths, totals.num_points
+    P, N, R = totals.num_paths, totals.num_points, max(1, len(header.receivers))
+    pairs = [POLARIZATION] if header.polarizations else []
     away = "from the receiver to where the path comes from, world axes"
     ahead = "in which the path leaves the transmitter, world axes"
     of_paths: list[tuple[str, str, tuple[str, ...], str, str]] = [
-        ("gain", "<c8", (_PATH, "carrier_hz"), "1", "gain at the array centre, without travel phase"),
+        ("gain", "<c8", (_PATH, *pairs, CARRIER), "1", "gain at the array centre, without travel phase"),
         ("delay_s", "<f8", (_PATH,), "s", "travel time to the array centre"),
         ("arrival_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {away}"),
         ("arrival_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {away}"),
@@ -188,12 +190,13 @@ def path_variables(num_tx: int, num_carriers: int, totals: PathTotals) -> list[V
             "where it is met in the world",
         ),
     ]
-    size = {_PATH: P, _POINT: N, "carrier_hz": num_carriers, "axis": 3}
-    first_path = "first path of each transmitter, then the number of all paths"
+    size = {_PATH: P, _POINT: N, CARRIER: len(header.carrier_hz), "axis": 3, **header.link_axes}
+    at_each = " at each receiver" if header.receivers else ""
+    first_path = f"first path of each transmitter{at_each}, then the number of all paths"
     first_point = "first interaction of each path, then the number of all interactions"
     codes = tuple((code, name) for name, code in INTERACTION_CODES.items())
     return [
-        Variable(OFFSET, "<i8", (num_tx + 1,), (OFFSET,), "1", first_path),
+        Variable(OFFSET, "<i8", (header.num_tx * R + 1,), (OFFSET,), "1", first_path),
         _rows(INTERACTION_OFFSET, "<i8", (P + 1,), (INTERACTION_OFFSET,), "1", first_point),
         _rows(_PATH, "<i8", (P,), (_PATH,), "1", "path index"),
         _rows(_POINT, "<i8", (N,), (_POINT,), "1", "interaction index"),
@@ -229,7 +232,7 @@ def stored_offsets(file: Any, num_paths: int) -> Int[IntArray, "T1"]:
 def read_paths(file: Any, totals: PathTotals, tx_offset: Int[IntArray, "T1"]) -> RaggedPaths:
     """Paths of some transmitters, one behind the other, of an open data set; raises `ValueError` for nonsense.
 
-    `tx_offset` is a part of `stored_offsets`: that of T transmitters, and the next.
+    `tx_offset` is a part of `stored_offsets`: that of T transmitters, each at every receiver, and the next.
     """
     start, stop = int(tx_offset[0]), int(tx_offset[-1])
     offset = file[INTERACTION_OFFSET][start : stop + 1]

@@ -7,6 +7,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import prod
+from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,12 +18,12 @@ from pydantic import TypeAdapter
 from xfreqbench.data.recipe import job_of
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
-from xfreqbench.errors import SceneError, XFreqBenchError
+from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.materials import P2040_EDITION, ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
-from xfreqbench.scene.model import Scene
+from xfreqbench.scene.model import POLARIZATION_PAIRS, PolarizationPair, Scene
 from xfreqbench.scene.overlaps import check_overlaps, nearly_in_one_plane
 from xfreqbench.scene.placement import (
     MIN_SEPARATION_M,
@@ -57,7 +59,7 @@ class Plan:
 
     tracing: Tracing
     tx_position_m: Float[FloatArray, "T 3"]
-    line_of_sight: Bool[NDArray[np.bool_], "T"]
+    line_of_sight: Bool[NDArray[np.bool_], "T *R"]
     header: DatasetHeader
 
     @property
@@ -77,8 +79,13 @@ class Plan:
 
     @property
     def num_samples(self) -> int:
-        """Number of channels to compute: transmitters × carriers."""
-        return len(self.tx_position_m) * len(self.header.carrier_hz)
+        """Number of channels to compute: transmitters × links × carriers."""
+        return len(self.tx_position_m) * self.num_links * len(self.header.carrier_hz)
+
+    @property
+    def num_links(self) -> int:
+        """Number of receivers times that of pairs of polarizations."""
+        return prod(self.header.link_axes.values())
 
     @property
     def num_bytes(self) -> int:
@@ -90,8 +97,14 @@ class Plan:
         """Counts and size in a few lines, for a user to check before the work starts."""
         rejected = sum(self.header.rejected.values())
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.header.rejected.items() if count)
+        in_sight = ", ".join(map(str, np.atleast_1d(self.line_of_sight.sum(axis=0)).tolist()))
+        links = "".join(
+            f"× {len(names)} {what} ({', '.join(names)}) "
+            for what, names in (("receivers", self.header.receivers), ("pairs", self.header.polarizations))
+            if names
+        )
         return (
-            f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({self.line_of_sight.sum()} in sight) "
+            f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({in_sight} in sight) {links}"
             f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB"
             f"{' and the paths' if self.header.paths else ''}\n"
             f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
@@ -178,9 +191,9 @@ class Plan:
 
     @property
     def batches(self) -> list[slice]:
-        """Transmitters of each batch."""
-        count = len(self.tx_position_m)
-        return [slice(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
+        """Transmitters of each batch: fewer where each has several links."""
+        count, step = len(self.tx_position_m), max(1, BATCH // self.num_links)
+        return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
 def plan_generation(
@@ -193,18 +206,22 @@ def plan_generation(
     pas_kind: str = "power",
     maps: bool = True,
     paths: bool = False,
-    receiver: str | None = None,
+    receivers: Sequence[str] | None = None,
+    polarizations: Sequence[str] | None = None,
 ) -> Plan:
     """Check a job and look up all that it needs; no ray is shot.
 
     The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
     chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file; `paths` puts the paths into it. `receiver` names one of the scene's, the first if
-    None. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
+    out of the file; `paths` puts the paths into it. `receivers` names some of the scene's, or `all`; the first if
+    None. `polarizations` are V and H, or pairs of them, or None for what the scene says. Raises `MaterialBandError`,
+    `PlacementError` or another `XFreqBenchError`.
     """
     carriers = _checked_carriers(carrier_hz)
     prepared = PreparedScene.of(scene)
-    scene, geometry = prepared.scene.with_receiver(receiver), prepared.geometry
+    pairs = _pairs(polarizations)
+    scene, geometry = _with_receivers(prepared.scene, receivers), prepared.geometry
+    scene = scene.with_polarization(pairs[0]) if pairs else scene
     if paths and "diffuse" in settings.named_interactions:
         raise XFreqBenchError(
             "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
@@ -215,8 +232,10 @@ def plan_generation(
     materials = (mesh.material for mesh in geometry.meshes)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)
-    check_receiver(scene, geometry.meshes, min(carriers))
-    check_closed(scene, geometry.meshes)
+    for each in scene.receivers:
+        alone = replace(scene, receiver=each, other_receivers=())
+        check_receiver(alone, geometry.meshes, min(carriers))
+        check_closed(alone, geometry.meshes)
     if tx_position_m is None:
         usable = place_transmitters(scene, geometry.meshes, min(carriers))
         placed = replace(usable, tx_position_m=choose_transmitters(usable, num_transmitters, settings.seed))
@@ -225,10 +244,40 @@ def plan_generation(
         placed = Placement(tx_position_m, rejected={})
     sha256 = meshes_sha256(geometry.meshes)
     absolute = replace(scene, folder=scene.folder.absolute())  # for workers that started in another folder
-    tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, geometry)
+    several = pairs if len(pairs) > 1 else ()
+    tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
-    in_sight = sees(geometry.meshes, placed.tx_position_m, np.asarray(scene.receiver.position_m))
-    return Plan(tracing, placed.tx_position_m, in_sight, header)
+    in_sight = [sees(geometry.meshes, placed.tx_position_m, np.asarray(each.position_m)) for each in scene.receivers]
+    line_of_sight = np.stack(in_sight, axis=1) if header.receivers else in_sight[0]
+    return Plan(tracing, placed.tx_position_m, line_of_sight, header)
+
+
+def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:
+    """The scene with the receivers that are asked for; raises `XFreqBenchError` where their arrays differ."""
+    known = [each.name for each in scene.receivers if each.name is not None]
+    if names is not None and [*names] == ["all"] and "all" not in known:
+        names = known
+    chosen = scene.with_receiver(*(names or ()))
+    first, *others = chosen.receivers
+    for each in others:
+        if any(getattr(each, name) != getattr(first, name) for name in ("rows", "cols", "spacing_wavelengths")):
+            raise XFreqBenchError(
+                f"Receivers {first.name!r} and {each.name!r} have different arrays, but those of one file have the "
+                "same rows, cols and spacing_wavelengths. Generate a file for each, as with --receiver "
+                f"{first.name}, or give them the same array."
+            )
+    return chosen
+
+
+def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
+    """Pairs of polarizations, sent and heard: those that are named, or all of the letters that are."""
+    names = tuple(dict.fromkeys(polarizations or ()))
+    if set(names) <= {"V", "H"}:
+        names = tuple(sent + heard for sent in names for heard in names)
+    for name in names:
+        if name not in POLARIZATION_PAIRS:
+            raise UnknownNameError("polarization", name, ("V", "H", *POLARIZATION_PAIRS))
+    return cast("tuple[PolarizationPair, ...]", names)
 
 
 def _require_memory(scene: Scene, geometry: Geometry) -> None:
@@ -279,5 +328,7 @@ def _header(
         rejected=placed.rejected,
         paths=tracing.paths,
         physics=PHYSICS_VERSION,
+        receivers=tuple(each.name or "" for each in tracing.scene.receivers) if tracing.scene.other_receivers else (),
+        polarizations=tracing.polarizations,
         references=f"Recommendation ITU-R {P2040_EDITION}, Table 3 (materials)",
     )

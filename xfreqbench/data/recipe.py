@@ -21,7 +21,8 @@ from xfreqbench.types import FloatArray
 OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
 _SHOWN_DIGITS = 8
 _SHOWN_LETTERS = 40  # of a value in a message; a longer one is told by its hash
-_NOT_PHYSICS = {"name", "description", "transmitters", "folder"}  # positions of transmitters are told by the data
+# Positions of transmitters are told by the data, and their antenna by the settings.
+_NOT_PHYSICS = {"name", "description", "transmitters", "transmitter_polarization", "folder"}
 _TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
 
 

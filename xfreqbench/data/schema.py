@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -25,14 +26,16 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.data.hdf5 import Variable
+from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.model import PolarizationPair, ReceiverArray, Scene
 from xfreqbench.types import FloatArray
 
 SCHEMA = "xfreqbench/pas/1"
 
 TX, CARRIER, ELEMENT = "tx", "carrier_hz", "element"  # axes, and the variables that are their coordinates
+RECEIVER, POLARIZATION = "receiver", "polarization"  # axes of a file with several
 AXIS, RECEIVER_AXIS = "axis", "receiver_axis"
 ELEVATION, AZIMUTH = "elevation_deg", "azimuth_deg"
 ELEMENT_POSITION = "element_position_wavelengths"
@@ -59,6 +62,10 @@ class DatasetHeader:
     `physics` is the `PHYSICS_VERSION` of the solver. `references` says which edition of ITU-R P.2040 the materials
     follow; it is in no hash.
 
+    A file may hold several links: `receivers` names its receivers where there are several, all in the scene, and
+    `polarizations` its pairs of polarizations, the transmitters' first. `receiver` and `settings` are then those of the
+    first link; `at` gives the header of each.
+
     A data set with `channels=False` was published by others as maps alone, which are then stored
     (`maps=True`). What was not published is marked in it: `peak_power` is 1 where there is a map (less where
     its PNG was nowhere white), `num_paths` is −1, and `line_of_sight` is 1 unless it is known.
@@ -79,12 +86,58 @@ class DatasetHeader:
     paths: Annotated[StrictBool, _READ, _WRITTEN] = False
     physics: Annotated[str, Field(pattern=r"^[0-9]{1,9}$")] = "1"
     references: str = ""
+    receivers: Annotated[tuple[str, ...], _READ, _WRITTEN, Field(alias="receivers_json")] = ()
+    polarizations: Annotated[tuple[PolarizationPair, ...], _READ, _WRITTEN, Field(alias="polarizations_json")] = ()
 
     @model_validator(mode="after")
     def _stores_channels_or_maps(self) -> DatasetHeader:
         if not (self.maps or self.channels):
             raise ValueError("a data set without channels stores its maps")
         return self
+
+    @property
+    def link_axes(self) -> dict[str, int]:
+        """The axes between transmitter and carrier, with their lengths: empty for a file of one link."""
+        counts = {RECEIVER: len(self.receivers), POLARIZATION: len(self.polarizations)}
+        return {axis: count for axis, count in counts.items() if count}
+
+    def link(self, receiver: str | None = None, polarization: str | None = None) -> tuple[int, int]:
+        """The numbers of a receiver and of a pair of polarizations, the first without a name.
+
+        Raises `UnknownNameError` for what the file does not hold.
+        """
+        own = self.settings.get("transmitter_polarization", self.receiver.polarization) + self.receiver.polarization
+        known = {
+            "receiver": (receiver, self.receivers or (self.receiver.name or "",)),
+            "polarization": (polarization, self.polarizations or (own,)),
+        }
+        for kind, (name, names) in known.items():
+            if name is not None and name not in names:
+                raise UnknownNameError(kind, name, names)
+        first, second = (names.index(name) if name is not None else 0 for name, names in known.values())
+        return first, second
+
+    def at(self, receiver: int = 0, polarization: int = 0) -> DatasetHeader:
+        """The header of one link, as it is in a file that holds nothing else; raises `ValueError` for a damaged one."""
+        if not self.link_axes:
+            return self
+        scene = TypeAdapter(Scene).validate_json(self.scene_json)
+        if self.receivers:
+            names = tuple(each.name for each in scene.receivers)
+            if names != self.receivers:
+                raise ValueError(f"header attribute 'receivers_json': the scene has the receivers {names}")
+            scene = scene.with_receiver(self.receivers[receiver])
+        if self.polarizations:
+            scene = scene.with_polarization(self.polarizations[polarization])
+        of_all = {name: value for name, value in self.settings.items() if not name.startswith("transmitter_")}
+        return replace(
+            self,
+            scene_json=scene.canonical_json,
+            receiver=scene.receiver,
+            settings=of_all | scene.antenna_settings,
+            receivers=(),
+            polarizations=(),
+        )
 
     @property
     def num_bytes(self) -> int:
@@ -118,7 +171,10 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
     """Axes with their coordinates, transmitters and receiver."""
     T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
     E, A = grid.shape
+    rx = {axis: count for axis, count in header.link_axes.items() if axis == RECEIVER}
     receiver_axis = "axis of the receiver's frame; 2 is the pole"
+    sent_and_heard = "polarization of the transmitter, then of the receiver"
+    told = {RECEIVER: (header.receivers, "receiver"), POLARIZATION: (header.polarizations, sent_and_heard)}
     element_position = "element position about the array centre, in wavelengths, in the receiver's frame"
     return [
         Variable(TX, "<i4", (T,), (TX,), "1", "transmitter index"),
@@ -129,49 +185,67 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
         Variable(ELEVATION, "<f8", (E,), (ELEVATION,), "degree", "elevation above the frame's equator"),
         Variable(AZIMUTH, "<f8", (A,), (AZIMUTH,), "degree", "azimuth in the frame, periodic"),
         Variable("tx_position_m", "<f8", (T, 3), (TX, AXIS), "m", "transmitter position"),
-        Variable("rx_position_m", "<f8", (3,), (AXIS,), "m", "position of the array centre"),
+        Variable("rx_position_m", "<f8", (*rx.values(), 3), (*rx, AXIS), "m", "position of the array centre"),
         Variable(ELEMENT_POSITION, "<f8", (M, 3), (ELEMENT, RECEIVER_AXIS), "1", element_position),
-        Variable("frame_rotation", "<f8", (3, 3), (AXIS, RECEIVER_AXIS), "1", "receiver's frame to world"),
+        Variable(
+            "frame_rotation", "<f8", (*rx.values(), 3, 3), (*rx, AXIS, RECEIVER_AXIS), "1", "receiver's frame to world"
+        ),
+        *(
+            Variable(axis, "<i4", (count,), (axis,), "1", told[axis][1], flags=_words(*told[axis][0]))
+            for axis, count in header.link_axes.items()
+        ),
     ]
 
 
 def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
     """Channels, maps, and what is known of each transmitter or sample (transmitter, carrier)."""
     T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
-    sample, channel, angles = (TX, CARRIER), (TX, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
+    links, counts = tuple(header.link_axes), tuple(header.link_axes.values())
+    sample, channel, angles = (TX, *links, CARRIER), (TX, *links, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
+    of_receiver = 1 if header.receivers else 0
     response, peak = "channel frequency response, exp(+j2πft)", "peak of the map before it was divided out"
     in_sight, traced = _words("blocked", "visible"), _words("missing", "traced")
     where = ("tx_position_m", "line_of_sight")
-    cfr = Variable("cfr", "<c8", (T, F, M), channel, "1", response, coordinates=where)
+    cfr = Variable("cfr", "<c8", (T, *counts, F, M), channel, "1", response, coordinates=where)
     num_paths = "paths that reach at least one element"
     pas = Variable(
         "pas",
         "<f2",
-        (T, F, *grid.shape),
+        (T, *counts, F, *grid.shape),
         (*sample, *angles),
         "1",
         f"power angular spectrum ({header.pas_kind}), peak 1",
-        chunk=(1, 1, *grid.shape),
+        chunk=(1, *(1 for _ in links), 1, *grid.shape),
         coordinates=where,
     )
     return [
         *([cfr] if header.channels else []),
-        Variable("peak_power", "<f8", (T, F), sample, "1", peak, coordinates=where),
-        Variable("line_of_sight", "u1", (T,), (TX,), "1", "1 where nothing blocks the direct path", flags=in_sight),
-        Variable("num_paths", "<i4", (T, F), sample, "1", num_paths, coordinates=where),
+        Variable("peak_power", "<f8", (T, *counts, F), sample, "1", peak, coordinates=where),
+        Variable(
+            "line_of_sight",
+            "u1",
+            (T, *counts[:of_receiver]),
+            (TX, *links[:of_receiver]),
+            "1",
+            "1 where nothing blocks the direct path",
+            flags=in_sight,
+        ),
+        Variable("num_paths", "<i4", (T, *counts, F), sample, "1", num_paths, coordinates=where),
         Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced", flags=traced),
         *([pas] if header.maps else []),
     ]
 
 
 def _words(*meanings: str) -> tuple[tuple[int, str], ...]:
-    """The flags of a variable whose values 0, 1, … have these meanings."""
-    return tuple(enumerate(meanings))
+    """The flags of a variable whose values 0, 1, … have these meanings, each written as one word."""
+    return tuple((value, "_".join(meaning.split())) for value, meaning in enumerate(meanings))
 
 
 def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any]]:
-    """Values, by variable, of all that is known before the first ray: axes, grid and receiver."""
-    receiver = header.receiver
+    """Values, by variable, of all that is known before the first ray: axes, grid and receivers."""
+    receiver, every = header.receiver, [header.at(number).receiver for number in range(len(header.receivers))]
+    positions_m = [np.asarray(each.position_m) for each in every or [receiver]]
+    rotations = [each.rotation for each in every or [receiver]]
     return {
         TX: np.arange(header.num_tx),
         CARRIER: header.carrier_hz,
@@ -180,7 +254,8 @@ def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any
         RECEIVER_AXIS: np.arange(3),
         ELEVATION: np.degrees(grid.elevation_rad).round(9),
         AZIMUTH: np.degrees(grid.azimuth_rad).round(9),
-        "rx_position_m": np.asarray(receiver.position_m),
+        "rx_position_m": np.stack(positions_m) if every else positions_m[0],
         ELEMENT_POSITION: receiver.element_position_wavelengths,
-        "frame_rotation": receiver.rotation,
+        "frame_rotation": np.stack(rotations) if every else rotations[0],
+        **{axis: np.arange(count) for axis, count in header.link_axes.items()},
     }

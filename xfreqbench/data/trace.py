@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256
-from xfreqbench.scene.model import Scene
+from xfreqbench.scene.model import PolarizationPair, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.cluster import UnfitWorkerError, differences
-from xfreqbench.tracing.paths import RaggedPaths
+from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
 from xfreqbench.tracing.versions import software_versions
@@ -29,7 +30,8 @@ class Tracing:
     """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
 
     `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
-    It is not pickled: another process reads the meshes itself. `paths` says whether paths are asked for.
+    It is not pickled: another process reads the meshes itself. `paths` says whether paths are asked for. Every receiver
+    of the scene is traced, at each pair of `polarizations`, or at that of the scene where there are none.
     """
 
     scene: Scene
@@ -37,10 +39,12 @@ class Tracing:
     carrier_hz: tuple[float, ...]
     settings: TraceSettings
     paths: bool = False
+    polarizations: tuple[PolarizationPair, ...] = ()
     known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Tracing, (self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths)
+        told = self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths, self.polarizations
+        return Tracing, told
 
     def prepared(self) -> PreparedScene:
         """The scene with its geometry; raises `ClusterError` where a worker finds other meshes than planned."""
@@ -58,7 +62,7 @@ class Tracing:
 def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
     """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
     _, tx_position_m = batch
-    return channel_by(_tracer(tracing), tracing, tx_position_m)
+    return channel_by(_tracers(tracing), tracing, tx_position_m)
 
 
 def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
@@ -69,7 +73,7 @@ def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int
     if differing := differences(software, _software(tracing.settings.solver)):
         raise UnfitWorkerError(f"traces with other software: {differing}.")
     try:
-        _tracer(tracing)
+        _tracers(tracing)
     except XFreqBenchError as error:
         raise UnfitWorkerError(f"cannot prepare scene {tracing.scene.name!r}: {error}") from error
     return traced(tracing, batch)
@@ -78,21 +82,47 @@ def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int
 _software = cache(software_versions)
 
 
-def channel_by(tracer: Tracer, tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
-    """Channel of T transmitters by a tracer of that scene, with the paths where they are asked for."""
-    channel = tracer.channel(tx_position_m)
+def tracers_of(tracing: Tracing, settings: TraceSettings) -> list[list[Tracer]]:
+    """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
+    prepared = tracing.prepared()
+    every = []
+    for receiver in prepared.scene.receivers:
+        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
+        first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
+        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, settings)
+        every.append([tracer, *map(tracer.with_antennas, others)])
+    return every
+
+
+def channel_by(tracers: list[list[Tracer]], tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
+    """Channel of T transmitters by tracers of that scene, with the paths where they are asked for.
+
+    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several.
+    """
+    found = [[tracer.channel(tx_position_m) for tracer in of_receiver] for of_receiver in tracers]
+    counts = [len(tracers)] * (len(tracers) > 1) + [len(tracers[0])] * (len(tracers[0]) > 1)
+
+    def joined(name: str) -> NDArray[Any]:
+        """A field of the channels, its axes those of transmitters, links and what follows."""
+        of_links = np.moveaxis(np.array([[getattr(each, name) for each in row] for row in found]), 2, 0)
+        return of_links.reshape(len(tx_position_m), *counts, *of_links.shape[3:])
+
+    channel = Channel(joined("cfr"), joined("num_paths"))
     if not tracing.paths:
         return channel
-    paths = [tracer.paths(position_m) for position_m in tx_position_m]
-    receiver_m = np.asarray(tracing.scene.receiver.position_m, dtype=np.float64)
-    return replace(channel, paths=RaggedPaths.of(paths, tx_position_m, receiver_m))
+    receivers_m = np.array([each.position_m for each in tracing.scene.receivers], dtype=np.float64)
+    paths = [Paths.joined([each.paths(at) for each in row]) for at in tx_position_m for row in tracers]
+    ends = np.repeat(tx_position_m, len(tracers), axis=0), np.tile(receivers_m, (len(tx_position_m), 1))
+    ragged = RaggedPaths.of(paths, *ends)
+    gain = ragged.gain.reshape(len(ragged.gain), *counts[len(tracers) > 1 :], len(tracing.carrier_hz))
+    return replace(channel, paths=replace(ragged, gain=gain))
 
 
 def forget_rays() -> None:
     """Free the rays that this process has shot; in a worker they stay for the next batch."""
-    _tracer.cache_clear()
+    _tracers.cache_clear()
 
 
 @lru_cache(maxsize=1)
-def _tracer(tracing: Tracing) -> Tracer:
-    return tracer_of(tracing.prepared(), tracing.carrier_hz, tracing.settings)
+def _tracers(tracing: Tracing) -> list[list[Tracer]]:
+    return tracers_of(tracing, tracing.settings)

@@ -22,21 +22,21 @@ from xfreqbench.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class SampleBlock:
-    """The samples of T transmitters at F carriers, as a data set stores them.
+    """The samples of T transmitters at F carriers, of each link of the file, as a data set stores them.
 
     Each map has peak 1, or is zero where no path arrives. `cfr` is None for maps that came without channels.
     """
 
-    maps: Float[NDArray[np.float32], "T F E A"]
-    peak_power: Float[FloatArray, "T F"]
-    num_paths: Int[NDArray[np.integer], "T F"]
-    cfr: Complex[NDArray[np.complex64], "T F M"] | None = None
+    maps: Float[NDArray[np.float32], "T *L F E A"]
+    peak_power: Float[FloatArray, "T *L F"]
+    num_paths: Int[NDArray[np.integer], "T *L F"]
+    cfr: Complex[NDArray[np.complex64], "T *L F M"] | None = None
 
     @classmethod
     def of_channels(
         cls,
-        cfr: Complex[NDArray[np.complexfloating], "T F M"],
-        num_paths: Int[NDArray[np.integer], "T F"],
+        cfr: Complex[NDArray[np.complexfloating], "T *L F M"],
+        num_paths: Int[NDArray[np.integer], "T *L F"],
         beam: BartlettBeam,
         kind: PasKind,
     ) -> SampleBlock:
@@ -46,7 +46,7 @@ class SampleBlock:
         """
         stored = cfr.astype(np.complex64)
         maps, peak_power = beam.maps(stored.reshape(-1, stored.shape[-1]), kind)
-        sample_shape = stored.shape[:2]
+        sample_shape = stored.shape[:-1]
         return cls(maps.reshape(*sample_shape, *beam.grid.shape), peak_power.reshape(sample_shape), num_paths, stored)
 
     @classmethod
@@ -84,7 +84,7 @@ class PasWriter:
         stored, groups = variables(header, self._grid), dict[str, dict[str, str]]()
         if header.paths:
             totals = paths or PathTotals(0, 0, ())
-            stored += path_variables(header.num_tx, len(header.carrier_hz), totals)
+            stored += path_variables(header, totals)
             groups[GROUP] = totals.attributes
         attributes: dict[str, str | int] = {**header.attributes(), "num_tx": header.num_tx}  # a number as such
         self._context = create_sealed(path, stored, attributes, groups, prove)
@@ -106,7 +106,7 @@ class PasWriter:
     def append(
         self,
         tx_position_m: Float[FloatArray, "T 3"],
-        line_of_sight: Bool[NDArray[np.bool_], "T"],
+        line_of_sight: Bool[NDArray[np.bool_], "T *R"],
         samples: SampleBlock,
         paths: RaggedPaths | None = None,
     ) -> None:

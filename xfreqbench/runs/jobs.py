@@ -48,7 +48,7 @@ class Task:
     @cached_property
     def dataset(self) -> PasDataset:
         """The data set; raises `DataError`."""
-        return open_dataset(self.dataset_path)
+        return open_dataset(self.dataset_path, self.job.receiver, self.job.polarization)
 
     @cached_property
     def method(self) -> Method:
@@ -111,7 +111,7 @@ def protocol_tasks(
     """
     splits = make_splits(dataset, protocol, targets_ghz, on)
     return [
-        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget), dataset, split)
+        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget, *dataset.link_names), dataset, split)
         for name, options in methods
         for seed in seeds
         for split in splits

@@ -6,7 +6,7 @@ import base64
 import errno
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -26,6 +26,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     ValidationError,
+    model_serializer,
     model_validator,
 )
 
@@ -133,7 +134,8 @@ Findings = Annotated[dict[str, Any], AfterValidator(_rounded_within)]
 class Job:
     """What is asked for: one method, fitted on one split of a data set with one seed, and scored.
 
-    `dataset` is the path of the data set; `overrides` are texts `key=value` for the method's options.
+    `dataset` is the path of the data set; `overrides` are texts `key=value` for the method's options. `receiver` and
+    `polarization` say which link is used of a file with several, and are left out of the JSON for other files.
     """
 
     dataset: str
@@ -143,6 +145,12 @@ class Job:
     overrides: tuple[str, ...] = ()
     seed: Count = 0
     budget: Budget = field(default_factory=Budget)
+    receiver: str | None = None
+    polarization: str | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in serialize(self).items() if value is not None}
 
     def __post_init__(self) -> None:
         for text in (self.dataset, self.method, *self.overrides):

@@ -65,6 +65,8 @@ def run(
     seeds: WholeNumbers = (0,),
     budget: str | Budget | None = "5m",
     device: Literal["cpu", "cuda"] = "cpu",
+    receiver: str | None = None,
+    polarization: str | None = None,
     executor: Word = SERIAL,
     progress: bool = False,
 ) -> list[RunRecord]:
@@ -80,12 +82,15 @@ def run(
     `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run where that is no terminal, and
     first says what the runs will take where that may be more than ten minutes.
 
+    `receiver` and `polarization` choose what methods see of a file with several; without them it is what a given data
+    set shows, and the first of each in a path.
+
     Records, predictions and fitted methods go to the folder `results`. What is finished there is not run again, and a
     fit that was killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where
     that is possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single
     run raises its own error.
     """
-    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device)
+    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, receiver, polarization)
     if executor != SERIAL:
         require_importable(tasks)
     return run_shown(tasks, Path(results), executor, progress)
@@ -100,6 +105,8 @@ def asked_tasks(
     seeds: Sequence[int],
     budget: str | Budget | None,
     device: Literal["cpu", "cuda"],
+    receiver: str | None = None,
+    polarization: str | None = None,
 ) -> list[Task]:
     """The tasks of a call of `run`; raises what is wrong with its arguments."""
     if isinstance(data, PasDataset):
@@ -109,13 +116,15 @@ def asked_tasks(
                 f"Protocols split whole data sets, but a subset of {len(data)} of the {num_samples} samples of "
                 f"{data.path} was given. Give the whole data set, or its path."
             )
-        data = data.path
+        shown, data = data.link_names, data.path
+        receiver, polarization = receiver or shown[0], polarization or shown[1]
     if not isinstance(methods, Mapping):
         methods = dict.fromkeys(method_names() if list(methods) == ["all"] else methods, ())
     options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
-    return protocol_tasks(str(data), open_dataset(data), named, protocol, targets_ghz, seeds, limit, on)
+    dataset = open_dataset(data, receiver, polarization)
+    return protocol_tasks(str(data), dataset, named, protocol, targets_ghz, seeds, limit, on)
 
 
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
@@ -192,7 +201,7 @@ def run_jobs(
     else:
         call = partial(_run_claimed, folder=ResultsFolder(folder.path))
         require_shared_folder(workers, folder.path)
-        require_shared_datasets(workers, {task.dataset_path: task.dataset.sha256 for task in missing})
+        require_shared_datasets(workers, {task.dataset_path: task.dataset.file_sha256 for task in missing})
     locks, told = dict[str, ExitStack](), set[str]()
 
     def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
@@ -410,6 +419,6 @@ def _sees(path: Path) -> bool:
 
 def _sha256_there(path: Path) -> str | None:
     try:
-        return open_dataset(path).sha256
+        return open_dataset(path).file_sha256
     except DataError:
         return None

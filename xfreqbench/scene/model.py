@@ -9,7 +9,7 @@ from dataclasses import replace
 from importlib.resources import files
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +35,8 @@ PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 Pattern = Literal["iso", "dipole"]
 Polarization = Literal["V", "H"]
+PolarizationPair = Literal["VV", "VH", "HV", "HH"]  # what the transmitter sends in, then what the receiver hears in
+POLARIZATION_PAIRS: tuple[PolarizationPair, ...] = get_args(PolarizationPair)
 
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
@@ -42,6 +44,7 @@ UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "i
 _SAID_IF_GIVEN = {
     "other_receivers",
     "transmitters",
+    "transmitter_polarization",
     "up",
     "unit",
     "outside",
@@ -256,7 +259,7 @@ class Scene:
     or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
     meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
     of the receiver. A file may have several `[[receiver]]`, each with a name: those after the first are
-    `other_receivers`.
+    `other_receivers`. `transmitter_polarization` goes before what the grid of transmitters states.
 
     `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
     `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
@@ -279,6 +282,7 @@ class Scene:
     least_patch_area_m2: Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)] | None = None
     least_patch_width_m: PositiveMetres | None = None
     other_receivers: tuple[ReceiverArray, ...] = ()
+    transmitter_polarization: Polarization | None = None
     folder: Annotated[Path, Field(exclude=True)] = Path()
 
     @model_serializer(mode="wrap")
@@ -313,14 +317,32 @@ class Scene:
         """All receivers of the scene, in the order of its file."""
         return self.receiver, *self.other_receivers
 
-    def with_receiver(self, name: str | None = None) -> Scene:
-        """The scene with one of its receivers alone, the first without a name; raises `UnknownNameError`."""
-        if name is None:
-            return replace(self, other_receivers=())
+    def with_receiver(self, *names: str) -> Scene:
+        """The scene with some of its receivers alone, the first without a name; raises `UnknownNameError`."""
         by_name = {each.name: each for each in self.receivers if each.name is not None}
-        if name not in by_name:
-            raise UnknownNameError("receiver", name, by_name)
-        return replace(self, receiver=by_name[name], other_receivers=())
+        for name in names:
+            if name not in by_name:
+                raise UnknownNameError("receiver", name, by_name)
+        first, *others = [by_name[name] for name in dict.fromkeys(names)] or [self.receiver]
+        return replace(self, receiver=first, other_receivers=tuple(others))
+
+    def with_polarization(self, pair: PolarizationPair) -> Scene:
+        """The scene whose transmitters send in the first of the two polarizations, and whose receivers hear the second.
+
+        `pair` is one of `POLARIZATION_PAIRS`; raises `UnknownNameError`.
+        """
+        if pair not in POLARIZATION_PAIRS:
+            raise UnknownNameError("pair of polarizations", pair, POLARIZATION_PAIRS)
+        sent, heard = cast("tuple[Polarization, Polarization]", tuple(pair))
+        first, *others = [replace(each, polarization=heard) for each in self.receivers]
+        turned = replace(self, receiver=first, other_receivers=tuple(others), transmitter_polarization=None)
+        is_so = turned.transmitter_antenna.polarization == sent
+        return turned if is_so else replace(turned, transmitter_polarization=sent)
+
+    @property
+    def polarization(self) -> str:
+        """The polarization of the transmitters, then that of the receiver: one of `POLARIZATION_PAIRS`."""
+        return self.transmitter_antenna.polarization + self.receiver.polarization
 
     @property
     def materials(self) -> dict[str, SceneMaterial]:
@@ -336,9 +358,9 @@ class Scene:
     def transmitter_antenna(self) -> Antenna:
         """The antenna of every transmitter: that of the receiver's elements, but for what the grid states."""
         stated, receiver = self.transmitters, self.receiver.antenna
-        if stated is None:
-            return receiver
-        return Antenna(stated.pattern or receiver.pattern, stated.polarization or receiver.polarization)
+        if stated is not None:
+            receiver = Antenna(stated.pattern or receiver.pattern, stated.polarization or receiver.polarization)
+        return receiver._replace(polarization=self.transmitter_polarization or receiver.polarization)
 
     @property
     def antenna_settings(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
-from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.scene.model import FAR_M, ReceiverArray, Scene
 from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
@@ -35,8 +35,8 @@ def place_transmitters(
 ) -> Placement:
     """Positions of the scene's grid outside every object and at least `clearance_m` from surfaces and receiver.
 
-    The receiver is the whole array, as wide as at the lowest carrier, where that is given, else its centre. Raises
-    `PlacementError` where no position is left, and for a scene without a grid.
+    The receiver is the whole array, as wide as at the lowest carrier, where that is given, else its centre; all
+    receivers of the scene count. Raises `PlacementError` where no position is left, and for a scene without a grid.
     """
     if scene.transmitters is None:
         raise PlacementError(
@@ -47,8 +47,11 @@ def place_transmitters(
     clearance_m = scene.transmitters.clearance_m
     inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
-    to_receiver_m = np.linalg.norm(lattice_m - np.asarray(scene.receiver.position_m), axis=1)
-    near_receiver = ~inside & ~near_surface & (to_receiver_m < clearance_m + _half_aperture_m(scene, lowest_carrier_hz))
+    near_receiver = np.zeros_like(inside)
+    for receiver in scene.receivers:
+        to_receiver_m = np.linalg.norm(lattice_m - np.asarray(receiver.position_m), axis=1)
+        near_receiver |= to_receiver_m < clearance_m + _half_aperture_m(receiver, lowest_carrier_hz)
+    near_receiver &= ~inside & ~near_surface
     usable = ~(inside | near_surface | near_receiver)
     rejected = {
         "inside an object": int(inside.sum()),
@@ -81,10 +84,10 @@ def choose_transmitters(placement: Placement, num_transmitters: int | None, seed
     return usable[np.sort(chosen)]
 
 
-def _half_aperture_m(scene: Scene, carrier_hz: float | None) -> float:
+def _half_aperture_m(receiver: ReceiverArray, carrier_hz: float | None) -> float:
     if carrier_hz is None:
         return 0.0
-    offset_m = scene.receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
+    offset_m = receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
     return float(np.linalg.norm(offset_m, axis=1).max())
 
 
@@ -106,13 +109,14 @@ def check_transmitters(
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
     _check_inside(scene, meshes, tx_position_m, "Every transmitter")
-    for carrier in carrier_hz:
-        _check_off_the_array(scene, tx_position_m, carrier)
+    for receiver in scene.receivers:
+        for carrier in carrier_hz:
+            _check_off_the_array(receiver, tx_position_m, carrier)
 
 
-def _check_off_the_array(scene: Scene, tx_position_m: Float[FloatArray, "T 3"], carrier_hz: float) -> None:
-    element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
-    points_m = np.vstack([scene.receiver.position_m, element_m])
+def _check_off_the_array(receiver: ReceiverArray, tx_position_m: Float[FloatArray, "T 3"], carrier_hz: float) -> None:
+    element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+    points_m = np.vstack([receiver.position_m, element_m])
     distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
     if (distance_m < MIN_SEPARATION_M).any():
         index = int(distance_m.argmin())
@@ -133,7 +137,8 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
     _check_height(scene, meshes)
     element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / lowest_carrier_hz)
     points_m = np.vstack([scene.receiver.position_m, element_m])
-    _check_free(scene, meshes, points_m, "Receiver array point", lowest_carrier_hz)
+    name = "" if scene.receiver.name is None else f" {scene.receiver.name!r}:"
+    _check_free(scene, meshes, points_m, f"Receiver{name} array point", lowest_carrier_hz)
 
 
 def _check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:

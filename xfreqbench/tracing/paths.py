@@ -17,6 +17,8 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
 
+_OF_A_PATH = ("arrival", "interactions", "surfaces", "vertices_m")
+
 
 @dataclass(frozen=True)
 class Paths:
@@ -38,6 +40,27 @@ class Paths:
     surfaces: Int[NDArray[np.int64], "P D"]
     vertices_m: Float[FloatArray, "P D 3"]
 
+    @classmethod
+    def joined(cls, links: Sequence[Paths]) -> Paths:
+        """The paths between the same two places by L pairs of antennas, as the paths of one pair at L · F carriers.
+
+        A path that a pair lacks has gain 0 there.
+        """
+        if len(links) == 1:
+            return links[0]
+        points_m = [np.nan_to_num(each.vertices_m, nan=np.inf).reshape(len(each.delay_s), -1) for each in links]
+        met = [np.hstack([each.interactions, each.surfaces, at]) for each, at in zip(links, points_m, strict=True)]
+        _, first, number = np.unique(np.concatenate(met), axis=0, return_index=True, return_inverse=True)
+        delay_s = np.concatenate([each.delay_s for each in links])[first]
+        order = np.lexsort((first, delay_s))
+        place = np.split(np.argsort(order)[number.ravel()], np.cumsum([len(each.delay_s) for each in links])[:-1])
+        gain = np.zeros((len(links), len(first), len(links[0].carrier_hz)), np.complex128)
+        for of_link, each, at in zip(gain, links, place, strict=True):
+            np.add.at(of_link, at, each.gain.T)
+        kept = {name: np.concatenate([getattr(each, name) for each in links])[first][order] for name in _OF_A_PATH}
+        flat = gain.swapaxes(1, 2).reshape(-1, len(first))
+        return cls(np.tile(links[0].carrier_hz, len(links)), flat, delay_s[order], **kept)
+
     def departure(
         self, tx_position_m: Float[FloatArray, "3"], receiver_m: Float[FloatArray, "3"]
     ) -> Float[FloatArray, "P 3"]:
@@ -55,10 +78,13 @@ class RaggedPaths:
     those of `Paths`. Azimuths and elevations are of unit vectors in world axes, which point from the receiver
     towards the last interaction (arrival), and from the transmitter towards the first (departure). `vertex_m` is in
     single precision where the receiver is within `NEAR_M` of the origin, and in double beyond.
+
+    In a file of several pairs of polarizations gains have an axis for them before the carriers. In one of several
+    receivers the paths to all of them follow one another for each transmitter, so that T counts both.
     """
 
     num_paths: Int[NDArray[np.int64], "T"]
-    gain: Complex[NDArray[np.complex64], "P F"]
+    gain: Complex[NDArray[np.complex64], "P *L F"]
     delay_s: Float[FloatArray, "P"]
     arrival_azimuth_rad: Float[NDArray[np.float32], "P"]
     arrival_elevation_rad: Float[NDArray[np.float32], "P"]
@@ -71,13 +97,13 @@ class RaggedPaths:
 
     @classmethod
     def of(
-        cls, paths: Sequence[Paths], tx_position_m: Float[FloatArray, "T 3"], receiver_m: Float[FloatArray, "3"]
+        cls, paths: Sequence[Paths], tx_position_m: Float[FloatArray, "T 3"], receiver_m: Float[FloatArray, "*R 3"]
     ) -> RaggedPaths:
-        """The paths of T transmitters, one at least, and of a receiver at `receiver_m`."""
+        """The paths of T transmitters, one at least, and of a receiver at `receiver_m`, or of one for each."""
         is_met: list[Bool[NDArray[np.bool_], "P D"]] = [each.interactions != NO_INTERACTION for each in paths]
-        starts = zip(paths, tx_position_m, strict=True)
+        ends = zip(paths, tx_position_m, np.broadcast_to(receiver_m, tx_position_m.shape), strict=True)
         arrival = angles_rad(np.concatenate([each.arrival for each in paths]))
-        departure = angles_rad(np.concatenate([each.departure(tx, receiver_m) for each, tx in starts]))
+        departure = angles_rad(np.concatenate([each.departure(tx, rx) for each, tx, rx in ends]))
         kept = list(zip(paths, is_met, strict=True))
         precision = np.float64 if (np.abs(receiver_m) > NEAR_M).any() else np.float32
         return cls(
@@ -93,6 +119,14 @@ class RaggedPaths:
             surface=np.concatenate([each.surfaces[met] for each, met in kept]).astype(np.int32),
             vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(precision),
         )
+
+    def every(self, step: int, first: int) -> RaggedPaths:
+        """The paths of every `step`-th transmitter, from the one of that number on."""
+        is_of = np.arange(len(self.num_paths)) % step == first
+        is_path = np.repeat(is_of, self.num_paths)
+        is_point = np.repeat(is_path, self.num_interactions)
+        masks = {"num_paths": is_of, "interaction": is_point, "surface": is_point, "vertex_m": is_point}
+        return RaggedPaths(**{name: value[masks.get(name, is_path)] for name, value in vars(self).items()})
 
     def total_power(self, carrier: int) -> Float[FloatArray, "T"]:
         """Σ|gain|² over the paths of each of T transmitters, at the carrier of that number."""

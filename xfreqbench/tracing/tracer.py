@@ -10,6 +10,7 @@ from jaxtyping import Complex, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import MaterialPolicy
+from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.types import FloatArray
 
@@ -61,11 +62,12 @@ class Channel:
 
     `cfr` is h_n(f) of Eq. (1), the received over the transmitted complex amplitude, time running as exp(+j2πft):
     |h|² is received over transmitted power. `num_paths` counts the paths that reach at least one element. `paths`
-    are those to the array centre, where they were asked for.
+    are those to the array centre, where they were asked for. A tracer gives that of one receiver; that of several
+    links of a file has their axes, receivers and pairs of polarizations, behind the transmitters.
     """
 
-    cfr: Complex[NDArray[np.complex128], "T F M"]
-    num_paths: Int[NDArray[np.int32], "T F"]
+    cfr: Complex[NDArray[np.complex128], "T *L F M"]
+    num_paths: Int[NDArray[np.int32], "T *L F"]
     paths: RaggedPaths | None = None
 
 
@@ -79,4 +81,8 @@ class Tracer(Protocol):
 
     def paths(self, tx_position_m: Float[FloatArray, "3"]) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
+        ...
+
+    def with_antennas(self, scene: Scene) -> Tracer:
+        """A tracer of a scene that differs in its antennas alone, which shares what was found of the scene's rays."""
         ...

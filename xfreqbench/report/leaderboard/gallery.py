@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
-from xfreqbench.errors import DataError, StorageError
+from xfreqbench.errors import DataError, StorageError, UnknownNameError
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen_samples, shown_maps
 from xfreqbench.runs.folder import ResultsFolder
@@ -143,10 +143,11 @@ def scales() -> dict[str, str]:
 
 def open_data(board: Board) -> PasDataset | None:
     """The board's data set, from the first path in its records where it still is; None where it is at none."""
-    for path in dict.fromkeys(record.job.dataset for record in board.records):
+    jobs = [record.job for record in board.records]
+    for place in dict.fromkeys((job.dataset, job.receiver, job.polarization) for job in jobs):
         try:
-            dataset = open_dataset(path)
-        except (DataError, StorageError):
+            dataset = open_dataset(*place)
+        except (DataError, StorageError, UnknownNameError):
             continue
         if board.is_of(dataset):
             return dataset

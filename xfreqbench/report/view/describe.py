@@ -24,6 +24,7 @@ def describe(path: Path) -> str:
     lines = [
         f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters{at_places} ({in_sight} in sight of "
         f"the receiver) × {dataset.num_carriers} carriers",
+        *_links_line(dataset),
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
         f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
         f"{receiver.pattern} pattern, polarization {receiver.polarization}",
@@ -43,6 +44,12 @@ def describe(path: Path) -> str:
     return "\n".join(lines + _carrier_lines(dataset))
 
 
+def _links_line(dataset: PasDataset) -> list[str]:
+    """Which links the file holds, where there are several; what is said below is of the first."""
+    parts = [", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names]
+    return [f"links      {' × '.join(parts)}; what follows is of the first of each"] if parts else []
+
+
 def _in_words(setting: Any) -> str:
     """A setting as text: names of a list as in `specular+refraction`, `none` for an empty one."""
     if isinstance(setting, list | tuple) and all(isinstance(item, str) for item in setting):
@@ -54,7 +61,7 @@ def _paths_line(dataset: PasDataset) -> list[str]:
     """How many paths are stored; nothing where there are none."""
     if not dataset.header.paths:
         return []
-    of_each = np.diff(dataset.tables[OFFSET])
+    of_each = np.diff(dataset.tables[OFFSET])[dataset.link[0] :: max(1, len(dataset.receivers))]
     return [f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"]
 
 

@@ -6,6 +6,7 @@ sees the edges is found once, how a transmitter does for each.
 
 from __future__ import annotations
 
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -56,6 +57,12 @@ class Diffraction:
         reflectors = _reflectors(len(mirrors.planes), facets, corners_m, scene.media)
         sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
         self.room, self._sought = Room(scene, wedges, reflectors), (sides, limits)
+
+    def in_scene(self, scene: Scene) -> Diffraction:
+        """The same edges for a scene that differs in its antennas alone."""
+        other = copy(self)
+        other.room = self.room._replace(scene=scene)
+        return other
 
     def add_channel(
         self, tx_m: Float[FloatArray, "3"], floor: Float[FloatArray, "F"], sums: Sums, num_paths: NDArray[np.int32]

@@ -14,6 +14,7 @@ stretch under 1 cm; here two surfaces may be as near to each other as a micromet
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +100,7 @@ class ImageTracer:
                 f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: "
                 "mirrors = 'patches', or a larger least_patch_area_m2, in the scene's TOML."
             )
-        self.settings, self.savings = settings, savings
+        self.settings, self.savings, self._meshes = settings, savings, geometry.meshes
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
@@ -131,6 +132,17 @@ class ImageTracer:
             self.diffraction = Diffraction(
                 geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
             )
+
+    def with_antennas(self, scene: Scene) -> ImageTracer:
+        """A tracer of a scene that differs in its antennas alone, which shares the sequences that were found."""
+        other = copy(self)
+        ascending, shape = self.carrier_hz[self._order], self._scene.aperture.weight.shape
+        other._media_at_centre, _ = media_of(self._meshes, ascending, self.settings.materials, scene)
+        other._scene = self._scene._replace(media=other._media_at_centre.in_lanes(*shape))
+        other._floor_at = {}
+        if self.diffraction is not None:
+            other.diffraction = self.diffraction.in_scene(other._scene)
+        return other
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:

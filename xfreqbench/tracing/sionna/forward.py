@@ -47,7 +47,7 @@ class ForwardRays:
         self.receiver = receiver
         self.carrier_hz = carrier_hz
         self.settings = settings
-        self._field = Field(radio_scene, transmitter, receiver.antenna)
+        self.field = Field(radio_scene, transmitter, receiver.antenna)
         self._diffraction = "diffraction" in settings.named_interactions
         self._diffuse = "diffuse" in settings.named_interactions
 
@@ -108,7 +108,7 @@ class ForwardRays:
         self.radio_scene.set_carrier(carrier_hz)
         with roomy_hash_table():
             buffer = self._candidates(tx, target_m)
-        self._field.find_paths(buffer, tx, target_m, self._diffraction)
+        self.field.find_paths(buffer, tx, target_m, self._diffraction)
         return buffer
 
     def _candidates(self, tx: Float[FloatArray, "1 3"], target_m: FloatArray) -> Any:
@@ -143,7 +143,7 @@ class ForwardRays:
     def _gains(
         self, carrier_hz: float, buffer: Any, tx: FloatArray, target_m: FloatArray
     ) -> Complex[NDArray[np.complex128], "P"]:
-        return self._field.gains(carrier_hz, buffer, tx, target_m, self._diffraction, self.settings.rays)
+        return self.field.gains(carrier_hz, buffer, tx, target_m, self._diffraction, self.settings.rays)
 
 
 def _lengths_m(

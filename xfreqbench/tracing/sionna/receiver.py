@@ -80,7 +80,7 @@ class ReceiverRays:
             np.asarray(receiver.position_m),
             radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()) * wavelength_m,
         )
-        self._field = Field(radio_scene, transmitter, receiver.antenna)
+        self.field = Field(radio_scene, transmitter, receiver.antenna)
         self._buffer = _forward_buffer(self.chains, radio_scene)
         self._hits = _LastPoints(self.chains)
 
@@ -103,7 +103,7 @@ class ReceiverRays:
         centre = np.array([self.receiver.position_m])
         candidates = self._candidates(tx)
         pair, buffer = self._solve(tx, centre, candidates.tx, candidates.chain, np.zeros_like(candidates.tx))
-        gain = [self._field.gains(carrier, buffer, tx, centre) for carrier in self.carrier_hz.tolist()]
+        gain = [self.field.gains(carrier, buffer, tx, centre) for carrier in self.carrier_hz.tolist()]
         length_m = candidates.lengths_m(pair, tx, np.repeat(centre, len(pair), axis=0))
         image_m = candidates.rotation[pair] @ centre[0] + candidates.shift_m[pair]
         arrival = np.einsum("rab,ra->rb", candidates.rotation[pair], tx - image_m) / length_m[:, None]
@@ -136,7 +136,7 @@ class ReceiverRays:
         cfr = np.zeros((len(tx_position_m), len(element_m)), dtype=np.complex128)
         reached = np.zeros(len(candidates.tx), dtype=bool)
         for pair, element, buffer in self._reached(tx_position_m, element_m, candidates.tx, candidates.chain):
-            gain = self._field.gains(carrier_hz, buffer, tx_position_m, element_m)
+            gain = self.field.gains(carrier_hz, buffer, tx_position_m, element_m)
             length_m = candidates.lengths_m(pair, tx_position_m, element_m[element])
             response = with_travel_phase(gain, length_m, carrier_hz)
             np.add.at(cfr, (candidates.tx[pair], element), response)
@@ -166,7 +166,7 @@ class ReceiverRays:
         buffer = self._buffer.gather(mi.UInt(chain.astype(np.uint32)))
         buffer._src_indices = mi.UInt(tx.astype(np.uint32))
         buffer._tgt_indices = mi.UInt(target.astype(np.uint32))
-        return self._field.find_paths(buffer, tx_position_m, target_m), buffer
+        return self.field.find_paths(buffer, tx_position_m, target_m), buffer
 
 
 class _LastPoints:

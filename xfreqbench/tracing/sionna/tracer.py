@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from xfreqbench.scene.model import Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.paths import Paths
+from xfreqbench.tracing.sionna.field import Field
 from xfreqbench.tracing.sionna.forward import ForwardRays
 from xfreqbench.tracing.sionna.receiver import ReceiverRays
 from xfreqbench.tracing.sionna.scene import RadioScene
@@ -46,13 +48,22 @@ class SionnaTracer:
         prepared = PreparedScene.of(scene)
         receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
         check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
-        shooting = ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
+        shooting: type[ForwardRays | ReceiverRays] = (
+            ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
+        )
         self._origin_m = receiver.local_origin_m
         x, y, z = (receiver.position_m - self._origin_m).tolist()
         moved = [replace(mesh, vertices_m=mesh.vertices_m - self._origin_m) for mesh in meshes]
         radio_scene = RadioScene(moved, settings.materials)
         moved_receiver, antenna = replace(receiver, position_m=(x, y, z)), prepared.scene.transmitter_antenna
         self._rays = shooting(radio_scene, moved_receiver, antenna, carriers, settings)
+
+    def with_antennas(self, scene: Scene) -> SionnaTracer:
+        """A tracer of a scene that differs in its antennas alone, which shares the rays that were shot."""
+        other = copy(self)
+        other._rays = copy(self._rays)
+        other._rays.field = Field(self._rays.radio_scene, scene.transmitter_antenna, scene.receiver.antenna)
+        return other
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:

@@ -1,0 +1,180 @@
+"""Several receivers and polarizations in one file: every link is as in a file of its own."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import xfreqbench as xb
+from xfreqbench.data.batches import BatchStore
+from xfreqbench.data.dataset import PasDataset, verify
+from xfreqbench.data.schema import variables
+from xfreqbench.data.trace import channel_by
+from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError
+from xfreqbench.report.view.describe import describe
+from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.tracing.tracer import Channel
+
+TX_M = [[1.0, 1.2, 1.0], [4.1, 2.2, 1.5], [5.4, 3.1, 1.2]]
+HOW: dict[str, Any] = {"freqs_ghz": [2.4, 24.25], "tx_positions": TX_M, "max_depth": 3, "rays": 20_000, "paths": True}
+SMALL = {"rows": 2, "cols": 3}
+
+
+def two_receivers() -> Scene:
+    scene = xb.load_scene("two_rooms")
+    first = replace(scene.receiver, name="first one", **SMALL)
+    return replace(scene, receiver=first, other_receivers=(ReceiverArray((4.0, 2.0, 1.1), **SMALL, name="low"),))
+
+
+SOLVERS = ["image", pytest.param("sionna", marks=pytest.mark.sionna)]
+
+
+@pytest.fixture(scope="module", params=SOLVERS)
+def joint(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    path = tmp_path_factory.mktemp("links") / "joint.h5"
+    return xb.generate(two_receivers(), path, **HOW, solver=request.param, receiver="all", polarization=["V", "H"])
+
+
+def test_every_link_is_as_in_a_file_of_its_own(joint: PasDataset, tmp_path: Path) -> None:
+    solver = joint.trace_settings.solver
+    for receiver, pair in (("first one", "VH"), ("low", "VV"), ("low", "HH")):
+        path = tmp_path / f"{receiver}{pair}.h5"
+        alone = xb.generate(two_receivers(), path, **HOW, solver=solver, receiver=receiver, polarization=pair)
+        link = joint.at(receiver, pair)
+        assert link.header.attributes() == alone.header.attributes()
+        assert link.recipe == alone.recipe
+        for name in ("cfr", "peak_power", "num_paths", "line_of_sight"):
+            np.testing.assert_array_equal(getattr(link, name), getattr(alone, name), name)
+        np.testing.assert_array_equal(link.pas(), alone.pas())
+        assert link.sha256 != alone.sha256 and len(alone.receivers) == 0
+        for sample in range(len(alone)):
+            np.testing.assert_allclose(link.cir(sample).gain.sum(0), alone.cir(sample).gain.sum(0), rtol=0, atol=1e-12)
+
+
+def test_the_line_of_sight_does_not_turn_the_field(joint: PasDataset) -> None:
+    crossed, parallel = joint.at(polarization="VH").paths(0), joint.at(polarization="VV").paths(0)
+    in_sight = (crossed.interactions == 0).all(axis=1)
+    assert in_sight.sum() == 1
+    assert abs(crossed.gain[in_sight][0]) < 1e-6 * abs(parallel.gain[in_sight][0])
+    assert np.abs(crossed.gain).max() > 1e-3 * np.abs(parallel.gain).max()  # walls and floor turn the field
+
+
+def test_a_file_says_which_links_it_holds_and_shows_one(joint: PasDataset, tmp_path: Path) -> None:
+    assert (joint.receivers, joint.polarizations) == (("first one", "low"), ("VV", "VH", "HV", "HH"))
+    assert joint.link_names == ("first one", "VV")
+    assert len({link.sha256 for link in joint.links()}) == len({link.recipe for link in joint.links()}) == 8
+    link = joint.at("low", "HV")[[3, 1]]
+    again = pickle.loads(pickle.dumps(link))
+    assert (again.link_names, again.rows.tolist()) == (("low", "HV"), [3, 1])
+    np.testing.assert_array_equal(again.pas(), link.pas())
+    assert link.at(polarization="HH").link_names == ("low", "HH")
+    with pytest.raises(UnknownNameError, match="low"):
+        joint.at("lo")
+    with pytest.raises(DataError, match="with one receiver"):
+        joint.isolated().at("low")
+    assert xb.open_dataset(joint.path, "low").link_names == ("low", "VV")
+    with h5py.File(joint.path) as file:
+        assert [scale.label for scale in file["cfr"].dims] == [""] * 5
+        axes = [dimension[0].name for dimension in file["cfr"].dims]
+        assert axes == ["/tx", "/receiver", "/polarization", "/carrier_hz", "/element"]
+        assert file["receiver"].attrs["flag_meanings"].decode() == "first_one low"
+        assert file["polarization"].attrs["flag_meanings"].decode() == "VV VH HV HH"
+        assert file["rx_position_m"].shape == (2, 3) and file["line_of_sight"].shape == (3, 2)
+    assert "2 receivers" not in repr(joint) and "first one, of first one, low" in repr(joint)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_channel_back_has_the_letters_of_its_pair_turned(solver: Any) -> None:
+    scene, settings = xb.load_scene("two_rooms"), xb.TraceSettings(solver, ("specular", "refraction"), 3, 50_000)
+    ends_m = (1.0, 1.2, 1.0), (6.5, 2.3, 1.6)
+
+    def channel(heard_m: Any, sent_m: Any, pair: Any) -> complex:
+        alone = replace(scene, receiver=ReceiverArray(heard_m, rows=1, cols=1)).with_polarization(pair)
+        return complex(xb.make_tracer(alone, [2.4], settings).channel(np.array([sent_m])).cfr[0, 0, 0])
+
+    there, back = channel(*ends_m, "VH"), channel(*ends_m[::-1], "HV")
+    assert abs(there - back) < 1e-3 * abs(there)  # Sionna RT is in single precision
+
+
+def few(path: Path, **changes: Any) -> PasDataset:
+    scene = replace(two_receivers(), transmitters=xb.load_scene("two_rooms").transmitters)
+    how = {"freqs_ghz": [2.4, 10.0], "tx": 12, "interactions": ["specular", "refraction"], "max_depth": 1}
+    return xb.generate(scene, path, **{**how, "receiver": "all", "polarization": ["HV", "VV"], **changes})
+
+
+def test_a_killed_generation_of_several_links_ends_in_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = few(tmp_path / "whole.h5", paths=True)
+    verify(whole.path)
+    written = []
+
+    def killed(store: BatchStore, index: int, channel: Channel) -> None:
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(index)
+        write(store, index, channel)
+
+    write = BatchStore.write
+    with monkeypatch.context() as patch:
+        patch.setattr(BatchStore, "write", killed)
+        with pytest.raises(KeyboardInterrupt):
+            few(tmp_path / "again.h5", paths=True)
+    assert len(list((tmp_path / "again.h5.parts").glob("*.npz"))) == 2
+    few(tmp_path / "again.h5", paths=True)
+    assert (tmp_path / "again.h5").read_bytes() == whole.path.read_bytes()
+    with pytest.raises(OutputExistsError, match="polarizations"):
+        few(tmp_path / "again.h5", paths=True, polarization="VV")
+
+
+def test_the_proof_of_origin_sees_every_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def spoilt(tracers: Any, tracing: Any, tx_position_m: Any) -> Channel:
+        channel = channel_by(tracers, tracing, tx_position_m)
+        if channel.cfr.ndim > 3:
+            channel.cfr[:, 1, 1] *= 1.01  # in the file, and in no channel of one link
+        return channel
+
+    monkeypatch.setattr("xfreqbench.data.trace.channel_by", spoilt)
+    with pytest.raises(DataError, match="does not hold what its header says"):
+        few(tmp_path / "data.h5")
+
+
+def test_the_plan_counts_links(tmp_path: Path) -> None:
+    said: list[str] = []
+    dataset = few(tmp_path / "data.h5", tell=said.append)
+    assert "12 transmitters" in said[0]
+    assert "× 2 receivers (first one, low) × 2 pairs (HV, VV) × 2 carriers = 96 samples" in said[0]
+    stored = sum(each.num_bytes for each in variables(dataset.file_header, dataset.grid))
+    assert stored == dataset.file_header.num_bytes > 96 * dataset.grid.directions[..., 0].size * 2
+    assert "links      first one, low × HV, VV" in describe(dataset.path)
+
+
+def test_what_links_cannot_be_asked_for_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="low"):
+        few(tmp_path / "x.h5", receiver="lw")
+    with pytest.raises(UnknownNameError, match="VH"):
+        few(tmp_path / "x.h5", polarization="VX")
+    other = replace(two_receivers().other_receivers[0], rows=4)
+    with pytest.raises(XFreqBenchError, match="'first one' and 'low' have different arrays"):
+        xb.generate(replace(two_receivers(), other_receivers=(other,)), tmp_path / "x.h5", receiver="all")
+
+
+def test_runs_on_different_links_have_different_records(tmp_path: Path) -> None:
+    dataset = few(tmp_path / "data.h5", tx=24, polarization=["VV", "VH"])
+    how = {"methods": ["nearest"], "protocol": "held-out-tx", "results": tmp_path / "results"}
+    (first,) = xb.run(dataset, **how)
+    (chosen,) = xb.run(dataset.path, **how, receiver="low", polarization="VH")
+    (again,) = xb.run(dataset.at("low", "VH"), **how)
+    assert first.id != chosen.id == again.id
+    assert (chosen.job.receiver, chosen.job.polarization) == ("low", "VH")
+    assert first.recipe != chosen.recipe
+    alone = few(tmp_path / "alone.h5", tx=24, receiver="low", polarization="VH")
+    (record,) = xb.run(alone, **how)
+    assert "receiver" not in record.model_dump_json() and record.recipe == chosen.recipe
+    np.testing.assert_equal(record.scores["ssim"], chosen.scores["ssim"])
