@@ -66,6 +66,19 @@ def obj_text(mesh: trimesh.Trimesh, name: str, material: str, first: int = 1) ->
     return f"o {name}\n{corners}\nvn 0 0 1\nusemtl {material}\n{faces}\n"
 
 
+def ply_bytes(vertices_m: np.ndarray, faces: list[list[int]], binary: bool) -> bytes:
+    """A PLY of faces of any number of corners."""
+    head = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex {len(vertices_m)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if binary:
+        rows = (bytes([len(face)]) + np.array(face, "<i4").tobytes() for face in faces)
+        return head.encode() + vertices_m.astype("<f4").tobytes() + b"".join(rows)
+    rows = (" ".join(map(str, [len(face), *face])).encode() for face in faces)
+    points = (" ".join(map(str, vertex)).encode() for vertex in vertices_m)
+    return head.encode() + b"\n".join([*points, *rows]) + b"\n"
+
+
 def glb_content(nodes: list[dict[str, Any]], meshes: list[tuple[Any, Any, int, str]]) -> tuple[dict[str, Any], bytes]:
     """JSON and buffer of a GLB of meshes, each given by its vertices, its corner indices, its mode and its material."""
     binary, views, accessors, materials, told = b"", list[Any](), list[Any](), list[Any](), list[Any]()

@@ -19,6 +19,19 @@ GLASS_PANE = Surface(
 )
 METAL_BOX = Surface(name="metal box", material="metal", thickness_m=0.002, min_m=(1.0, 2.2, 0.0), max_m=(1.8, 3.1, 0.9))
 WOODEN_BOX = Surface(name="wooden box", material="wood", thickness_m=0.02, min_m=(2.9, 2.3, 0.1), max_m=(3.7, 3.2, 1.0))
+SLOPE = Surface(  # with a notch where no path turns
+    name="slope",
+    material="concrete",
+    thickness_m=0.2,
+    vertices_m=(
+        (-1.0, -4.0, -2.0),
+        (1.0, -4.0, 6.0),
+        (1.0, 6.0, 6.0),
+        (-0.5, 6.0, 0.0),
+        (-0.5, 5.0, 0.0),
+        (-1.0, 5.0, -2.0),
+    ),
+)
 
 
 def scene_of(*surfaces: Surface, receiver: ReceiverArray = RECEIVER) -> Scene:
@@ -46,5 +59,6 @@ def simple_scenes(receiver: ReceiverArray = RECEIVER) -> dict[str, Scene]:
     return {
         "a wall": scene_of(CONCRETE_WALL, receiver=receiver),
         "a wall and a pane between": scene_of(CONCRETE_WALL, GLASS_PANE, receiver=receiver),
+        "a slope and a pane between": scene_of(SLOPE, GLASS_PANE, receiver=receiver),
         "two boxes": scene_of(METAL_BOX, WOODEN_BOX, receiver=receiver),
     }

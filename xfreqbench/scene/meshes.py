@@ -1,4 +1,4 @@
-"""Triangle meshes of a scene, built from boxes or read from mesh files, and written for Sionna RT."""
+"""Triangle meshes of a scene, built from boxes and polygons or read from mesh files, and written for Sionna RT."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xfreqbench.scene.materials import ConstantMaterial, Material, Scattering
 from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
 from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
-from xfreqbench.scene.polygons import is_flat
+from xfreqbench.scene.polygons import flat_polygon, is_flat
 from xfreqbench.types import FloatArray, IntArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
@@ -122,7 +122,7 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
 
     Raises `SceneError` for meshes that cannot be read.
     """
-    meshes = [_box_mesh(surface, _slab(surface, scene)) for surface in scene.surface]
+    meshes = [_surface_mesh(surface.name, _slab(surface, scene), _triangles(surface)) for surface in scene.surface]
     imported = [_imported_mesh(shape) for shape in _imported_shapes(scene)]
     return meshes + [replace(mesh, least_patch=scene.least_patch) for mesh in imported]
 
@@ -132,12 +132,13 @@ def _slab(surface: Surface, scene: Scene) -> Slab:
     return Slab(scene.material_of(surface), surface.thickness_m, rough(own.scattering) if own else None)
 
 
-def _box_mesh(surface: Surface, slab: Slab) -> SurfaceMesh:
-    bounds = np.array([surface.min_m, surface.max_m])
+def _triangles(surface: Surface) -> Triangles:
+    if surface.vertices_m is not None:
+        return Triangles(*flat_polygon(surface.corners_m))
+    bounds = surface.corners_m
     flat = np.flatnonzero(bounds[0] == bounds[1])
     shape = _rectangle(bounds, int(flat[0])) if len(flat) else trimesh.creation.box(bounds=bounds)
-    triangles = Triangles(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
-    return _surface_mesh(surface.name, slab, triangles)
+    return Triangles(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
 
 
 def _rectangle(bounds: Float[FloatArray, "2 3"], normal_axis: int) -> trimesh.Trimesh:
@@ -200,7 +201,7 @@ def _require_upright(
     points_m = np.array([scene.receiver.position_m, *([grid.min_m, grid.max_m] if grid else [])])
 
     def holds(axis: str, points_m: FloatArray) -> bool:
-        places = [boxes_m[axis], *(np.array([surface.min_m, surface.max_m]) for surface in scene.surface)]
+        places = [boxes_m[axis], *(surface.corners_m for surface in scene.surface)]
         all_m = np.concatenate(places)
         return bool(((all_m.min(axis=0) <= points_m) & (points_m <= all_m.max(axis=0))).all())
 

@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.array import ArrayPlane, frame_rotation, planar_array, quaternion_rotation, rotation_quaternion
 from xfreqbench.scene.materials import Material, SceneMaterial, Thickness, material_bands
+from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
@@ -59,20 +60,35 @@ _SAID_IF_GIVEN = {
 
 @dataclass(frozen=True, config=_STRICT)
 class Surface:
-    """An axis-aligned box or rectangle of one material, each face a slab of `thickness_m`.
+    """A box, a rectangle or a polygon of one material, each face a slab of `thickness_m`.
 
-    Where `min_m` and `max_m` agree along one axis it is a rectangle (a wall, a pane), else the six
-    faces of a closed box (a cabinet).
+    From `min_m` to `max_m` it is a rectangle where they agree along one axis (a wall, a pane), else the six faces of a
+    closed box (a cabinet). `vertices_m` in their place are the corners, in turn, of a polygon in any plane. It may be
+    concave and touch itself, as with a slit to a hole, but not cross itself. Corners up to 1 mm off
+    its plane are moved into it. The JSON leaves out what is not given.
     """
 
     name: str
     material: str
     thickness_m: Thickness
-    min_m: Point
-    max_m: Point
+    min_m: Point | None = None
+    max_m: Point | None = None
+    vertices_m: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in serialize(self).items() if value is not None}
 
     @model_validator(mode="after")
     def _has_an_area(self) -> Surface:
+        if self.vertices_m is not None and self.min_m is None and self.max_m is None:
+            try:
+                flat_polygon(self.corners_m)
+            except ValueError as error:
+                raise ValueError(f"the polygon of surface {self.name!r} {error}") from error
+            return self
+        if self.vertices_m is not None or self.min_m is None or self.max_m is None:
+            raise ValueError(f"surface {self.name!r} needs either min_m and max_m, or vertices_m, and not both")
         extent = np.subtract(self.max_m, self.min_m)
         if (extent < 0).any() or (extent == 0).sum() > 1:
             raise ValueError(
@@ -80,6 +96,11 @@ class Surface:
                 "at least two axes and never lie below it"
             )
         return self
+
+    @property
+    def corners_m(self) -> Float[FloatArray, "n 3"]:
+        """The corners of the polygon as they are given, or the lowest and the highest corner of the box."""
+        return np.array([self.min_m, self.max_m] if self.vertices_m is None else self.vertices_m)
 
 
 class Antenna(NamedTuple):

@@ -1,4 +1,4 @@
-"""Triangles of the polygons that mesh files have as faces: concave ones, and those with holes that a slit joins."""
+"""Triangles of polygons, of mesh files and of scenes: concave ones, and those with holes that a slit joins."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from xfreqbench.units import format_point
 MAX_CORNERS = 1000  # of a concave face: its time grows with the square of the number
 OVERLAP = 1e-6  # by how much of its size squared triangles of a polygon may overlap: corners are rounded
 FLATNESS = 1e-3  # of its size, by which corners of a flat face may lie off its plane
+OFF_PLANE_M = 1e-3  # by which corners of a scene's polygon may
 
 
 @np.errstate(all="ignore")  # of numbers that no float holds, which are refused later
@@ -59,6 +60,41 @@ def triangulated(
                 "export the mesh as triangles"
             )
     return triangles, are_fans
+
+
+def flat_polygon(corners_m: Float[FloatArray, "n 3"]) -> tuple[Float[FloatArray, "n 3"], Int[IntArray, "k 3"]]:
+    """Corners of a polygon, moved into its plane, and its triangles, which turn as its corners do.
+
+    Raises `ValueError` for one without an area, that crosses itself, or with a corner more than `OFF_PLANE_M` off.
+    """
+    away_m = corners_m - corners_m[0]
+    normal = np.cross(away_m, np.roll(away_m, -1, axis=0)).sum(axis=0)  # as long as twice the area
+    size_m2, extent_m = np.linalg.norm(normal), extents_m(corners_m)
+    if size_m2 <= OVERLAP * extent_m.max() ** 2:
+        raise ValueError("crosses itself" if extent_m[1] > OVERLAP * extent_m.max() else "has no area")
+    normal /= size_m2
+    height_m = away_m @ normal
+    height_m -= (height_m.min() + height_m.max()) / 2
+    if height_m.max() > OFF_PLANE_M:
+        raise ValueError(
+            f"is not flat: a corner lies {height_m.max() * 1e3:.3g} mm off its plane, and {OFF_PLANE_M * 1e3:g} mm is "
+            "the most; cut it into triangles"
+        )
+    flat_m = corners_m - height_m[:, None] * normal
+    ears = None if _crosses_itself(np.delete(away_m, np.abs(normal).argmax(), axis=1)) else _ears(flat_m, normal)
+    if ears is None:
+        raise ValueError("crosses itself")
+    return flat_m, ears
+
+
+def _crosses_itself(ring_m: Float[FloatArray, "n 2"]) -> bool:
+    """Whether two sides of a polygon in the plane cross within both; where they touch they do not."""
+    along_m = np.roll(ring_m, -1, axis=0) - ring_m
+    x_m, y_m = np.moveaxis(ring_m - ring_m[:, None], -1, 0)  # from the start of each side to each corner
+    side = along_m[:, :1] * y_m - along_m[:, 1:] * x_m
+    side[np.abs(side) <= OVERLAP**2 * np.ptp(ring_m, axis=0).max() ** 2] = 0
+    is_across = side * np.roll(side, -1, axis=1) < 0
+    return bool((is_across & is_across.T).any())
 
 
 def extents_m(points_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "3"]:

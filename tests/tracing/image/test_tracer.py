@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from tests.support import screened_room
 from tests.support.reference import cfr_at_centre
 from xfreqbench.bench.stress.geometry import fresnel_slab
 from xfreqbench.errors import SceneError
@@ -83,6 +86,49 @@ def test_the_carriers_may_come_in_any_order() -> None:
         .cfr
     )
     np.testing.assert_array_equal(forward, backward[:, ::-1])
+
+
+def in_polygons(surfaces: Sequence[Surface], turn: np.ndarray) -> list[Surface]:
+    """Every facet of some surfaces as a polygon of its own, turned about the origin."""
+    facets = planar_facets(surface_meshes(scene_of(*surfaces)))
+    return [
+        replace(
+            surfaces[which], name=f"facet {n}", min_m=None, max_m=None, vertices_m=tuple(map(tuple, corners_m @ turn.T))
+        )
+        for n, (corners_m, which) in enumerate(facets)
+    ]
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 33.0])
+def test_a_room_of_polygons_is_the_room_of_boxes_however_it_is_turned(turn_deg: float) -> None:
+    cabinet = Surface("cabinet", "wood", 0.02, (1.0, 4.0, 0.0), (2.0, 4.5, 1.8))
+    surfaces, receiver = (*screened_room.SCENE.surface, cabinet), screened_room.SCENE.receiver
+    about_z = Rotation.from_euler("z", turn_deg, degrees=True)
+    turn = about_z.as_matrix()
+    orientation = tuple((about_z * Rotation.from_quat(receiver.quaternion_xyzw)).as_quat().tolist())
+    turned = replace(receiver, position_m=tuple(turn @ receiver.position_m), orientation=orientation)
+    settings = TraceSettings(interactions=("specular", "refraction", "diffraction"), max_depth=3)
+    tx_m = np.array([[1.0, 1.0, 1.0], [6.0, 3.0, 1.0], [1.5, 4.9, 0.7]])
+    boxes = ImageTracer(scene_of(*surfaces, receiver=receiver), [1e9, 24.25e9], settings).channel(tx_m)
+    polygons = ImageTracer(scene_of(*in_polygons(surfaces, turn), receiver=turned), [1e9, 24.25e9], settings).channel(
+        tx_m @ turn.T
+    )
+    np.testing.assert_array_equal(polygons.num_paths, boxes.num_paths)
+    np.testing.assert_allclose(polygons.cfr, boxes.cfr, rtol=0, atol=1e-9 * np.abs(boxes.cfr).max())
+
+
+def test_a_concave_polygon_is_the_rectangles_that_make_it_up() -> None:
+    """An L of one piece or of two: the joint between them neither reflects nor diffracts."""
+    corners = [(-4, -4), (4, -4), (4, 0), (0.5, 0), (0.5, 3), (-4, 3)]
+    whole = Surface("L", "glass", 0.01, vertices_m=tuple((float(x), float(y), 1.0) for x, y in corners))
+    rectangles = [((-4.0, -4.0, 1.0), (4.0, 0.0, 1.0)), ((-4.0, 0.0, 1.0), (0.5, 3.0, 1.0))]
+    parts = [Surface(f"part {n}", "glass", 0.01, *each) for n, each in enumerate(rectangles)]
+    settings = TraceSettings(interactions=("specular", "refraction", "diffraction"), max_depth=2)
+    tx_m = np.array([[0.3, 0.2, 0.1], [0.6, 0.1, 1.9], [3.0, -1.0, 1.8]])
+    found, expected = (
+        ImageTracer(scene_of(*surfaces), [10e9], settings).channel(tx_m).cfr for surfaces in ([whole], parts)
+    )
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def slab_reflection(material: str, thickness_m: float, carrier_hz: float, cosine: float) -> tuple[complex, complex]:
