@@ -74,7 +74,8 @@ def run(
 
     `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; a class
     stands for its name. As a mapping it gives each its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or
-    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless given.
+    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless
+    given.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
