@@ -41,7 +41,7 @@ class KNearest(TransmitterLookup):
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
         """Remember which rows were trained on, and choose the counts; neither depends on the seed."""
-        self._know(TrainingTransmitters(train))
+        self._know(TrainingTransmitters.of(train))
         self.counts = self._best_counts()
         yield Progress(step=1, loss=math.nan)
 

@@ -19,10 +19,10 @@ class LineOfSight(TransmitterLookup):
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[NDArray[np.float32], "B E A"]:
         """Bartlett maps (Eqs. 2–3) of a plane wave from each transmitter."""
-        train = self.transmitters.train
-        receiver = train.header.receiver
+        asked = self.transmitters.asked
+        receiver = asked.header.receiver
         offset_m = (tx_position_m - np.asarray(receiver.position_m)) @ receiver.rotation  # in its frame
         arrival = offset_m / np.linalg.norm(offset_m, axis=1, keepdims=True)
         # positions in wavelengths are positions in metres at a wavelength of one metre
-        wave = steering_vector(train.beam.element_position_wavelengths, arrival, SPEED_OF_LIGHT_M_S)
-        return train.beam.maps(wave, train.header.pas_kind)[0]
+        wave = steering_vector(asked.beam.element_position_wavelengths, arrival, SPEED_OF_LIGHT_M_S)
+        return asked.beam.maps(wave, asked.header.pas_kind)[0]

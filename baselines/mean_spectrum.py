@@ -45,5 +45,5 @@ class MeanSpectrum(TransmitterLookup):
             train = self.transmitters.train
             at_carrier = train.subset(train.carrier_hz == self.transmitters.carrier_hz[carrier])
             total = sum(maps.sum(axis=0, dtype=np.float64) for _, maps in at_carrier.batches(_BATCH))
-            self._means[carrier] = (total / np.max(total)).astype(np.float32)
+            self._means[carrier] = self.transmitters.turned(np.asarray(total))
         return self._means[carrier]

@@ -10,13 +10,25 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from xfreqbench.baselines.line_of_sight import LineOfSight
 
 import xfreqbench as xb
+from tests.support.synthetic import write_dataset
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, verify
 from xfreqbench.data.schema import variables
+from xfreqbench.data.splits import find_split
 from xfreqbench.data.trace import channel_by
-from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import (
+    DataError,
+    MethodError,
+    OutputExistsError,
+    ProtocolError,
+    UnknownNameError,
+    XFreqBenchError,
+)
+from xfreqbench.exchange.split_file import Handout
+from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.report.view.describe import describe
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.tracer import Channel
@@ -178,3 +190,81 @@ def test_runs_on_different_links_have_different_records(tmp_path: Path) -> None:
     (record,) = xb.run(alone, **how)
     assert "receiver" not in record.model_dump_json() and record.recipe == chosen.recipe
     np.testing.assert_equal(record.scores["ssim"], chosen.scores["ssim"])
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Three receivers, of which the last looks sideways."""
+    scene = two_receivers()
+    north = replace(scene.receiver, position_m=(4.0, 2.0, 1.1), name="north")
+    wall = replace(scene.receiver, position_m=(2.0, 3.0, 1.5), boresight=(1.0, 0.0, 0.0), name="wall")
+    scene = replace(scene, other_receivers=(north, wall), transmitters=xb.load_scene("two_rooms").transmitters)
+    how = {"freqs_ghz": [2.4, 10.0], "tx": 6, "interactions": ["specular", "refraction"], "max_depth": 1}
+    return xb.generate(scene, tmp_path_factory.mktemp("rooms") / "rooms.h5", receiver="all", **how)
+
+
+def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset) -> None:
+    (split,) = xb.make_splits(rooms.at("north"), "held-out-receiver")
+    assert split.name == "held-out-receiver-north" and len(split.train) == 0
+    assert len(split.test) + split.num_without_path == len(rooms)
+    assert dict(split.receivers) == {name: rooms.at(name).recipe.id for name in ("first one", "wall")}
+    train = split.training_part(rooms.at("north"))
+    assert len(train) == 0 and train.is_isolated and train.header.receiver.name == "north"
+    for part in (train, pickle.loads(pickle.dumps(train))):
+        assert not any(part.tables[name].any() for name in ("cfr", "peak_power", "num_paths"))
+        assert [other.link_names[0] for other in part.other_receivers] == ["first one", "wall"]
+        assert all(other.is_isolated and other.has_path.all() for other in part.other_receivers)
+        with pytest.raises(DataError, match="with one receiver"):
+            part.at("wall")
+    for refused in ({"on": "validation"}, {"targets_ghz": [2.4]}):
+        with pytest.raises(ProtocolError):
+            xb.make_splits(rooms, "held-out-receiver", **refused)
+    with pytest.raises(ProtocolError, match="which a split file does not hold"):
+        Handout(rooms, [split])
+    found = find_split(rooms.at("north"), "held-out-receiver", split.name)
+    assert found.sha256 == split.sha256
+
+
+def test_every_receiver_is_held_out_in_turn(rooms: PasDataset, tmp_path: Path) -> None:
+    how = {"protocol": "held-out-receiver", "results": tmp_path / "results"}
+    records = xb.run(rooms.path, ["line-of-sight", "nearest", "mean-spectrum"], **how)
+    assert len({record.id for record in records}) == 9
+    assert {record.job.receiver for record in records} == {"first one", "north", "wall"}
+    assert all(record.scores["ssim"].median > 0 for record in records)
+    (one,) = xb.run(rooms.path, "nearest", **how, receiver="wall")
+    assert one in records
+    with pytest.raises(MethodError, match=r"'xfreq-gs' predicts the receiver.*line-of-sight and nearest"):
+        xb.run(rooms.path, "xfreq-gs", **how)
+    with pytest.raises(ProtocolError, match="--receiver all"):
+        xb.run(write_dataset(tmp_path / "one.h5"), "nearest", **how)
+
+
+def test_line_of_sight_knows_where_the_held_out_receiver_is(rooms: PasDataset, tmp_path: Path) -> None:
+    wall = rooms.at("wall")
+    maps = []
+    for train in (wall.isolated(), make_split(wall).training_part(wall)):
+        method = LineOfSight()
+        list(method.fit(train, xb.Budget(), 0))
+        method.save(tmp_path)
+        maps.append(LineOfSight.load(tmp_path).predict(wall.tx_position_m, wall.carrier_hz))
+    np.testing.assert_array_equal(*maps)
+
+
+def make_split(dataset: PasDataset) -> xb.Split:
+    return xb.make_splits(dataset, "held-out-receiver")[0]
+
+
+def test_a_map_of_another_receiver_is_turned_into_the_frame_of_the_one_that_is_asked_for(rooms: PasDataset) -> None:
+    wall = rooms.at("wall")
+    (train,) = [each for each in make_split(wall).training_part(wall).other_receivers if each.link_names[0] == "north"]
+    north = TrainingTransmitters(train, wall)
+    world = np.array([1.0, 0.2, -1.0]) / np.linalg.norm([1.0, 0.2, -1.0])  # in front of both
+
+    def lobe(receiver: ReceiverArray) -> Any:
+        towards = wall.grid.directions @ receiver.rotation.T @ world
+        return np.exp(50 * (towards - 1)).astype(np.float32)
+
+    turned = north.turned(lobe(train.header.receiver))
+    is_heard = wall.grid.directions @ wall.header.receiver.rotation.T @ train.header.receiver.boresight >= 0
+    assert np.abs(turned - lobe(wall.header.receiver))[is_heard].max() < 0.1  # a degree of the grid
+    assert not turned[~is_heard].any()

@@ -120,7 +120,8 @@ def run(
         Parameter(
             help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
             "transmitters; held-out-block: unseen regions of the room; lofo-unseen-tx: unseen carriers and "
-            "transmitters; random-samples: a fifth of all samples, which leaks both."
+            "transmitters; random-samples: a fifth of all samples, which leaks both; held-out-receiver: a receiver of "
+            "several, each in turn."
         ),
     ] = "lofo",
     targets: Annotated[

@@ -102,7 +102,8 @@ class PasDataset:
 
     A file may hold several links, one for each receiver and pair of polarizations: a data set shows one of them, with
     its header as it is in a file of its own, and a `sha256` of its own. `file_header` tells of all links, and `link`
-    has the numbers of the receiver and of the pair that are shown; see `at` and `links`.
+    has the numbers of the receiver and of the pair that are shown; see `at` and `links`. `other_receivers` is what a
+    method may learn from where it is asked for a receiver that it has heard nothing of (protocol `held-out-receiver`).
     """
 
     path: Path
@@ -114,6 +115,7 @@ class PasDataset:
     file_header: DatasetHeader
     link: tuple[int, int] = (0, 0)
     is_isolated: bool = False
+    other_receivers: tuple[PasDataset, ...] = ()
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -164,7 +166,7 @@ class PasDataset:
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return reopen, (str(self.path), self.sha256, self.rows, self.is_isolated)
+        return reopen, (str(self.path), self.sha256, self.rows, self.is_isolated, self.other_receivers)
 
     @property
     def receivers(self) -> tuple[str, ...]:
@@ -550,12 +552,15 @@ def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:
         return np.asarray(10 * np.log10(power))
 
 
-def reopen(path: str, sha256: str, rows: Rows, is_isolated: bool = False) -> PasDataset:
+def reopen(
+    path: str, sha256: str, rows: Rows, is_isolated: bool = False, other_receivers: tuple[PasDataset, ...] = ()
+) -> PasDataset:
     """The rows of a data set that was pickled; raises `DataError` if the file has changed since."""
     dataset = next((link for link in open_dataset(path).links() if link.sha256 == sha256), None)
     if dataset is None:
         raise DataError(f"{path} is another data set than before: its sha256 was {sha256}.")
-    return dataset.subset(rows).isolated() if is_isolated else dataset.subset(rows)
+    kept = replace(dataset.subset(rows), other_receivers=other_receivers)
+    return kept.isolated() if is_isolated else kept
 
 
 def verify(path: str | Path) -> None:

@@ -13,6 +13,9 @@ part and a test part. What a test says depends on what the method has already se
     random-samples   a fifth of all samples, drawn one by one        the same transmitters at other carriers, and the
                                                                      same carriers from other transmitters
 
+    held-out-receiver   all samples at one receiver of a file with   the same samples at the other receivers
+                        several
+
 `lofo` (leave one frequency out) and `sparse` test unseen carriers, but they leak the places: a method that copies the
 map of the same transmitter from another carrier scores well, so these scores say nothing about unseen places.
 `held-out-tx` tests unseen places, but it leaks the carriers: its scores say nothing about unseen carriers. It draws
@@ -20,7 +23,8 @@ the tested transmitters one by one, so that each has trained neighbours on all s
 of the nearest one does well. In `held-out-block` those that are nearer than half a metre to a tested one are in neither
 part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at the other carriers. `random-samples`,
 the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
-them the room and the receiver are the same in training and in test.
+them the room and the receiver are the same in training and in test, but for `held-out-receiver`: there a method is told
+where the tested receiver stands and what its array is, and has heard nothing at it. It leaks transmitters and carriers.
 
 Transmitters within a millimetre of each other are one place, and in one part, and so are samples of one place at one
 carrier. A carrier that agrees with a tested one in nine digits is neither trained on nor tested with it.
@@ -39,7 +43,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeVar
 
@@ -88,6 +92,9 @@ class Split:
     `shares_transmitters` says whether a tested transmitter is trained on too, at other carriers.
     `nearest_trained_m` is the distance from a tested transmitter to the nearest trained one, in metres: the median
     over the tested samples, 0 where the tested transmitters are trained on.
+
+    Where other receivers than the tested one are trained on, `train` is empty and `receivers` names them, each with
+    the id of its recipe: all that is heard at them is trained on.
     """
 
     name: str
@@ -98,6 +105,7 @@ class Split:
     num_without_path: int
     shares_transmitters: bool
     nearest_trained_m: float
+    receivers: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def of(
@@ -112,11 +120,7 @@ class Split:
 
         Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
         """
-        if not dataset.header.receiver.resolves_directions:
-            raise DataError(
-                f"The maps of {dataset.path} are nearly constant, because its array has hardly any extent, and every "
-                "method would predict them. Generate data of an array of several elements, half a wavelength apart."
-            )
+        _require_directions(dataset)
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
         if not len(train) or not len(test):
             raise ProtocolError(
@@ -136,8 +140,23 @@ class Split:
     def sha256(self) -> str:
         """Hash of the name, the protocol, its version, and the numbers of all samples."""
         rows = [self.train.tolist(), self.test.tolist()]
-        content = json.dumps([self.name, self.protocol, self.version, *rows])
+        others = [self.receivers] if self.receivers else []
+        content = json.dumps([self.name, self.protocol, self.version, *rows, *others])
         return hashlib.sha256(content.encode()).hexdigest()
+
+    def training_part(self, dataset: PasDataset) -> PasDataset:
+        """What a method is given to train on, of the data set that the split was made of."""
+        train = dataset.subset(self.train).isolated()
+        others = (dataset.at(name) for name, _ in self.receivers)
+        return replace(train, other_receivers=tuple(other.subset(other.has_path).isolated() for other in others))
+
+
+def _require_directions(dataset: PasDataset) -> None:
+    if not dataset.header.receiver.resolves_directions:
+        raise DataError(
+            f"The maps of {dataset.path} are nearly constant, because its array has hardly any extent, and every "
+            "method would predict them. Generate data of an array of several elements, half a wavelength apart."
+        )
 
 
 def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
@@ -226,37 +245,63 @@ def random_samples(dataset: PasDataset) -> list[Split]:
     return [Split.of(dataset, "random-samples", "random-samples", *masks)]
 
 
+def held_out_receiver(dataset: PasDataset) -> list[Split]:
+    """Test all samples at the receiver that is shown, train on all that the other receivers of the file hear.
+
+    Returns one split. It leaks transmitters and carriers, at other receivers. Raises `ProtocolError` for a file of one
+    receiver, and where nothing is heard.
+    """
+    held_out = dataset.link_names[0]
+    if held_out is None:
+        raise ProtocolError(
+            f"Protocol {HELD_OUT_RECEIVER!r} needs a file of several receivers, but {dataset.path} holds one. Generate "
+            "it with --receiver all, in a scene of several [[receiver]]."
+        )
+    _require_directions(dataset)
+    others = {name: dataset.at(name) for name in dataset.receivers if name != held_out}
+    test = np.flatnonzero(dataset.has_path)
+    if not len(test) or not any(each.has_path.any() for each in others.values()):
+        raise ProtocolError(f"No path arrives at receiver {held_out!r}, or none at any other: nothing can be tested.")
+    trained = tuple((name, each.recipe.id) for name, each in others.items())
+    name, num_without_path = f"{HELD_OUT_RECEIVER}-{held_out}", len(dataset) - len(test)
+    nothing = np.zeros(0, np.int64)
+    return [Split(name, HELD_OUT_RECEIVER, PROTOCOL_VERSION, nothing, test, num_without_path, True, 0.0, trained)]
+
+
 _BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
 _WHOLE = {
     "sparse": sparse_frequency,
     "held-out-tx": held_out_tx,
     "held-out-block": held_out_block,
     "random-samples": random_samples,
+    "held-out-receiver": held_out_receiver,
 }
-PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")
+PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")  # of any file
+HELD_OUT_RECEIVER = "held-out-receiver"  # of a file with several
 VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
 _AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
 
 
 def protocols() -> list[str]:
     """Names of the protocols, which `make_splits` and `run` take; the top of this module says what each tests."""
-    return list(PROTOCOLS)
+    return [*PROTOCOLS, HELD_OUT_RECEIVER]
 
 
 @checked
 def make_splits(
     dataset: InstanceOf[PasDataset], protocol: str, targets_ghz: TargetsGhz = None, on: ScoredOn = "test"
 ) -> list[Split]:
-    """The splits of a protocol, which is one of `PROTOCOLS`; raises `UnknownNameError` and `ProtocolError`.
+    """The splits of a protocol, which is one of `protocols()`; raises `UnknownNameError` and `ProtocolError`.
 
     `targets_ghz` are the tested carriers of `lofo` and `lofo-unseen-tx` in GHz: the paper's if None, and every
     carrier at which a path arrives if "all". The other protocols choose their own.
 
     With `on="validation"`, the rows that are tested are some of each split's training rows, and the others are trained
-    on; see the top of this module. `sparse` then has no split for two training carriers, as none is between them.
+    on; see the top of this module. `sparse` then has no split for two training carriers, as none is between them, and
+    `held-out-receiver` has none at all.
     """
-    if protocol not in PROTOCOLS:
-        raise UnknownNameError("protocol", protocol, PROTOCOLS)
+    if protocol not in protocols():
+        raise UnknownNameError("protocol", protocol, protocols())
     if protocol in _BY_TARGET:
         if targets_ghz == "all":
             targets_hz = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
@@ -269,6 +314,8 @@ def make_splits(
         splits = _WHOLE[protocol](dataset)
     if on == "test":
         return splits
+    if protocol == HELD_OUT_RECEIVER:
+        raise ProtocolError(f"Protocol {protocol!r} has no validation rows: choose settings on another protocol.")
     if protocol == "sparse":
         inner = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
         if not inner:

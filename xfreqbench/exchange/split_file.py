@@ -46,6 +46,11 @@ class Handout:
     maps: bool = False
 
     def __post_init__(self) -> None:
+        if any(split.receivers for split in self.splits):
+            raise ProtocolError(
+                f"Protocol {self.splits[0].protocol!r} trains on other receivers, which a split file does not hold. "
+                "Hand out another protocol."
+            )
         if self.maps:
             _require_untold(self.splits)
 

@@ -150,6 +150,17 @@ class Method(Protocol):
 
 
 @runtime_checkable
+class ReceiverMethod(Protocol):
+    """A method that can predict maps of a receiver that it has heard nothing of: it sets `takes_other_receivers`.
+
+    In protocol `held-out-receiver`, `fit` is given a `train` without samples, whose header and grid are those of the
+    receiver that is asked for; `train.other_receivers` holds the training rows of the others, one data set each.
+    """
+
+    takes_other_receivers: bool
+
+
+@runtime_checkable
 class ExplainedMethod(Protocol):
     """A method that can also say what it has learned, in terms of physics."""
 

@@ -26,21 +26,55 @@ from xfreqbench.types import FloatArray, IntArray
 SAME_TRANSMITTER_M = 1e-6
 _MOST_MAPS = 512  # in memory at once: 66 MB
 _CONFIG_FILE, _ROWS_FILE = "config.json", "training_rows.json"
-_STORED_ROWS = TypeAdapter(tuple[str, str, list[Annotated[int, Field(ge=0, lt=2**63)]]])
+_Rows = list[Annotated[int, Field(ge=0, lt=2**63)]]
+_STORED_ROWS: TypeAdapter[Any] = TypeAdapter(tuple[str, str, _Rows] | tuple[str, str, _Rows, str])
 WeightedRows = tuple[Int[IntArray, "n"], Float[FloatArray, "n"]]
 
 
 class TrainingTransmitters:
-    """The distinct transmitters of a training set, and the row of each at each carrier."""
+    """The distinct transmitters of a training set, and the row of each at each carrier.
 
-    def __init__(self, train: PasDataset) -> None:
-        self.train = train
+    `asked` is the data set whose receiver is asked for. Where nothing was heard at that receiver, the training set is
+    that of the nearest other one, whose maps are turned into the frame of the one that is asked for.
+    """
+
+    def __init__(self, train: PasDataset, asked: PasDataset | None = None) -> None:
+        self.train, self.asked = train, train if asked is None else asked  # which has no samples, and so is false
         tx_index, first, column = np.unique(train.tx_index, return_index=True, return_inverse=True)
         self.carrier_hz, carrier = np.unique(train.carrier_hz, return_inverse=True)
         self._position_m = train.tx_position_m[first]
         self._tree = KDTree(self._position_m)
         self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
         self._row[column, carrier] = np.arange(len(train))
+
+    @classmethod
+    def of(cls, train: PasDataset) -> TrainingTransmitters:
+        """What a method is given to train on, or of its `other_receivers` those of the nearest one."""
+        at_m = np.asarray(train.header.receiver.position_m)
+
+        def away_m(other: PasDataset) -> float:
+            return float(np.linalg.norm(at_m - other.header.receiver.position_m))
+
+        return cls(min(train.other_receivers, key=away_m, default=train), train)
+
+    @cached_property
+    def _turn(self) -> tuple[Int[IntArray, "EA"], Bool[NDArray[np.bool_], "EA"]] | None:
+        """Of each direction asked for, the nearest one of the training maps and whether it is in front of their array.
+
+        None where both receivers face the same way.
+        """
+        asked, trained = (each.header.receiver.rotation for each in (self.asked, self.train))
+        if np.allclose(asked, trained):
+            return None
+        direction = self.asked.grid.directions.reshape(-1, 3) @ asked.T @ trained
+        return KDTree(self.train.grid.directions.reshape(-1, 3)).query(direction)[1], direction[:, 2] >= 0
+
+    def turned(self, map_: Float[NDArray[np.floating], "E A"]) -> Float[NDArray[np.float32], "E A"]:
+        """A training map in the frame of the receiver that is asked for, scaled to peak 1; 1 where all is behind it."""
+        if self._turn is not None:
+            nearest, is_heard = self._turn
+            map_ = np.where(is_heard, map_.ravel()[nearest], 0).reshape(self.asked.grid.shape)
+        return (map_ / map_.max() if map_.any() else np.ones_like(map_)).astype(np.float32)
 
     def neighbours(
         self, tx_position_m: Float[FloatArray, "3"], count: int
@@ -89,24 +123,27 @@ class TrainingTransmitters:
                 total = np.zeros(self.train.grid.shape, np.float32)
                 for row, weight in zip(rows.tolist(), weights.astype(np.float32), strict=True):
                     total += weight * maps[row]
-                before, scaled = (rows, weights), total / total.max()
+                before, scaled = (rows, weights), self.turned(total)
             summed.append(scaled)
         return np.stack(summed)
 
     def save(self, directory: Path) -> None:
         """Store which rows of which data set these are, without the maps."""
         reference = [str(self.train.path), self.train.sha256, self.train.rows.tolist()]
+        if self.asked is not self.train:
+            reference.append(self.asked.sha256)
         (directory / _ROWS_FILE).write_text(json.dumps(reference), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> TrainingTransmitters:
         """Inverse of `save`; raises `DataError` if the rows are not stored, or the data set has gone or is another."""
         try:
-            path, sha256, rows = _STORED_ROWS.validate_json(read_bytes(directory / _ROWS_FILE))
+            path, sha256, rows, *asked = _STORED_ROWS.validate_json(read_bytes(directory / _ROWS_FILE))
         except (OSError, ValidationError) as error:
             fault = error.strerror if isinstance(error, OSError) else error.errors()[0]["msg"]
             raise DataError(f"{directory / _ROWS_FILE} names no data set and rows to look up: {fault}.") from error
-        return cls(reopen(path, sha256, np.array(rows, dtype=np.int64)))
+        train = reopen(path, sha256, np.array(rows, dtype=np.int64))
+        return cls(train, reopen(path, asked[0], []) if asked else None)
 
 
 @dataclass(frozen=True)
@@ -122,13 +159,14 @@ class TransmitterLookup:
 
     Config: ClassVar[type] = NoOptions
     num_parameters = 0
+    takes_other_receivers = True
 
     def __init__(self, config: Any = None) -> None:
         self.config = self.Config() if config is None else config
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
         """Remember which rows were trained on."""
-        self.transmitters = TrainingTransmitters(train)
+        self.transmitters = TrainingTransmitters.of(train)
         yield Progress(step=1, loss=math.nan)
 
     def weighted(self, tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> WeightedRows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -53,7 +54,7 @@ class TaskFit:
         Raises `MethodError` for whatever the method raises, and `DivergenceError`.
         """
         task = self._task
-        train = task.dataset.subset(task.split.train).isolated()
+        train = task.split.training_part(task.dataset)
         is_over = self._spent is not None and self._spent.share >= 1
         if task.job.budget != Budget() and not is_over:
             self._warm_up(train)
@@ -72,11 +73,12 @@ class TaskFit:
 
         It sees a few of the training transmitters. If it fails, the fit itself will say why.
         """
-        few = train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX]))
+        few = replace(_few(train), other_receivers=tuple(map(_few, train.other_receivers)))
+        shown = (*few.other_receivers, few)[0]
         with suppress(XFreqBenchError), self._task.method_errors("fit"):
             method = self._task.new_method()
             fit_within(method, few, _WARM_UP_BUDGET, self._task.job.seed)
-            method.predict(few.tx_position_m[:1], few.carrier_hz[:1])
+            method.predict(shown.tx_position_m[:1], shown.carrier_hz[:1])
 
     def _observe(self, before: Fit | None, now: Fit) -> None:
         self._yielded_often = before is not None
@@ -123,3 +125,8 @@ class TaskFit:
                 f"Method {job.method!r} diverged on split {self._task.split.name!r} with seed {job.seed}; {left}. "
                 "Lower the learning rate, as in --set learning_rate=…; to start anew, delete the checkpoint.",
             ) from error
+
+
+def _few(train: PasDataset) -> PasDataset:
+    """The samples of the first transmitters of a training part."""
+    return train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX]))

@@ -17,7 +17,7 @@ from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method
+from xfreqbench.methods.contract import Budget, Method, ReceiverMethod
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.runs.folder import ResultsFolder
@@ -37,9 +37,15 @@ class Task:
 
     @classmethod
     def of(cls, job: Job, dataset: PasDataset, split: Split) -> Task:
-        """The task of a job on an opened data set; raises what `build_method` raises."""
+        """The task of a job on an opened data set; raises what `build_method` raises, and `MethodError`."""
         task = cls(job, split, dataset.path)
         task.__dict__.update(dataset=dataset, method=task.new_method())
+        takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
+        if split.receivers and not takes_others:
+            raise MethodError(
+                f"Method {job.method!r} predicts the receiver that it was trained at alone; protocol "
+                f"{split.protocol!r} takes methods that set takes_other_receivers, as line-of-sight and nearest do."
+            )
         return task
 
     def __reduce__(self) -> tuple[Any, ...]:

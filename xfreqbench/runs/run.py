@@ -20,7 +20,7 @@ from uuid import uuid4
 from pydantic import BeforeValidator, InstanceOf
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.splits import ScoredOn, TargetsGhz
+from xfreqbench.data.splits import HELD_OUT_RECEIVER, ScoredOn, TargetsGhz
 from xfreqbench.errors import (
     ClusterError,
     DataError,
@@ -84,7 +84,8 @@ def run(
     first says what the runs will take where that may be more than ten minutes.
 
     `receiver` and `polarization` choose what methods see of a file with several; without them it is what a given data
-    set shows, and the first of each in a path.
+    set shows, and the first of each in a path. Protocol `held-out-receiver` tests that receiver, and every one in turn
+    of a path where none is named.
 
     Records, predictions and fitted methods go to the folder `results`. What is finished there is not run again, and a
     fit that was killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where
@@ -125,7 +126,11 @@ def asked_tasks(
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
     dataset = open_dataset(data, receiver, polarization)
-    return protocol_tasks(str(data), dataset, named, protocol, targets_ghz, seeds, limit, on)
+    tested = [dataset]
+    if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
+        tested = [dataset.at(name) for name in dataset.receivers]
+    asked = named, protocol, targets_ghz, seeds, limit, on
+    return [task for each in tested for task in protocol_tasks(str(data), each, *asked)]
 
 
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.recipe import recipe_name
-from xfreqbench.data.splits import PROTOCOLS, VALIDATIONS
+from xfreqbench.data.splits import VALIDATIONS, protocols
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
@@ -142,7 +142,7 @@ def boards(
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 
-    They stand in the order of scenes, data sets, `PROTOCOLS` and then `VALIDATIONS`, the board with most runs first.
+    They stand in the order of scenes, data sets, `protocols()` and then `VALIDATIONS`, the board with most runs first.
     Without `by_budget` rows of all budgets share a board. Data sets are told apart by their
     recipes, and `sources` tells which results records lie in. Of a job
     that was run twice, the later record counts; of the same job on other bytes of the same data there is another row,
@@ -159,7 +159,7 @@ def boards(
         for of, group in groupby(ordered, key)
         for lane, records in _by_lane(list(group), by_budget).items()
     ]
-    order = {protocol: place for place, protocol in enumerate((*PROTOCOLS, *VALIDATIONS))}
+    order = {protocol: place for place, protocol in enumerate((*protocols(), *VALIDATIONS))}
 
     def place(board: Board) -> tuple[object, ...]:
         protocol = order.get(board.protocol, len(order))
@@ -191,7 +191,7 @@ def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
 
 def short_name(split: str) -> str:
     """A split's name without its protocol: `lofo-2.4GHz` becomes `2.4GHz`."""
-    starts = [f"{protocol}-" for protocol in (*PROTOCOLS, *VALIDATIONS) if split.startswith(f"{protocol}-")]
+    starts = [f"{protocol}-" for protocol in (*protocols(), *VALIDATIONS) if split.startswith(f"{protocol}-")]
     return split.removeprefix(max(starts, key=len, default=""))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from xfreqbench.data.splits import VALIDATIONS
+from xfreqbench.data.splits import HELD_OUT_RECEIVER, VALIDATIONS
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import Board
@@ -56,6 +56,11 @@ def _shared_with_training(board: Board) -> str:
         return (
             "Samples were drawn at random: tested transmitters are trained on at other carriers, and tested carriers "
             "at other transmitters, so that these scores say nothing about unseen places or unseen carriers."
+        )
+    if board.protocol == HELD_OUT_RECEIVER:
+        return (
+            "Nothing heard at the tested receiver is trained on; the tested transmitters and carriers are, at the "
+            "other receivers of the file."
         )
     if any(record.shares_transmitters for record in board.records):
         return "Tested transmitters are trained on at other carriers: these scores say nothing about unseen places."
