@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from xfreqbench.examples.make_office_cluttered import clutter, write_scene
 
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry
@@ -16,6 +17,8 @@ from xfreqbench.scene.model import Scene, load_scene, parse_scene, shipped_scene
 from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
+from xfreqbench.tracing.image.tracer import can_solve
+from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 BOX = """
@@ -42,7 +45,7 @@ max_m = [4.0, 4.0, -0.1]
 """
 
 
-@pytest.mark.parametrize("name", ["office", "two_rooms", "corridor", "empty"])
+@pytest.mark.parametrize("name", ["office", "office_cluttered", "two_rooms", "corridor", "empty"])
 def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: str) -> None:
     scene = load_scene(name)
     meshes = surface_meshes(scene)
@@ -61,6 +64,25 @@ def test_the_office_has_about_1446_transmitters_in_light_and_in_shadow() -> None
     assert abs(len(placement.tx_position_m) - 1446) < 20
     lit = sees(meshes, placement.tx_position_m, np.array(scene.receiver.position_m))
     assert 0.1 < (~lit).mean() < 0.5
+
+
+def test_the_cluttered_office_is_the_office_and_what_its_script_adds(tmp_path: Path) -> None:
+    shipped, office = load_scene("office_cluttered"), load_scene("office")
+    written = load_scene(str(write_scene(tmp_path)))
+    assert written.canonical_json == shipped.canonical_json
+    assert (shipped.surface, shipped.receiver, shipped.transmitters) == (
+        *(office.surface, office.receiver, office.transmitters),
+    )
+    meshes = surface_meshes(shipped)
+    assert {mesh.name for mesh in meshes[len(office.surface) :]} == {
+        name for kind in clutter().values() for name in kind
+    }
+    for ours, theirs in zip(surface_meshes(written), meshes, strict=True):
+        assert (ours.name, ours.slab) == (theirs.name, theirs.slab)
+        np.testing.assert_allclose(ours.corners_m, theirs.corners_m, atol=1e-5)
+    assert can_solve(Geometry(meshes), TraceSettings().by("image"))
+    furnished = load_scene(str(write_scene(tmp_path / "furnished", ["furniture"])))
+    assert {mesh.name for mesh in surface_meshes(furnished)[len(office.surface) :]} == set(clutter()["furniture"])
 
 
 def test_rejected_transmitters_are_counted_by_reason() -> None:

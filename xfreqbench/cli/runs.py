@@ -206,7 +206,8 @@ def benchmark(
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
-            "carrier; paper: the paper's experiments; paper-size: its method in its own sizes."
+            "carrier; clutter: one room full of things; paper: the paper's experiments; paper-size: its method in "
+            "its own sizes."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
