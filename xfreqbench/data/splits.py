@@ -177,8 +177,8 @@ def _sparse_error(dataset: PasDataset, test_hz: float, trainings: Sequence[Seque
     asked = ",".join(f"{carrier / 1e9:g}" for carrier in sorted([test_hz, *trainings[0]]))
     return ProtocolError(
         f"Protocol 'sparse' tests {format_ghz(test_hz)} and trains on {trained}, but the data set has "
-        f"{format_ghz_list(np.unique(dataset.carrier_hz))}. Generate data with the carriers {asked} (in GHz) or more, or "
-        "run protocol 'lofo' with targets that the data set has."
+        f"{format_ghz_list(np.unique(dataset.carrier_hz))}. Generate data with the carriers {asked} (in GHz) or more, "
+        "or run protocol 'lofo' with targets that the data set has."
     )
 
 
