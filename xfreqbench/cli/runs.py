@@ -138,7 +138,7 @@ def run(
             help="Fitting budget of every run: 300s, 5m, 2000steps, 64000maps, or a lane of the leaderboard: quick "
             "(64000maps), minutes (5m), converged (200000maps)."
         ),
-    ] = "5m",
+    ] = "quick",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")] = "cpu",
     receiver: Annotated[
         str | None, Parameter(help="Receiver that methods hear, of data with several; the first if absent.")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import chdir
+from contextlib import chdir, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,15 @@ from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Method, Progress
-from xfreqbench.methods.fitting import checked_num_parameters, fit_within, predict_checked
+from xfreqbench.methods.fitting import checked_findings, checked_num_parameters, fit_within, predict_checked
 from xfreqbench.methods.guard import method_code
-from xfreqbench.methods.registry import build_method, name_of
+from xfreqbench.methods.registry import build_method, device_option, name_of
 from xfreqbench.system.arguments import Texts, checked
 from xfreqbench.types import IntArray
 from xfreqbench.units import ghz_to_hz
 
 NUM_STEPS = 10  # of every fit; a broken contract shows in a few steps
+_BUDGET = Budget(max_steps=NUM_STEPS)
 _SEED = 1
 _CARRIER_HZ = np.array([ghz_to_hz(carrier) for carrier in (2.4, 24.25, 77.0)])
 _UNSEEN_CARRIER, _UNSEEN_TX, _NUM_TX = 1, 5, 6
@@ -157,11 +159,17 @@ class _Trial:
     def test(self) -> PasDataset:
         return self.dataset.subset(np.flatnonzero(~_is_training(self.dataset)))
 
-    def fit(self, dataset: PasDataset, observe: Callable[[Any, Any], None] | None = None) -> Any:
-        """Fit a new method to the training rows of a data set, and return it."""
-        method = self.new()
+    def fit(
+        self,
+        dataset: PasDataset,
+        observe: Callable[[Any, Any], None] | None = None,
+        budget: Budget = _BUDGET,
+        method: Any = None,
+    ) -> Any:
+        """Fit a method, a new one if none is given, to the training rows of a data set, and return it."""
+        method = method or self.new()
         with chdir(self.working_folder):
-            fit_within(method, _training_rows(dataset), Budget(max_steps=NUM_STEPS), _SEED, observe=observe)
+            fit_within(method, _training_rows(dataset), budget, _SEED, observe=observe)
         return method
 
     def predict(self, method: Any, rows: Int[IntArray, "B"]) -> Float[NDArray[np.float32], "B E A"]:
@@ -190,7 +198,7 @@ def _config_fault(trial: _Trial) -> str | None:
 
 
 def _fit_fault(trial: _Trial) -> str | None:
-    yields = trial.new().fit(_training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED)
+    yields = trial.new().fit(_training_rows(trial.dataset), _BUDGET, _SEED)
     if not hasattr(yields, "__iter__"):
         return f"fit returned {yields!r}. Let it `yield Progress(step, loss)`, which makes it a generator."
     _ = trial.fitted
@@ -200,7 +208,7 @@ def _fit_fault(trial: _Trial) -> str | None:
 def _first_yield_fault(trial: _Trial) -> str | None:
     method = trial.new()
     with chdir(trial.working_folder):
-        yields = iter(method.fit(_training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED))
+        yields = iter(method.fit(_training_rows(trial.dataset), _BUDGET, _SEED))
         first = next(yields)
         assert isinstance(first, Progress), "the whole fit was run before"
         trial.predict(method, trial.test.rows[:1])
@@ -209,10 +217,52 @@ def _first_yield_fault(trial: _Trial) -> str | None:
     return None
 
 
-def _steps_fault(trial: _Trial) -> str | None:
-    if any(later <= earlier for earlier, later in zip(trial.steps, trial.steps[1:], strict=False)):
-        return f"they are {trial.steps}. Count every optimiser step, once, from the start of the fit."
+class _EnoughError(Exception):
+    """Two steps of a fit are over."""
+
+
+def _end_at(step: float) -> Callable[[Any, Any], None]:
+    """An observer that ends a fit, as the end of its budget does, at a step, or at the second one that is yielded."""
+
+    def look(before: Any, now: Any) -> None:
+        if now.step >= step or (before and step == inf):
+            raise _EnoughError
+
+    return look
+
+
+def _budgets_fault(trial: _Trial) -> str | None:
+    """Begin a fit with a budget in maps, which is the default, with one in seconds and with none."""
+    for budget in (Budget(max_maps=64_000), Budget(max_seconds=60.0), Budget()):
+        with suppress(_EnoughError):
+            trial.fit(trial.dataset, _end_at(inf), budget)
     return None
+
+
+def _device_fault(trial: _Trial) -> str | None:
+    default = getattr(build_method(trial.name).config, "device", "cpu")
+    if default != "cpu":
+        return f"its option device is {default!r} by default. Let it be 'cpu', and `run --device cuda` change it."
+    on_gpu = device_option(trial.name, "cuda")
+    if on_gpu:
+        import torch
+
+        if torch.cuda.is_available():
+            _Trial(trial.name, (*trial.overrides, *on_gpu), trial.folder).fit(trial.dataset)
+    return None
+
+
+def _end_fault(trial: _Trial) -> str | None:
+    """Close a fit at its last yield, if it ended by itself, and compare the outcome."""
+    if trial.steps[-1] >= NUM_STEPS:
+        return None
+    method = trial.new()
+    with suppress(_EnoughError):
+        trial.fit(trial.dataset, _end_at(trial.steps[-1]), method=method)
+    maps = trial.predict(method, trial.test.rows)
+    return _difference_fault(
+        maps, trial.maps, _SEED_TOLERANCE, "Change nothing after the last yield: restore the best weights before it."
+    )
 
 
 def _peak_fault(trial: _Trial) -> str | None:
@@ -270,8 +320,7 @@ def _peeking_fault(trial: _Trial) -> str | None:
         trial.predict(method, trial.test.rows[:1])
         method.save(folder)
 
-    with chdir(trial.working_folder):
-        fit_within(method, _training_rows(trial.dataset), Budget(max_steps=NUM_STEPS), _SEED, observe=look)
+    trial.fit(trial.dataset, look, method=method)
     maps = trial.predict(method, trial.test.rows)
     return _difference_fault(
         maps, trial.maps, _SEED_TOLERANCE, "Let predict and save change no weight, no mode and no generator."
@@ -312,10 +361,12 @@ _STAGES = (
         _Check("its config is a frozen dataclass that can be written as JSON", _config_fault),
     ),
     (
-        _Check("fit is a generator that yields Progress", _fit_fault),
+        _Check("fit is a generator that yields Progress, its steps ascending", _fit_fault),
         _Check("predict is valid at fit's first yield, and fit can be closed there", _first_yield_fault),
-        _Check("the steps that fit yields ascend", _steps_fault),
+        _Check("fit takes a budget in maps, in seconds, or none", _budgets_fault),
+        _Check("it computes on the device that it is told, if it has an option for that", _device_fault),
         _Check("num_parameters is an integer of 0 or more", lambda trial: checked_num_parameters(trial.fitted)),
+        _Check("findings, if it has them, are values that JSON holds", lambda trial: checked_findings(trial.fitted)),
     ),
     (
         _Check(
@@ -333,6 +384,7 @@ _STAGES = (
         _Check("a method that was saved and loaded predicts the same", _saved_fault),
         _Check("the same seed gives the same maps", _seed_fault, is_warning=True),
         _Check("predict and save do not change how training goes on", _peeking_fault, compares_fits=True),
+        _Check("a fit that ends early can as well be closed at its last yield", _end_fault, compares_fits=True),
         _Check("only training rows are used", _leak_fault, compares_fits=True),
         _Check("nothing is written into the working folder", _stray_file_fault),
     ),

@@ -99,7 +99,9 @@ class Progress:
 class Method(Protocol):
     """A predictor of maps, constructed as `Class(config)`, or as `Class()` with the defaults of its configuration.
 
-    `config` is a frozen dataclass.
+    `config` is a frozen dataclass. If it has a field `device`, its default is "cpu", and `run --device cuda` sets it to
+    "cuda"; a method without that field computes where it likes. A method may also have `findings`, see
+    `ExplainedMethod`.
     """
 
     config: Any
@@ -111,6 +113,11 @@ class Method(Protocol):
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
         """Train, and yield often: at every yield, `predict` and `save` may be called and the generator be closed.
+
+        The caller ends the fit by closing the generator at a yield, and then predicts. What follows that yield never
+        runs, but for a `finally`, which may not yield. So at every yield `predict` uses what shall be scored: a method
+        that stops early, and keeps its best weights, restores them before it yields. Then it returns, for every yield
+        has a higher step than the one before.
 
         `train` holds the training rows only; the geometry of the receiver in it may be used. The caller measures
         the time and ends the fit. `budget` is given so that a method can plan schedules, and each yield returns
@@ -162,7 +169,7 @@ class ReceiverMethod(Protocol):
 
 @runtime_checkable
 class ExplainedMethod(Protocol):
-    """A method that can also say what it has learned, in terms of physics."""
+    """A `Method` that can also say what it has learned, in terms of physics; `run` stores it in the record."""
 
     def findings(self) -> Mapping[str, Any]:
         """What the method has learned, as values that JSON can hold; called once after the fit, for the record."""

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
-from xfreqbench.methods.contract import Budget, Method, Progress
-from xfreqbench.methods.guard import readable
+from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, Progress
+from xfreqbench.methods.guard import plain_json, readable
 from xfreqbench.types import FloatArray, Maps
 
 _ENDED = object()
@@ -83,8 +83,8 @@ def fit_within(
     spent, the fit ends at once. If the first step that the method yields is not higher, the method has started
     again: `spent` then does not count, and `before` is None.
 
-    Raises `MethodError` if the method yields nothing, or something other than `Progress`, and `DivergenceError`
-    for a loss that is infinite, or nan after it was finite. A budget in maps needs a method that counts them.
+    Raises `MethodError` if the method yields nothing, something other than `Progress`, or a step that is not higher than
+    the one before, and `DivergenceError` for a loss that is infinite, or nan after it was finite. A budget in maps needs a method that counts them.
     """
     if spent and budget.share(spent.step, spent.seconds, spent.maps) >= 1:
         return spent
@@ -139,6 +139,11 @@ class _RunningFit:
             self._clock.seconds -= self._spent.seconds
             self._clock.processor_seconds -= self._spent.processor_seconds
         before, self._last = self._last, self._stands(progress)
+        if self._last.step <= (before.step if before else -1):
+            raise MethodError(
+                f"{_name(self._method)}.fit yielded step {self._last.step} after {before.step if before else 'none'}. "
+                "Count every step once, from 0 up; a fit that stops early returns and yields no more."
+            )
         _require_finite(before, self._last)
         self._require_maps(before, self._last)
         return before, self._last
@@ -191,6 +196,14 @@ def checked_num_parameters(method: Method) -> int:
             "training sets, or 0; num_parameters is an attribute or a property."
         )
     return count
+
+
+def checked_findings(method: Method) -> dict[str, Any]:
+    """What the method says it has learned, as JSON has it; empty for a method that does not say.
+
+    Raises whatever `findings` raises, and `plain_json` for values that no record can hold.
+    """
+    return plain_json(dict(method.findings())) if isinstance(method, ExplainedMethod) else {}
 
 
 def predict_checked(

@@ -30,9 +30,8 @@ from xfreqbench.errors import (
     XFreqBenchError,
     was_interrupted,
 )
-from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, parse_budget
-from xfreqbench.methods.fitting import Stopwatch, checked_maps, checked_num_parameters
-from xfreqbench.methods.guard import plain_json
+from xfreqbench.methods.contract import Budget, Method, parse_budget
+from xfreqbench.methods.fitting import Stopwatch, checked_findings, checked_maps, checked_num_parameters
 from xfreqbench.methods.registry import device_option, method_names, name_of
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
@@ -63,7 +62,7 @@ def run(
     targets_ghz: TargetsGhz = None,
     on: ScoredOn = "test",
     seeds: WholeNumbers = (0,),
-    budget: str | Budget | None = "5m",
+    budget: str | Budget | None = "quick",
     device: Literal["cpu", "cuda"] = "cpu",
     receiver: str | None = None,
     polarization: str | None = None,
@@ -74,8 +73,8 @@ def run(
 
     `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; a class
     stands for its name. As a mapping it gives each its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or
-    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, the paper's unless
-    given.
+    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, by default the
+    paper's.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
@@ -381,9 +380,8 @@ def _predicted(task: Task, method: Method, clock: Stopwatch, require_claim: Call
 
 
 def _findings(task: Task, method: Method) -> dict[str, Any]:
-    """What the method says it has learned, as JSON has it; empty for a method that does not say."""
     with task.method_errors("findings"):
-        return plain_json(dict(method.findings())) if isinstance(method, ExplainedMethod) else {}
+        return checked_findings(method)
 
 
 def _num_parameters(task: Task, method: Method) -> int:

@@ -68,9 +68,9 @@ def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None 
         f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
         "## Claims",
         _claims_table(content["claim"], ranked, resampling),
-        "## Numbers",
-        "Theirs and ours by budget, averages over what is named; a median SSIM has its 95 % interval:",
-        _numbers_table(content["counterpart"], ranked, resampling),
+        "## The paper's tables",
+        "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
+        *_papers_tables(content, ranked, resampling),
         *_distributions(ranked),
         *_random_samples(ranked, resampling),
         *_maps(grids or {}),
@@ -177,25 +177,44 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
     return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
-def _numbers_table(
-    counterparts: Sequence[Mapping[str, Any]], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
+def _papers_tables(
+    content: Mapping[str, Any], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
+) -> list[str]:
+    """The paper's tables with its rows and columns, for each budget of which we have a number: ours, theirs behind it."""
+    ours = {
+        (name, row, statistic): (counterpart, place, statistic if column in _STATISTICS else _MEDIAN_SSIM)
+        for counterpart in content["counterpart"]
+        for place, (name, row, column) in counterpart["cells"].items()
+        for statistic in (_STATISTICS if column in _STATISTICS else (column,))
+    }
+    parts = []
+    for name, published in content["table"].items():
+        boards = [board for board in ranked if board.protocol == published["protocol"] and name != "cdf"]
+        for lane, title in {board.lane: board.lane_title or "no budget" for board in boards}.items():
+            rows = []
+            for row, theirs in published["rows"].items():
+                cells = [
+                    _cell(ours.get((name, row, column)), value, lane, boards, resampling)
+                    for column, value in zip(published["columns"], theirs, strict=True)
+                ]
+                rows.append([heading(row), *cells])
+            if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
+                header = (published["first_column"], *published["columns"])
+                parts.append(f"{published['title']}; ours in the budget {heading(title)}:\n\n{table(header, rows, prose)}")
+    return parts
+
+
+def _cell(
+    ours: tuple[Mapping[str, Any], str, str] | None,
+    theirs: str,
+    lane: str,
+    boards: Sequence[Board],
+    resampling: Mapping[str, Resampling],
 ) -> str:
-    protocols = {counterpart["protocol"] for counterpart in counterparts}
-    boards = [board for board in ranked if board.protocol in protocols]
-    titles = {board.lane: board.lane_title or "no budget" for board in boards}
-    rows = []
-    for counterpart in counterparts:
-        for place, (name, row, column) in counterpart["cells"].items():
-            named = _found_rows(counterpart, place, boards)
-            if not named:
-                continue
-            _, _, splits = next(iter(named.values()))
-            where = ", ".join(map(short_name, splits)) + (" (not stated)" if place == "any" else "")
-            for statistic in _STATISTICS if column in _STATISTICS else (_MEDIAN_SSIM,):
-                published = published_value((name, row, statistic if column in _STATISTICS else column))
-                ours = [_ours(*named[lane], statistic, resampling) if lane in named else ABSENT for lane in titles]
-                rows.append([heading(counterpart["name"]), where, statistic, published, *ours])
-    return table(("theirs", "on", "what", "published", *titles.values()), rows, prose)
+    """Our number in a budget and behind it, in round brackets, the paper's."""
+    counterpart, place, statistic = ours or ({}, "", "")
+    found = _found_rows(counterpart, place, boards).get(lane) if ours else None
+    return f"{_ours(*found, statistic, resampling) if found else ABSENT} ({theirs})"
 
 
 def _found_rows(
