@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -99,6 +100,23 @@ def conventions() -> None:
         print(f"{name}: {convention.read_in}. {convention.caveat}".rstrip())
     for name, reason in NO_CONVENTIONS.items():
         print(f"{name}: none. {reason}")
+
+
+@app.command(group=EXCHANGE, help_epilogue=example("card office.h5 --license CC-BY-4.0 -o office_card"))
+def card(
+    data: Path,
+    *,
+    license_: Annotated[
+        str, Parameter(name="--license", help="Licence of the data, as SPDX names it: CC-BY-4.0, CC0-1.0, ….")
+    ],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
+    quiet: Quiet = False,
+) -> None:
+    """Write a folder to hand on: the data set, a README card, Croissant metadata, checksums, a sample, its recipe."""
+    from xfreqbench.report.view.card import write_card
+
+    write_card(data, output, license_, partial(say, quiet=quiet))
+    say(f"wrote {output}", quiet)
 
 
 @app.command(group=EXCHANGE, help_epilogue=example("export office.h5 --convention nerf2 -o office_png"))

@@ -17,7 +17,15 @@ RESULTS = ("records", "stored predictions", "checkpoint")
 SCENE = ("scene", "mesh")
 WRITTEN: tuple[str, ...] = ()  # an output, of which is read only whether it is the command's own
 
-_SLOW = ("view", "plot", "findings", "residual", "benchmark", "bench measured")  # they draw, trace or run for a second
+_SLOW = (
+    "card",
+    "view",
+    "plot",
+    "findings",
+    "residual",
+    "benchmark",
+    "bench measured",
+)  # they draw, trace or run for a second
 _QUICKER = 10  # lines of other commands, for each line of those
 RESULT_PARTS = (
     "records.jsonl",
@@ -39,6 +47,7 @@ READS: dict[str, dict[str, tuple[str, ...]]] = {
     "generate": {"scene": SCENE, "tx_positions": ("positions", "data set"), "output": WRITTEN},
     "import": {"folder": ("PNG folder", "DeepMIMO scenario", "DeepMIMO scenario of MATLAB"), "output": WRITTEN},
     "export": {"data": ("data set", "mesh"), "output": WRITTEN},
+    "card": {"data": ("data set", "mesh"), "output": WRITTEN},
     "split": {"data": ("data set",), "output": ("split file",)},
     "score": {
         "predictions": ("predictions made elsewhere",),
@@ -92,6 +101,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "view": (f"view {DATA} -o new -q",),
         "generate": (f"generate room.toml --tx-positions {DATA} -o taken.h5 --freqs 1,10 -q",),
         "export": (f"export {DATA} -o new --convention xfreq-gs --set plane=xy -q",),
+        "card": (f"card {DATA} --license CC0-1.0 -o new -q",),
         "split": (f"split --data {DATA} -o new.h5 --targets 10 --maps -q",),
         "score": (f"{_SCORE} new",),
         "run": (f"run --data {DATA} --results new {_NEAREST}",),
@@ -146,6 +156,7 @@ LINES: dict[str, dict[str, tuple[str, ...]]] = {
         "info": ("info mesh.h5 --retrace 1",),
         "plot": ("plot mesh.h5 -o new.svg --of power",),
         "export": ("export mesh.h5 -o new --to deepmimo -q",),
+        "card": ("card mesh.h5 --license CC0-1.0 -o new -q",),
         "bench generate": ("bench generate ./mesh.toml",),
         "bench measured": (_MEASURED.format("mesh"),),
         "bench reference": ("bench reference ./mesh.toml -o taken.h5 -q",),

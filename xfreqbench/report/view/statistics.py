@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.statistics import MECHANISMS
+from xfreqbench.data.statistics import MECHANISMS, ChannelStatistics
 from xfreqbench.report.drawing.figures import figure_kind, label_decades, save_figure, shown
 
 _PANELS = {  # of a row's name: its title, its unit in names, and what stands beside it
@@ -29,8 +29,11 @@ def draw_statistics(file: Path, output: Path) -> None:
 
     Raises as `channel_statistics` does, and `StorageError`.
     """
-    dataset = open_dataset(file)
-    statistics = dataset.statistics()
+    plot_statistics(open_dataset(file).statistics(), file.name, output)
+
+
+def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> None:
+    """The figure of `draw_statistics`, of the data set of a name; raises `StorageError`."""
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
     for axis, (name, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
@@ -49,7 +52,7 @@ def draw_statistics(file: Path, output: Path) -> None:
         label_decades(axis)
     figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small")
     _draw_shares(axes[5], statistics.rows)
-    figure.suptitle(shown(f"{dataset.path.name}: {statistics.source}"), fontsize="medium")
+    figure.suptitle(shown(f"{name}: {statistics.source}"), fontsize="medium")
     save_figure(figure, output, figure_kind(output))
 
 
