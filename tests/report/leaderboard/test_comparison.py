@@ -61,6 +61,26 @@ def test_a_difference_and_its_opposite_have_mirrored_intervals() -> None:
     assert there == pytest.approx((-back[1], -back[0]), abs=1e-3)  # quantiles are values: one of 1,000 further
 
 
+def test_a_verdict_does_not_hang_on_the_draws() -> None:
+    """Each name has draws of its own. The shift puts the lower bound at zero, as far as 1,000 resamples can say."""
+    names, other = [f"method {nth}" for nth in range(8)], seeds_of("other", 0.0, 20)
+
+    def bounds(shift: float, *, plain: bool) -> list[float]:
+        found = []
+        for name in names:
+            comparison, row = compared(*seeds_of(name, shift, 10), *other)
+            drawn = [comparison.resampling.medians(row[each], SPLIT) for each in (name, "other")]
+            low, _ = comparison.difference(row[name], row["other"])
+            found.append(float(np.quantile(drawn[0] - drawn[1], 0.025)) if plain else low)
+        return found
+
+    at_zero = -float(np.mean(bounds(0.0, plain=True)))
+    assert min(bounds(at_zero, plain=True)) < 0 < max(bounds(at_zero, plain=True))
+    assert bounds(at_zero, plain=False) == [0.0] * len(names)
+    assert min(bounds(at_zero + 0.005, plain=False)) > 0
+    assert max(bounds(at_zero - 0.005, plain=False)) < 0
+
+
 def test_paired_differences_are_narrower_than_unpaired_ones() -> None:
     comparison, row = compared(*seeds_of("one", 0.0, 10), *seeds_of("other", 0.0, 20))
     low, high = comparison.difference(row["one"], row["other"])

@@ -19,6 +19,9 @@ from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.types import FloatArray
 
 MIN_SEEDS = 3  # a learned method with fewer is not ranked
+MANY_RESAMPLES = 16 * NUM_RESAMPLES  # where a bound is near zero
+_LEVELS = 0.025, 0.975  # of the bounds of an interval
+_KNOWN = 0.1  # standard error of a bound that decides, of its distance from zero
 Interval = tuple[float, float]
 UNKNOWN: Interval = (nan, nan)
 
@@ -27,14 +30,14 @@ class Resampling:
     """Resampled medians of a board's rows. Each is computed once and kept for further comparisons."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, str], Float[FloatArray, "R"]] = {}
+        self._known: dict[tuple[str, str, int], Float[FloatArray, "R"]] = {}
 
-    def medians(self, row: BoardRow, split: str) -> Float[FloatArray, "R"]:
-        """Median SSIM over the drawn transmitters in each of R resamples, mean over the drawn seeds: shape (R,)."""
-        key = row.label, split
+    def medians(self, row: BoardRow, split: str, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
+        """Median SSIM over the drawn transmitters in each of R = `number` resamples, mean over the drawn seeds."""
+        key = row.label, split, number
         if key not in self._known:
             records = row.by_split[split]
-            medians = np.array([resampled_medians(record.ssim_by_tx) for record in records])  # (S, R)
+            medians = np.array([resampled_medians(record.ssim_by_tx, number) for record in records])  # (S, R)
             seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
             drawn = np.random.default_rng(seed).integers(len(records), size=medians.shape)
             resampled = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
@@ -49,6 +52,9 @@ class Comparison:
     Every resample draws transmitters with all their samples, the same ones for every row (paired) and for
     every split that tests as many, and draws seeds for each row. Intervals are 95 % percentile intervals, not
     corrected for how many comparisons are made. Comparisons of one board may share its `resampling`.
+
+    Of a difference, the sign of a bound decides. Where a bound is not known to a tenth of its distance from zero, there
+    are sixteen times as many resamples; where it is not known so well even then, it is 0, and the difference open.
     """
 
     board: Board
@@ -74,7 +80,7 @@ class Comparison:
         """Interval of a row's average median SSIM minus another's; nan where one of the two is not ranked."""
         if not (self.is_ranked(row) and self.is_ranked(other)):
             return UNKNOWN
-        return self._differences[row.label, other.label]
+        return self.paired_difference(row, other)
 
     def paired_difference(self, row: BoardRow, other: BoardRow) -> Interval:
         """As `difference`, but for rows of few seeds too: of one seed it is the interval of transmitters alone.
@@ -83,7 +89,12 @@ class Comparison:
         """
         if not (self._has_samples(row) and self._has_samples(other)):
             return UNKNOWN
-        return _interval(self._average(row) - self._average(other))
+        if (row.label, other.label) not in self._differences:
+            bounds = _known_bounds(self._average(row) - self._average(other))
+            if 0 in bounds:
+                bounds = _known_bounds(self._average(row, MANY_RESAMPLES) - self._average(other, MANY_RESAMPLES))
+            self._differences[row.label, other.label] = bounds
+        return self._differences[row.label, other.label]
 
     def beats(self, row: BoardRow, other: BoardRow) -> bool:
         """Whether the whole interval of the difference lies above zero."""
@@ -124,13 +135,13 @@ class Comparison:
         rows = self.board.trivial_rows(split)
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 
-    def _average(self, row: BoardRow) -> Float[FloatArray, "R"]:
-        return np.mean([self.resampling.medians(row, split) for split in self.splits], axis=0)
+    def _average(self, row: BoardRow, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
+        return np.mean([self.resampling.medians(row, split, number) for split in self.splits], axis=0)
 
     @cached_property
     def _differences(self) -> dict[tuple[str, str], Interval]:
-        averages = {row.label: self._average(row) for row in self.ranked_rows}
-        return {(one, other): _interval(averages[one] - averages[other]) for one in averages for other in averages}
+        """The intervals that were asked for, by the rows' labels."""
+        return {}
 
 
 def comparisons_of(board: Board) -> list[Comparison]:
@@ -140,8 +151,8 @@ def comparisons_of(board: Board) -> list[Comparison]:
     return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
 
 
-def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray, "R"]:
-    """Median SSIM in each of R = `NUM_RESAMPLES` resamples of whole transmitters, shape (R,).
+def resampled_medians(ssim_by_tx: Sequence[Sequence[float]], number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
+    """Median SSIM in each of R = `number` resamples of whole transmitters, a multiple of `NUM_RESAMPLES`.
 
     `ssim_by_tx` has the scores of each transmitter. The draw depends only on the number of transmitters. A score
     counts as often as its transmitter was drawn, so that the scores are sorted once for all resamples.
@@ -149,20 +160,26 @@ def resampled_medians(ssim_by_tx: Sequence[Sequence[float]]) -> Float[FloatArray
     length = [len(samples) for samples in ssim_by_tx]
     values = np.concatenate([np.asarray(samples, np.float64) for samples in ssim_by_tx])
     order = np.argsort(values, kind="stable")
-    drawn = _times_drawn(len(length))[np.repeat(np.arange(len(length)), length)[order]]  # (n, R)
+    owner, ordered = np.repeat(np.arange(len(length)), length)[order], values[order]
     narrow = np.min_scalar_type(max(length) * len(length))  # summed six times as fast as int64
-    num_up_to = drawn.astype(narrow).cumsum(axis=0, dtype=narrow)
-    halves = (num_up_to[-1] - 1) // 2, num_up_to[-1] // 2
-    middle = [(num_up_to <= half).sum(axis=0, dtype=np.int32) for half in halves]
-    return values[order][middle].mean(axis=0)
+    medians = []
+    for times_drawn in _times_drawn(len(length), number):
+        num_up_to = times_drawn[owner].astype(narrow).cumsum(axis=0, dtype=narrow)  # (n, NUM_RESAMPLES)
+        halves = (num_up_to[-1] - 1) // 2, num_up_to[-1] // 2
+        middle = [(num_up_to <= half).sum(axis=0, dtype=np.int32) for half in halves]
+        medians.append(ordered[middle].mean(axis=0))
+    return np.concatenate(medians)
 
 
 @cache
-def _times_drawn(number: int) -> Integer[NDArray[np.integer], "T R"]:
-    """How often each of T transmitters is drawn in each of R resamples, shape (T, R)."""
-    drawn = np.random.default_rng(number).integers(number, size=(NUM_RESAMPLES, number))
-    counted = [np.bincount(places, minlength=number) for places in drawn]
-    return np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(number)))
+def _times_drawn(num_tx: int, number: int) -> list[Integer[NDArray[np.integer], "T R"]]:
+    """How often each of T transmitters is drawn in `number` resamples, `NUM_RESAMPLES` at a time: shapes (T, R)."""
+    generator, parts = np.random.default_rng(num_tx), []
+    for _ in range(number // NUM_RESAMPLES):
+        drawn = generator.integers(num_tx, size=(NUM_RESAMPLES, num_tx))
+        counted = [np.bincount(places, minlength=num_tx) for places in drawn]
+        parts.append(np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(num_tx))))
+    return parts
 
 
 def _widened(medians: Float[FloatArray, "S R"]) -> Float[FloatArray, "S R"]:
@@ -179,5 +196,18 @@ def _widened(medians: Float[FloatArray, "S R"]) -> Float[FloatArray, "S R"]:
 
 
 def _interval(values: Float[FloatArray, "R"]) -> Interval:
-    low, high = quantiles(values, [0.025, 0.975])
+    low, high = quantiles(values, list(_LEVELS))
     return float(low), float(high)
+
+
+def _known_bounds(values: Float[FloatArray, "R"]) -> Interval:
+    """As `_interval`, with 0 for a bound whose standard error is more than a tenth of it.
+
+    The error follows from the values whose ranks are one standard deviation of the bound's rank above and below it.
+    """
+    bounds = []
+    for level in _LEVELS:
+        error = np.sqrt(level * (1 - level) / len(values))
+        below, bound, above = quantiles(values, [level - error, level, level + error])
+        bounds.append(float(bound) if above - below <= 2 * _KNOWN * abs(bound) else 0.0)
+    return bounds[0], bounds[1]
