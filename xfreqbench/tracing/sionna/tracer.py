@@ -45,7 +45,7 @@ class SionnaTracer:
         carriers, settings = np.asarray(carrier_hz, dtype=np.float64), settings.by("sionna")
         prepared = PreparedScene.of(scene)
         receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
-        check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
+        check_dispersion([mesh.slab.homogeneous for mesh in meshes], carriers.tolist(), settings.materials)
         shooting = ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
         self._origin_m = receiver.local_origin_m
         x, y, z = (receiver.position_m - self._origin_m).tolist()
