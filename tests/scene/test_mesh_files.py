@@ -28,6 +28,9 @@ from tests.support.mesh_scenes import (
 from xfreqbench.errors import SceneError
 from xfreqbench.report.drawing.glb import write_glb
 from xfreqbench.scene import imported
+from xfreqbench.scene.facets import planar_facets
+from xfreqbench.scene.imported import Slab
+from xfreqbench.scene.materials import PRESETS
 from xfreqbench.scene.mesh_files import read_mesh
 from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, surface_meshes
 
@@ -106,6 +109,19 @@ def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> No
     np.testing.assert_allclose(bounds_m(stripped), [[10, 0, 5], [11, 2, 5]], atol=1e-6)
     area_m2 = [trimesh.Trimesh(mesh.vertices_m, mesh.triangles).area for mesh in (listed, stripped)]
     np.testing.assert_allclose(area_m2, [4, 2])
+
+
+def test_faces_may_be_of_parts_of_buildings_and_of_layers_of_the_scenes_own(tmp_path: Path) -> None:
+    """Whatever thickness is stated for them elsewhere; the first layer is at the front of the faces."""
+    layers = "{material = 'wood', thickness_m = 0.02}, {material = 'metal', thickness_m = 0.001}"
+    own = f'[[material]]\nname = "lined"\nlayers = [{layers}]\n'
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\no a\nusemtl mat-double-glazing.001\nf 1 2 3\no b\nusemtl lined\nf 1 2 3\n"
+    window, lined = meshes_of(tmp_path, "parts.obj", text, own)
+    assert window.slab == Slab(PRESETS["double-glazing"], 0.024)
+    assert lined.slab.layers == (("wood", 0.02), ("metal", 0.001))
+    assert lined.thickness_m == pytest.approx(0.021)
+    (facet,) = planar_facets([lined])
+    assert facet.front[2] > 0
 
 
 def test_objects_without_a_material_are_named_in_the_table(tmp_path: Path) -> None:

@@ -164,8 +164,8 @@ class Plan:
     @property
     def _material_notes(self) -> str:
         """Lines on materials that the scene defines itself, and on those that scatter; empty where there are none."""
-        slabs = slabs_of(self.geometry.meshes)
-        own = {slab.material for slab in slabs if isinstance(slab.material, ConstantMaterial)}
+        layers = [layer for slab in slabs_of(self.geometry.meshes) for layer in slab.layers]
+        own = {layer.material for layer in layers if isinstance(layer.material, ConstantMaterial)}
         told = [
             f"{each.name} (ε′ {each.relative_permittivity:g}, σ {each.conductivity_s_m:g} S/m)"
             for each in sorted(own, key=str)
@@ -229,7 +229,7 @@ def plan_generation(
         )
     _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
-    materials = (mesh.material for mesh in geometry.meshes)
+    materials = (layer.material for slab in slabs_of(geometry.meshes) for layer in slab.layers)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)
     for each in scene.receivers:

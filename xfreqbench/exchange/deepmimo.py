@@ -149,7 +149,9 @@ def _materials(slabs: Sequence[Slab], carrier_hz: float, policy: MaterialPolicy)
     """What the surfaces are made of at one carrier, by number."""
     materials = {}
     for number, slab in enumerate(slabs):
-        permittivity = complex_permittivity(slab.material, carrier_hz, policy)
+        permittivity = complex(np.nan, np.nan)  # of layers, whose names tell them
+        if len(slab.layers) == 1:
+            permittivity = complex_permittivity(slab.homogeneous, carrier_hz, policy)
         materials[f"material_{number}"] = {
             "id": number,
             "name": str(slab.material),

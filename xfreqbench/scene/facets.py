@@ -26,6 +26,7 @@ class PlanarFacet(NamedTuple):
 
     corners_m: Float[FloatArray, "n 3"]
     surface: int  # index of its mesh
+    front: Float[FloatArray, "3"]  # towards its front, of any length
 
 
 class Geometry:
@@ -74,7 +75,11 @@ class Geometry:
 
 def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
     """Facets of all meshes, in their order: two triangles that form a parallelogram are one facet."""
-    return [PlanarFacet(corners, surface) for surface, mesh in enumerate(meshes) for corners in mesh.outlines_m]
+    return [
+        PlanarFacet(corners_m, surface, front)
+        for surface, mesh in enumerate(meshes)
+        for corners_m, front in mesh.outlines_m
+    ]
 
 
 def group_by_plane(facets: Sequence[PlanarFacet]) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:

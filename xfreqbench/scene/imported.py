@@ -12,7 +12,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.errors import SceneError
-from xfreqbench.scene.materials import DEFAULT_THICKNESS_M, ITU_MATERIALS, Material, Scattering, SceneMaterial
+from xfreqbench.scene.materials import (
+    DEFAULT_THICKNESS_M,
+    ITU_MATERIALS,
+    PRESETS,
+    Layer,
+    LayeredMaterial,
+    Material,
+    Scattering,
+    SceneMaterial,
+    SlabMaterial,
+    material_named,
+)
 from xfreqbench.types import FloatArray, IntArray
 
 MAX_TRIANGLES = 5_000_000  # and vertices, of a scene's mesh file
@@ -38,9 +49,31 @@ class StatedMaterial:
 class Slab(NamedTuple):
     """What the faces of a mesh are made of."""
 
-    material: Material
+    material: SlabMaterial
     thickness_m: float
     scattering: Scattering | None = None  # None for a smooth surface
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """The layers, from the front to the back; one of most slabs."""
+        if isinstance(self.material, LayeredMaterial):
+            return self.material.layers
+        return (Layer(self.material, self.thickness_m),)
+
+    @property
+    def turned(self) -> Slab:
+        """The same slab with its back to the front."""
+        return self._replace(material=self.material.turned) if isinstance(self.material, LayeredMaterial) else self
+
+    @property
+    def homogeneous(self) -> Material:
+        """What a slab of one layer is made of; raises `SceneError` for one of several."""
+        if len(self.layers) > 1:
+            raise SceneError(
+                f"Material {str(self.material)!r} has {len(self.layers)} layers, which solver image alone traces. "
+                "Choose it, with what it takes (--solver image), or give the surfaces a material of one layer."
+            )
+        return self.layers[0].material
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +119,17 @@ def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], s
     plain = plain_name(stated.name)
     names = [stated.name, plain, str(stated.material)]
     own = next((table[name] for name in names if name in table), None)
-    material = own.material if own else stated.material
+    material = material_named(own.name, table) if own else stated.material
     if material is None:
-        if plain not in ITU_MATERIALS:
+        if plain not in ITU_MATERIALS and plain not in PRESETS:
             raise SceneError(
                 f"{source}: material {stated.name!r} is no ITU material. Name it like 'itu_concrete', or say what it "
                 f"is in the scene's TOML: [[material]] name = {stated.name!r}, itu = 'concrete', thickness_m = 0.1."
             )
-        material = plain
+        material = material_named(plain, {})
     thickness_m = (own.thickness_m if own else None) or stated.thickness_m or DEFAULT_THICKNESS_M
+    if isinstance(material, LayeredMaterial):
+        thickness_m = material.thickness_m
     scattering = (own.scattering if own else None) or stated.scattering
     return Slab(material, thickness_m, rough(scattering))
 

@@ -8,9 +8,9 @@ test compares it with Sionna's. Beside them stand materials of a scene's own, wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex
@@ -24,6 +24,7 @@ from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
 P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; whoever changes values raises `PHYSICS_VERSION` too
+MAX_LAYERS = 32
 MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (1e3, 1e6, 1e9)  # Sionna RT's float32 holds their fields
 Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
@@ -63,6 +64,37 @@ class ConstantMaterial:
 
 
 Material = str | ConstantMaterial  # P.2040's by name, or a scene's own
+
+
+class Layer(NamedTuple):
+    """A layer of a slab."""
+
+    material: Material
+    thickness_m: float
+
+
+@dataclass(frozen=True)
+class LayeredMaterial:
+    """A slab of several layers in contact, the first at its front; its thickness is theirs."""
+
+    name: str
+    layers: tuple[Layer, ...]
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness of all layers together."""
+        return math.fsum(layer.thickness_m for layer in self.layers)
+
+    @property
+    def turned(self) -> LayeredMaterial:
+        """The same with its back to the front."""
+        return replace(self, layers=self.layers[::-1])
+
+
+SlabMaterial = Material | LayeredMaterial
 ScatteringPattern = Literal["lambertian", "directive", "backscattering"]
 _PATTERN_NUMBERS = ("alpha_r", "alpha_i", "lambda_")  # the directive pattern has the first alone
 
@@ -166,8 +198,16 @@ def material_bands(material: Material) -> tuple[Band, ...]:
     if isinstance(material, ConstantMaterial):
         return (material.band,)
     if material not in ITU_MATERIALS:
-        raise UnknownNameError("ITU-R P.2040 material", material, ITU_MATERIALS)
+        raise UnknownNameError("ITU-R P.2040 material", material, [*ITU_MATERIALS, *PRESETS])
     return ITU_MATERIALS[material]
+
+
+@pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class SceneLayer:
+    """A layer of a material: a material of P.2040 (`vacuum` for air), or of the scene, that has no layers itself."""
+
+    material: str
+    thickness_m: Thickness
 
 
 @pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -175,8 +215,9 @@ class SceneMaterial:
     """A material under a name that the scene's surfaces, or its mesh file, use for it.
 
     It is `itu`, a material of ITU-R P.2040, by default the one of the same name; or it has a relative permittivity
-    and a conductivity of its own, which are the same at every carrier. `thickness_m` is that of imported meshes: a
-    surface states its own. `scattering` says how rough it is; without it, nothing is reflected diffusely.
+    and a conductivity of its own, which are the same at every carrier; or it has `layers`, from the front of a surface
+    to its back. `thickness_m` is that of imported meshes: a surface states its own, and layers have theirs.
+    `scattering` says how rough it is; without it, nothing is reflected diffusely.
     """
 
     name: str
@@ -185,6 +226,7 @@ class SceneMaterial:
     conductivity_s_m: Annotated[float, Field(ge=0, le=MAX_CONDUCTIVITY_S_M, allow_inf_nan=False)] | None = None
     thickness_m: Thickness | None = None
     scattering: Scattering | None = None
+    layers: Annotated[tuple[SceneLayer, ...], Field(min_length=1, max_length=MAX_LAYERS)] | None = None
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_stated(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
@@ -193,22 +235,72 @@ class SceneMaterial:
     @model_validator(mode="after")
     def _is_one_material(self) -> SceneMaterial:
         is_own = self.relative_permittivity is not None
+        others = ("itu", "relative_permittivity", "conductivity_s_m", "thickness_m")
+        if self.layers is not None:
+            stated = [name for name in others if getattr(self, name) is not None]
+            if stated:
+                raise ValueError(f"material {self.name!r} has layers and {' and '.join(stated)}; state one of them")
+            return self
         if is_own and self.itu is not None:
             raise ValueError(
                 f"material {self.name!r} is {self.itu!r} and has a relative_permittivity; state one of them"
             )
         if self.conductivity_s_m is not None and not is_own:
             raise ValueError(f"material {self.name!r} has a conductivity_s_m; state its relative_permittivity too")
-        if not is_own:
+        is_preset = not is_own and self.itu is None and self.name in PRESETS
+        if is_preset and self.thickness_m is not None:
+            raise ValueError(f"material {self.name!r} has layers, whose thickness is theirs; leave thickness_m out")
+        if not is_own and not is_preset:
             material_bands(self.itu or self.name)
         return self
 
     @property
     def material(self) -> Material:
-        """Name of the P.2040 material, or the constant material that is defined here."""
+        """Name of the P.2040 material, or the constant material that is defined here; of one without layers."""
         if self.relative_permittivity is None:
             return self.itu or self.name
         return ConstantMaterial(self.name, self.relative_permittivity, self.conductivity_s_m or 0.0)
+
+
+def _preset(name: str, *layers: tuple[str, float]) -> tuple[str, LayeredMaterial]:
+    return name, LayeredMaterial(name, tuple(Layer(*layer) for layer in layers))
+
+
+# Parts of buildings that any scene may name. docs/new-scene.md says where their dimensions are from.
+PRESETS: dict[str, LayeredMaterial] = dict(
+    [
+        _preset("double-glazing", ("glass", 0.004), ("vacuum", 0.016), ("glass", 0.004)),
+        _preset("brick-wall", ("plasterboard", 0.015), ("brick", 0.115), ("plasterboard", 0.015)),
+        _preset("stud-wall", ("plasterboard", 0.0125), ("vacuum", 0.075), ("plasterboard", 0.0125)),
+        _preset("solid-door", ("wood", 0.04)),
+        _preset("hollow-door", ("chipboard", 0.003), ("vacuum", 0.034), ("chipboard", 0.003)),
+    ]
+)
+
+
+def material_named(name: str, table: Mapping[str, SceneMaterial]) -> SlabMaterial:
+    """What a name stands for: a material of a scene's own table, a preset, or one of P.2040.
+
+    Raises `UnknownNameError` for another name, and `ValueError` for a layer of what has layers itself.
+    """
+    own = table.get(name)
+    if own is None or own.layers is None:
+        material = own.material if own else name
+        if isinstance(material, str) and material in PRESETS:
+            return PRESETS[material]
+        material_bands(material)
+        return material
+    layers = []
+    for layer in own.layers:
+        other = table.get(layer.material) if layer.material != name else None
+        if (other is not None and other.layers is not None) or layer.material in PRESETS:
+            raise ValueError(
+                f"a layer of material {name!r} is {layer.material!r}, which has layers itself; state those"
+            )
+        material = other.material if other else layer.material
+        material_bands(material)
+        layers.append(Layer(material, layer.thickness_m))
+    return LayeredMaterial(name, tuple(layers))
 
 
 def _defining_band(material: Material, carrier_hz: float) -> Band | None:

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError, UnknownNameError
-from xfreqbench.scene.imported import ImportedShape, Slab, Triangles, bounded, rough
-from xfreqbench.scene.materials import ConstantMaterial, Material, Scattering
+from xfreqbench.scene.imported import ImportedShape, Slab, Triangles, bounded
+from xfreqbench.scene.materials import ConstantMaterial, Scattering, SlabMaterial
 from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
 from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
@@ -41,7 +41,7 @@ class SurfaceMesh:
     """
 
     name: str
-    material: Material
+    material: SlabMaterial
     thickness_m: float
     vertices_m: Float[FloatArray, "V 3"]
     triangles: Int[IntArray, "K 3"]
@@ -54,8 +54,11 @@ class SurfaceMesh:
         return self.vertices_m[self.triangles]
 
     @cached_property
-    def outlines_m(self) -> list[FloatArray]:
-        """Corners (3 or 4, 3) of its facets in turn: two triangles that form a parallelogram are one."""
+    def outlines_m(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Corners (3 or 4, 3) of each facet in turn, and a vector (3,) out of its front.
+
+        Two triangles that form a parallelogram are one facet; seen from the front they turn counter-clockwise.
+        """
         return _merged(self.vertices_m, self.triangles)
 
     @property
@@ -64,22 +67,26 @@ class SurfaceMesh:
         return Slab(self.material, self.thickness_m, self.scattering)
 
 
-def _merged(vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]) -> list[FloatArray]:
-    """Corners of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
+def _merged(
+    vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Corners and fronts of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
+    corners_m = vertices_m[triangles]
+    front = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
     for index, triangle in enumerate(triangles):
         for a, b in ((0, 1), (1, 2), (2, 0)):
             by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
-    merged: list[FloatArray] = []
+    merged: list[tuple[FloatArray, FloatArray]] = []
     used: set[int] = set()
     for edge, pair in by_edge.items():
         if len(pair) == 2 and not used & set(pair):
             corners = _parallelogram(vertices_m, edge, triangles[pair[0]], triangles[pair[1]])
             if corners is not None:
-                merged.append(corners)
+                merged.append((corners, front[pair[0]]))
                 used |= set(pair)
-    has_area = _have_area(vertices_m[triangles])
-    return merged + [vertices_m[t] for i, t in enumerate(triangles) if i not in used and has_area[i]]
+    has_area = _have_area(corners_m)
+    return merged + [(corners_m[i], front[i]) for i in range(len(triangles)) if i not in used and has_area[i]]
 
 
 def _parallelogram(
@@ -122,14 +129,9 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
 
     Raises `SceneError` for meshes that cannot be read.
     """
-    meshes = [_surface_mesh(surface.name, _slab(surface, scene), _triangles(surface)) for surface in scene.surface]
+    meshes = [_surface_mesh(surface.name, scene.slab_of(surface), _triangles(surface)) for surface in scene.surface]
     imported = [_imported_mesh(shape) for shape in _imported_shapes(scene)]
     return meshes + [replace(mesh, least_patch=scene.least_patch) for mesh in imported]
-
-
-def _slab(surface: Surface, scene: Scene) -> Slab:
-    own = scene.materials.get(surface.material)
-    return Slab(scene.material_of(surface), surface.thickness_m, rough(own.scattering) if own else None)
 
 
 def _triangles(surface: Surface) -> Triangles:
@@ -270,7 +272,8 @@ def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
     root = ElementTree.Element("scene", version="2.1.0")
     kinds = slabs_of(meshes)
     identifiers = []
-    for index, (material, thickness_m, _) in enumerate(kinds):
+    for index, slab in enumerate(kinds):
+        material, thickness_m = slab.homogeneous, slab.thickness_m
         if isinstance(material, ConstantMaterial):
             bsdf = ElementTree.SubElement(root, "bsdf", type="radio-material", id=f"mat-own-{index}")
             for name in ("relative_permittivity", "conductivity_s_m"):

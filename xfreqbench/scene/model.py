@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.resources import files
-from math import prod
+from math import isclose, prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
@@ -18,7 +18,8 @@ from pydantic.dataclasses import dataclass
 
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.array import ArrayPlane, frame_rotation, planar_array, quaternion_rotation, rotation_quaternion
-from xfreqbench.scene.materials import Material, SceneMaterial, Thickness, material_bands
+from xfreqbench.scene.imported import Slab, rough
+from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, material_named
 from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import read_text
@@ -62,6 +63,9 @@ _SAID_IF_GIVEN = {
 class Surface:
     """A box, a rectangle or a polygon of one material, each face a slab of `thickness_m`.
 
+    A material with layers has a thickness of its own. Its first layer is at the outside of a box, at the side of a
+    rectangle to which its axis points, and at the side of a polygon from which its corners turn counter-clockwise.
+
     From `min_m` to `max_m` it is a rectangle where they agree along one axis (a wall, a pane), else the six faces of a
     closed box (a cabinet). `vertices_m` in their place are the corners, in turn, of a polygon in any plane. It may be
     concave and touch itself, as with a slit to a hole, but not cross itself. Corners up to 1 mm off
@@ -70,7 +74,7 @@ class Surface:
 
     name: str
     material: str
-    thickness_m: Thickness
+    thickness_m: Thickness | None = None
     min_m: Point | None = None
     max_m: Point | None = None
     vertices_m: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
@@ -329,8 +333,10 @@ class Scene:
             twice = sorted(name for name, count in names.items() if count > 1)
             if twice:
                 raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
+        for material in self.material:
+            material_named(material.name, self.materials)
         for surface in self.surface:
-            material_bands(self.material_of(surface))
+            self.slab_of(surface)
         return self
 
     @property
@@ -370,10 +376,27 @@ class Scene:
         """The scene's own table of materials, by name."""
         return {material.name: material for material in self.material}
 
-    def material_of(self, surface: Surface) -> Material:
-        """What a surface is made of: a material of the scene's table, or of P.2040."""
+    def slab_of(self, surface: Surface) -> Slab:
+        """What a surface is made of: a material of the scene's table, or of P.2040.
+
+        Raises `UnknownNameError` for another, and `ValueError` where the thickness does not fit.
+        """
+        material, thickness_m = material_named(surface.material, self.materials), surface.thickness_m
+        if isinstance(material, LayeredMaterial):
+            total_m = material.thickness_m
+            if not isclose(thickness_m or total_m, total_m, rel_tol=1e-6):
+                raise ValueError(
+                    f"surface {surface.name!r} states thickness_m = {thickness_m:g}, but the layers of "
+                    f"{material.name!r} are {total_m:g} m thick; leave thickness_m out"
+                )
+            thickness_m = total_m
+        if thickness_m is None:
+            raise ValueError(f"surface {surface.name!r} of {surface.material!r} needs a thickness_m")
         own = self.materials.get(surface.material)
-        return own.material if own else surface.material
+        slab = Slab(material, thickness_m, rough(own.scattering) if own else None)
+        # the triangles of a rectangle across y show the side to which y does not point
+        is_across_y = surface.min_m is not None and surface.max_m is not None and surface.min_m[1] == surface.max_m[1]
+        return slab.turned if is_across_y else slab
 
     @property
     def transmitter_antenna(self) -> Antenna:

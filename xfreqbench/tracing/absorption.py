@@ -1,31 +1,41 @@
-"""How much of the diffuse power in a room its surfaces take."""
+"""What slabs reflect and let through, and how much of the diffuse power in a room they take."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
 
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
-from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
+from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
+from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _NODES = 256  # of the quadrature: two for a fringe of 20 cm of glass at 94 GHz
 
 
+def slab_response(
+    slab: Slab, carrier_hz: float, cosine: Float[FloatArray, "C"], policy: MaterialPolicy = "error"
+) -> Complex[NDArray[np.complex128], "C 4"]:
+    """Reflection TE, TM and transmission TE, TM of a slab, for C cosines of the angle of incidence upon its front."""
+    permittivity = np.array([complex_permittivity(layer.material, carrier_hz, policy) for layer in slab.layers])
+    thickness_m = np.array([layer.thickness_m for layer in slab.layers])
+    phase_thickness = 2 * np.pi * thickness_m * carrier_hz / SPEED_OF_LIGHT_M_S
+    return np.array([stack_coefficients(each, permittivity, phase_thickness) for each in cosine.tolist()])
+
+
 def slab_absorption(slab: Slab, carrier_hz: float, policy: MaterialPolicy = "error") -> float:
     """The share of diffuse power, of both polarisations, that a slab does not reflect: it absorbs it or lets it pass.
 
-    1 − ∫ (|r_TE|² + |r_TM|²)·μ dμ over the cosines μ of incidence from 0 to 1 (Kuttruff, Room Acoustics).
+    1 − ∫ (|r_TE|² + |r_TM|²)·μ dμ over the cosines μ of incidence from 0 to 1 (Kuttruff, Room Acoustics). Of a slab
+    whose two sides differ it is the mean of both.
     """
-    permittivity = complex_permittivity(slab.material, carrier_hz, policy)
-    phase_thickness = 2 * np.pi * slab.thickness_m * carrier_hz / SPEED_OF_LIGHT_M_S
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    reflected = 0.0
-    for cosine, weight in zip((1 + nodes) / 2, weights / 2, strict=True):
-        r_te, r_tm, _, _ = slab_coefficients(cosine, permittivity, phase_thickness)
-        reflected += weight * cosine * (abs(r_te) ** 2 + abs(r_tm) ** 2)
-    return float(1 - reflected)
+    cosine = (1 + nodes) / 2
+    sides = [np.abs(slab_response(each, carrier_hz, cosine, policy)[:, :2]) ** 2 for each in {slab, slab.turned}]
+    return float(1 - weights / 2 * cosine @ np.mean(sides, axis=0).sum(axis=1))
 
 
 def mean_absorption(geometry: Geometry, carrier_hz: float, policy: MaterialPolicy = "error") -> float:

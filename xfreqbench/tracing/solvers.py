@@ -76,7 +76,8 @@ def _check_diffuse(geometry: Geometry, settings: TraceSettings) -> None:
 def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings:
     """Settings that name a solver and interactions: `auto` is `image` where it takes the scene and them, else `sionna`.
 
-    Interactions are put in one order. Raises `XFreqBenchError` for settings that no solver takes.
+    Interactions are put in one order. Raises `XFreqBenchError` for settings that no solver takes, and
+    for layers that `sionna` would have to trace.
     """
     from xfreqbench.tracing.image.tracer import can_solve
 
@@ -85,6 +86,9 @@ def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings
     if solver == "auto":
         solver = "image" if can_solve(geometry, settings) else "sionna"
     settings = settings.by(solver)
+    if solver == "sionna":
+        for mesh in geometry.meshes:
+            mesh.slab.homogeneous  # noqa: B018 (it raises)
     _check_diffuse(geometry, settings)
     canonical = tuple(name for name in INTERACTIONS if name in settings.named_interactions)
     return replace(settings, interactions=canonical)

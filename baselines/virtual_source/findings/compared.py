@@ -11,7 +11,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from xfreqbench.data.dataset import PasDataset
@@ -19,10 +20,12 @@ from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.scene.facets import PlanarFacet, group_by_plane, planar_facets
-from xfreqbench.scene.materials import Material, complex_permittivity
+from xfreqbench.scene.imported import Slab
+from xfreqbench.scene.materials import SlabMaterial
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.placement import median_transmitter
 from xfreqbench.scene.visibility import sees
+from xfreqbench.tracing.absorption import slab_response
 from xfreqbench.types import FloatArray
 
 from ..room.surfaces import slab_reflection
@@ -35,7 +38,7 @@ _MIN_SHARE = 0.01  # a surface with a smaller share of a found plane is not name
 _TOWARDS_ARRAY = 1e-6  # points on a surface move by this share of the way, so that it does not hide them itself
 _ON_PLANE_M = 1e-6
 
-TrueSlab = tuple[Material, float]  # a material, and the thickness in metres
+TrueSlab = tuple[SlabMaterial, float]  # a material, and the thickness in metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ class ScenePlane:
     def areas_m2(self) -> Float[FloatArray, "q"]:
         """Area of each facet."""
         areas_m2 = []
-        for corners_m, _ in self.facets:
+        for corners_m, *_ in self.facets:
             doubled = np.linalg.norm(np.cross(corners_m[1] - corners_m[0], corners_m[-1] - corners_m[0]))
             areas_m2.append(doubled if len(corners_m) == 4 else doubled / 2)
         return np.array(areas_m2)
@@ -219,10 +222,11 @@ def nearest_point(corners_m: Float[FloatArray, "n 3"], normal: Vector, point_m: 
 def _mirrored(facets: Sequence[PlanarFacet], mirror: ScenePlane, array_m: Vector) -> list[PlanarFacet]:
     """The facets on the array's side of a plane, moved to where the array sees their mirror images: behind it."""
     images = []
-    for corners_m, surface in facets:
+    for corners_m, surface, front in facets:
         beyond_m = (corners_m - array_m) @ mirror.normal - mirror.distance_m
         if (beyond_m < _ON_PLANE_M).all() and (beyond_m < -_ON_PLANE_M).any():
-            images.append(PlanarFacet(corners_m - 2 * beyond_m[:, None] * mirror.normal, surface))
+            mirrored = front - 2 * (front @ mirror.normal) * mirror.normal
+            images.append(PlanarFacet(corners_m - 2 * beyond_m[:, None] * mirror.normal, surface, mirrored))
     return images
 
 
@@ -263,15 +267,17 @@ def reflection(
         permittivity = [slab.permittivity_at(carrier) for carrier in carriers]
         reflected = slab_reflection(permittivity, slab.thickness_m, carriers, normal)
         learned.append(slab.share * reflected[:, 0, 0])
-    for (material, thickness_m), share in truth.items():
-        permittivity = [true_permittivity(material, carrier) for carrier in carriers]
-        true.append(share * slab_reflection(permittivity, thickness_m, carriers, normal)[:, 0, 0])
+    for kind, share in truth.items():
+        reflected = np.array([true_reflection(kind, carrier, normal)[0, 0] for carrier in carriers])
+        true.append(share * reflected.astype(np.complex128))
     return Reflection(carrier_hz, np.abs(sum(learned)), np.abs(sum(true)))
 
 
-def true_permittivity(material: Material, carrier_hz: float) -> complex:
-    """Complex relative permittivity by P.2040, whose power laws are extrapolated beyond a material's band."""
-    return complex_permittivity(material, carrier_hz, "extrapolate")
+def true_reflection(
+    slab: TrueSlab, carrier_hz: float, cosine: Float[FloatArray, "C"]
+) -> Complex[NDArray[np.complex128], "C 2"]:
+    """Reflection TE and TM by P.2040, whose power laws are extrapolated beyond a material's band."""
+    return slab_response(Slab(*slab), carrier_hz, cosine, "extrapolate")[:, :2]
 
 
 def virtual_sources(findings: StoredFindings, tx_position_m: Vector) -> list[ImageSource]:

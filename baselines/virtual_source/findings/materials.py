@@ -17,7 +17,7 @@ from xfreqbench.units import format_ghz
 
 from ..room.surfaces import NamedSlab, SlabNames, polygon_area_m2, slab_reflection
 from ..stored import FoundFace, FoundSlab
-from .compared import ComparedFindings, Match, TrueSlab, nearest_point, true_permittivity
+from .compared import ComparedFindings, Match, TrueSlab, nearest_point, true_reflection
 
 LEAST_SHARE = 0.05  # of a plane: a slab that fills less of it is not shown
 _SLAB_COLUMNS = ("ε′", "σ (S/m)", "thickness (mm)", "nearest of P.2040", "to that, rms |ΔR|")
@@ -52,8 +52,7 @@ class ShownMaterial:
 
     def true_over_angle(self, carrier_hz: float, angle_rad: Float[FloatArray, "A"]) -> Float[FloatArray, "2 A"]:
         """|R| of the scene's slab by P.2040, TE and TM."""
-        material, thickness_m = self.truth
-        return _over_angle(true_permittivity(material, carrier_hz), thickness_m, carrier_hz, angle_rad)
+        return np.abs(true_reflection(self.truth, carrier_hz, np.cos(angle_rad))).T
 
     def learned_over_angle(
         self, carrier_hz: float, angle_rad: Float[FloatArray, "A"]

@@ -52,7 +52,7 @@ def random_places_m(number: int, seed: int) -> np.ndarray:
 def test_rays_meet_first_what_is_nearest_of_all_triangles(room: Scene) -> None:
     geometry = Geometry(surface_meshes(room))
     corners_m = np.concatenate([mesh.corners_m for mesh in geometry.meshes])
-    one_kind = np.zeros(len(geometry.meshes), np.int64)
+    one_kind = np.zeros((2, len(geometry.meshes)), np.int64)
     facets, *_ = facets_of(geometry, MirrorPlanes(geometry), one_kind, np.zeros(1, np.bool_))
     direction = np.random.default_rng(1).normal(size=(NUM_RAYS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

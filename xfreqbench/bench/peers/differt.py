@@ -79,7 +79,7 @@ def _mesh(geometry: Geometry, carrier_hz: float) -> tuple[dict[str, Any], Any]:
     import jax.numpy as jnp
     from differt.geometry import Mesh
 
-    slabs = [(mesh.material, mesh.thickness_m) for mesh in geometry.meshes]
+    slabs = [(mesh.slab.homogeneous, mesh.thickness_m) for mesh in geometry.meshes]
     names = {slab: f"{slab[0]}-{number}" for number, slab in enumerate(dict.fromkeys(slabs))}
     corners_m = np.array([facet.corners_m for facet in geometry.facets]).reshape(-1, 4, 3)
     corner = np.arange(4 * len(corners_m)).reshape(-1, 4)

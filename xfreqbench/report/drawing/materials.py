@@ -5,12 +5,17 @@ from __future__ import annotations
 _COLOURS = {
     "concrete": "#7f7f7f",
     "plasterboard": "#b8a37a",
+    "stud-wall": "#b8a37a",
     "glass": "#56b4e9",
+    "double-glazing": "#56b4e9",
     "wood": "#a0522d",
+    "solid-door": "#a0522d",
+    "hollow-door": "#a0522d",
     "chipboard": "#cd853f",
     "plywood": "#d2a679",
     "metal": "#3b5b92",
     "brick": "#b5482f",
+    "brick-wall": "#b5482f",
     "marble": "#9d8fa8",
     "ceiling_board": "#a9b39b",
     "floorboard": "#8b6b3d",
@@ -19,7 +24,7 @@ _OTHER = "#6b8e6b"
 
 
 def material_hex(material: str) -> str:
-    """Colour of a material as `#rrggbb`; one for all that P.2040 does not name."""
+    """Colour of a material as `#rrggbb`; one for all that have no name of ours."""
     return _COLOURS.get(material, _OTHER)
 
 

@@ -19,7 +19,7 @@ from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary
 from xfreqbench.scene.imported import Slab
-from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
+from xfreqbench.scene.materials import Layer, complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of
 from xfreqbench.units import format_ghz, format_ghz_list
 
@@ -148,18 +148,20 @@ def _material_table(view: ViewPlan) -> PageTable:
         f"ε′, {format_ghz(view.carrier_hz)}",
         "σ (S/m)",
     )
-    return PageTable(header, [_material_row(view, slab) for slab in slabs_of(view.room.meshes)])
+    return PageTable(
+        header, [_material_row(view, slab, layer) for slab in slabs_of(view.room.meshes) for layer in slab.layers]
+    )
 
 
-def _material_row(view: ViewPlan, slab: Slab) -> tuple[str, ...]:
-    material, thickness_m, _ = slab
+def _material_row(view: ViewPlan, slab: Slab, layer: Layer) -> tuple[str, ...]:
+    material, thickness_m = layer
     carriers = view.header.carrier_hz.tolist() if view.dataset else [view.carrier_hz]
     bands = material_bands(material)
     outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
     permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
     sigma_s_m = conductivity_s_m(permittivity, view.carrier_hz)
     return (
-        str(material).replace("_", " "),
+        str(material).replace("_", " ") + (f", layer of {slab.material}" if len(slab.layers) > 1 else ""),
         f"{thickness_m * 1e3:g}",
         str(sum(mesh.slab == slab for mesh in view.room.meshes)),
         ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands)

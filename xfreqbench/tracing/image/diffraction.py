@@ -19,7 +19,7 @@ from xfreqbench.tracing.image.edges import Edge, find_edges
 from xfreqbench.tracing.image.kernels.arrays import CentrePath, Facets, Media, Scene, Sums
 from xfreqbench.tracing.image.kernels.edge_paths import Limits, Room, add_over_edges, paths_over_edges
 from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, find_sides
-from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
+from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.kernels.wedges import Wedges
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
 from xfreqbench.types import FloatArray, IntArray
@@ -30,7 +30,8 @@ COSINES = 65  # at which reflection is tabulated
 class Diffraction:
     """Edges of one scene and how its receiver sees them, ready for any transmitter.
 
-    `kind` is the slab of each mesh, `surface` and `corners_m` are the mesh and the corners of the kernels' facets.
+    `kind` is the slab of each mesh, as it is and with its back to the front; `surface` and `corners_m` are the mesh and
+    the corners of the kernels' facets.
     `points_m` are the array's centre and corners.
     """
 
@@ -38,7 +39,7 @@ class Diffraction:
         self,
         geometry: Geometry,
         mirrors: MirrorPlanes,
-        kind: Int[IntArray, "S"],
+        kind: Int[IntArray, "2 S"],
         scene: Scene,
         surface: Int[IntArray, "Q"],
         corners_m: Float[FloatArray, "Q 4 3"],
@@ -53,7 +54,8 @@ class Diffraction:
         self._surfaces = surface, faces[:, 0].copy()
         is_opaque = np.zeros(len(geometry.meshes), bool)
         is_opaque[surface] = facets.is_opaque
-        wedges = _wedges(edges, kind[faces], np.asarray(is_opaque[faces].any(axis=1)))
+        are_turned = np.array([edge.are_turned for edge in edges], np.int64).reshape(-1, 2)
+        wedges = _wedges(edges, kind[are_turned, faces], np.asarray(is_opaque[faces].any(axis=1)))
         reflectors = _reflectors(len(mirrors.planes), facets, corners_m, scene.media)
         sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
         self.room, self._sought = Room(scene, wedges, reflectors), (sides, limits)
@@ -93,11 +95,13 @@ def _reflectors(num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q
     first = np.searchsorted(facets.plane[facet], np.arange(num_planes + 1))
     facet = facet[: first[-1]]
     cosines = np.linspace(0, 1, COSINES)
-    most = np.empty((*media.permittivity.shape, COSINES))  # (F, K, L)
-    for place in np.ndindex(media.permittivity.shape):
-        eta, phase = complex(media.permittivity[place]), float(media.phase_thickness[place])
-        largest = [np.abs(slab_coefficients(c, eta, phase)[:2]).max() for c in cosines]
-        most[place] = np.maximum.accumulate(largest[::-1])[::-1]
+    most = np.empty((len(media.permittivity), len(media.first) - 1, COSINES))  # (F, K, L)
+    for f, kind in np.ndindex(most.shape[:2]):
+        layers = slice(*media.first[kind : kind + 2])
+        eta, phase = media.permittivity[f, layers], media.phase_thickness[f, layers]
+        sides = [(eta, phase), (eta[::-1], phase[::-1])][: len(eta)]
+        largest = [max(np.abs(stack_coefficients(c, *side)[:2]).max() for side in sides) for c in cosines]
+        most[f, kind] = np.maximum.accumulate(largest[::-1])[::-1]
     by_facet = most[:, facets.slab[facet]]
     of_plane = [by_facet[:, a:b].max(axis=1) for a, b in pairwise(first)]
     by_plane = np.array(of_plane).reshape(-1, len(most), COSINES).swapaxes(0, 1).copy()

@@ -35,10 +35,13 @@ class Edge(NamedTuple):
     length_m: float
     angle_rad: float
     surfaces: tuple[int, int]  # indices of the meshes that faces 0 and n are of
+    are_turned: tuple[bool, bool]  # whether they show their backs to the free space
 
 
 class _Flat:
-    """Facets as arrays (Q, ...): unit normal, a corner, two sides' dual vectors, bounding box in metres, and mesh."""
+    """Facets as arrays (Q, ...): unit normal, a corner, two sides' dual vectors, bounding box in metres, mesh, and
+    whether the normal points to the back.
+    """
 
     def __init__(
         self, mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: IntArray
@@ -54,6 +57,9 @@ class _Flat:
         self.is_triangle = np.array(is_triangle + [True] * len(triangles_m))
         self.low_m, self.high_m = corners_m.min(axis=1) - 2 * BESIDE_M, corners_m.max(axis=1) + 2 * BESIDE_M
         self.surface = np.concatenate([[facet.surface for facet in mirrors], surface])
+        fronts = np.array([facet.front for facet in mirrors])
+        self.is_turned = np.einsum("qc,qc->q", fronts, self.normal[: len(mirrors)]) < 0
+        self.is_turned = np.concatenate([self.is_turned, np.zeros(len(triangles_m), bool)])
 
 
 def find_edges(
@@ -142,6 +148,10 @@ def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray
     if free_rad[widest] < np.pi + MIN_TURN_RAD:
         return None
     zero, n = order[widest], order[(widest + 1) % len(order)]
-    normal = np.cross(along, towards[zero])
+    normal, normal_n = np.cross(along, towards[zero]), np.cross(towards[n], along)
     surfaces = int(flat.surface[face[zero]]), int(flat.surface[face[n]])
-    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), surfaces)
+    turned, turned_n = (
+        bool((flat.normal[face[i]] @ free < 0) != flat.is_turned[face[i]])
+        for i, free in ((zero, normal), (n, normal_n))
+    )
+    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), surfaces, (turned, turned_n))

@@ -58,7 +58,7 @@ def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
         for m in np.unique(mesh[rows]):
             triangles = geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]]
             piece = replace(geometry.meshes[m], triangles=triangles)
-            patch += [PlanarFacet(facet.corners_m, int(m)) for facet in planar_facets([piece])]
+            patch += [facet._replace(surface=int(m)) for facet in planar_facets([piece])]
         yield patch
 
 
@@ -82,11 +82,12 @@ def _in_planes_of_the_largest(facets: list[PlanarFacet]) -> tuple[Int[IntArray, 
 
 
 def facets_of(
-    geometry: Geometry, mirrors: MirrorPlanes, kind: Int[IntArray, "S"], is_opaque: Bool[NDArray[np.bool_], "K"]
+    geometry: Geometry, mirrors: MirrorPlanes, kind: Int[IntArray, "2 S"], is_opaque: Bool[NDArray[np.bool_], "K"]
 ) -> tuple[Facets, Int[IntArray, "Q"], Float[FloatArray, "Q 4 3"]]:
     """The facets of a scene as the kernels take them, the mesh of each, and its corners, a triangle's last twice.
 
-    `kind` is the slab of each mesh, and `is_opaque` says whether a slab lets nothing through.
+    `kind` is the slab of each mesh, as it is and with its back to the front, and `is_opaque` says whether a slab lets
+    nothing through. The slab of a facet has its front at the side to which the normal of its plane points.
 
     Planes of mirrors come first; each triangle that does not mirror has a plane of its own.
     """
@@ -100,9 +101,11 @@ def facets_of(
     is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors.facets] + [True] * len(blocks), bool)
     surface = np.array([facet.surface for facet in mirrors.facets], np.int64)
     surface = np.concatenate([surface, geometry.mesh_of_triangle[~geometry.mirrors]])
+    front = np.concatenate([np.array([facet.front for facet in mirrors.facets]).reshape(-1, 3), normal])
+    is_turned = np.einsum("qc,qc->q", front, normals[plane]) < 0
     order, box, child, first, last = grow(corners_m.min(axis=1), corners_m.max(axis=1))
     plane, surface, corners_m = plane[order], surface[order], corners_m[order]
-    slab = kind[surface]
+    slab = kind[is_turned[order].astype(np.int64), surface]
     face = np.hstack([normals[plane], offset_m[plane, None], _duals(corners_m)])
     triangle, opaque, normal = is_triangle[order], is_opaque[slab], np.ascontiguousarray(normals.T)
     facets = Facets(normal, offset_m, face, triangle, plane, slab, opaque, box, child, first, last)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import side_by_side
 from xfreqbench.tracing.image.kernels.edge_paths import Limits
-from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
+from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.sequences import UNPRUNED_M, sequences_of, trie_of
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, facets_of
 from xfreqbench.tracing.paths import Paths
@@ -209,25 +210,33 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
 
 def media_of(
     meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, scene: Scene
-) -> tuple[Media, Int[IntArray, "S"]]:
-    """Slabs of every material and thickness, one lane a carrier, with the antennas; and the slab of each mesh."""
+) -> tuple[Media, Int[IntArray, "2 S"]]:
+    """Slabs of every material and thickness, one lane a carrier, with the antennas; and the slab of each mesh.
+
+    The slab of a mesh is told as it is, and with its back to the front.
+    """
     kinds = slabs_of(meshes)
-    eta = [[complex_permittivity(name, float(f), policy) for name, *_ in kinds] for f in carrier_hz]
-    permittivity = np.array(eta, dtype=np.complex128).reshape(len(carrier_hz), len(kinds))
-    thickness_m = np.array([slab.thickness_m for slab in kinds])
+    kinds = list(dict.fromkeys([*kinds, *(slab.turned for slab in kinds)]))
+    layers = [layer for slab in kinds for layer in slab.layers]
+    first = np.cumsum([0, *(len(slab.layers) for slab in kinds)])
+    eta = [[complex_permittivity(layer.material, float(f), policy) for layer in layers] for f in carrier_hz]
+    permittivity = np.array(eta, dtype=np.complex128).reshape(len(carrier_hz), len(layers))
+    thickness_m = np.array([layer.thickness_m for layer in layers])
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
     antennas = (scene.transmitter_antenna, scene.receiver.antenna)
     codes = (Antenna(polarization == "H", pattern == "dipole") for pattern, polarization in antennas)
-    media = Media(permittivity, phase_thickness, lanes, *codes)
-    return media, np.array([kinds.index(mesh.slab) for mesh in meshes], dtype=np.int64)
+    media = Media(permittivity, phase_thickness, lanes, first, *codes)
+    kind = [[kinds.index(slab) for slab in (mesh.slab, mesh.slab.turned)] for mesh in meshes]
+    return media, np.array(kind, dtype=np.int64).reshape(-1, 2).T
 
 
 def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
     """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at the lowest carrier, where it passes most."""
-    slabs = zip(media.permittivity[0], media.phase_thickness[0], strict=True)
-    return np.array([abs(slab_coefficients(1.0, eta, phase)[2]) < OPAQUE_TRANSMISSION for eta, phase in slabs], bool)
+    kinds = [slice(*pair) for pair in pairwise(media.first)]
+    layers = [(media.permittivity[0, kind], media.phase_thickness[0, kind]) for kind in kinds]
+    return np.array([abs(stack_coefficients(1.0, *each)[2]) < OPAQUE_TRANSMISSION for each in layers], bool)
 
 
 def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:

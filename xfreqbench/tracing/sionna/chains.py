@@ -121,7 +121,7 @@ def opaque_meshes(
 
 def _absorption_db(mesh: SurfaceMesh, carrier_hz: float, policy: MaterialPolicy) -> float:
     """Loss of one straight passage through the slab, without its two faces."""
-    index = np.sqrt(complex_permittivity(mesh.material, carrier_hz, policy))
+    index = np.sqrt(complex_permittivity(mesh.slab.homogeneous, carrier_hz, policy))
     neper = -index.imag * 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * mesh.thickness_m
     return float(20 * np.log10(math.e) * neper)
 

@@ -117,7 +117,7 @@ class RadioScene:
         carriers share one compiled kernel.
         """
         slabs = slabs_of(self.meshes)
-        permittivity = [complex_permittivity(slab.material, carrier_hz, self.policy) for slab in slabs]
+        permittivity = [complex_permittivity(slab.homogeneous, carrier_hz, self.policy) for slab in slabs]
         self.sionna.frequency = dr.opaque(mi.Float, carrier_hz)
         for name, material in self.sionna.radio_materials.items():
             value = permittivity[int(name.rpartition("-")[2])]

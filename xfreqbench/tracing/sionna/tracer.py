@@ -47,7 +47,7 @@ class SionnaTracer:
         carriers, settings = np.asarray(carrier_hz, dtype=np.float64), settings.by("sionna")
         prepared = PreparedScene.of(scene)
         receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
-        check_dispersion([mesh.material for mesh in meshes], carriers.tolist(), settings.materials)
+        check_dispersion([mesh.slab.homogeneous for mesh in meshes], carriers.tolist(), settings.materials)
         shooting: type[ForwardRays | ReceiverRays] = (
             ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
         )

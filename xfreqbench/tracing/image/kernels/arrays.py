@@ -62,15 +62,16 @@ class Antenna(NamedTuple):
 
 
 class Media(NamedTuple):
-    """Kinds of slabs at each carrier, and the antennas at either end. (F carriers, K kinds, L lanes)
+    """Kinds of slabs at each carrier, and the antennas at either end. (F carriers, K kinds of N layers, L lanes)
 
     A lane is one of the N nodes of the array at one carrier, or one of its M elements. The nodes of all carriers come
     first, those of one carrier side by side: L = F·N + F·M.
     """
 
-    permittivity: C128  # (F, K) relative
-    phase_thickness: F64  # (F, K): 2π d / λ
-    lanes: F64  # (K, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
+    permittivity: C128  # (F, N) relative
+    phase_thickness: F64  # (F, N): 2π d / λ
+    lanes: F64  # (N, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
+    first: I64  # (K + 1,): layers first[k] to first[k + 1] are of kind k, the first at the front
     transmitter: Antenna
     receiver: Antenna
 

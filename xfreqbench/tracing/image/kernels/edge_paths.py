@@ -174,11 +174,13 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
     wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = sent
     for s in range(side.length, -1, -1):
         for i in range(walk.num_crossed[s] - 1, -1, -1):
-            q = walk.crossed[s, i]
-            transmit(media.lanes[facets.slab[q], :, lane : lane + 1], facets.face[q], wave, 1)
+            q, kind = walk.crossed[s, i], facets.slab[walk.crossed[s, i]]
+            layers = media.lanes[media.first[kind] : media.first[kind + 1], :, lane : lane + 1]
+            transmit(layers, facets.face[q], wave, 1)
         if s > 0:
-            q = walk.hit[s - 1]
-            reflect(media.lanes[facets.slab[q], :, lane : lane + 1], facets.face[q], wave, 1)
+            q, kind = walk.hit[s - 1], facets.slab[walk.hit[s - 1]]
+            layers = media.lanes[media.first[kind] : media.first[kind + 1], :, lane : lane + 1]
+            reflect(layers, facets.face[q], wave, 1)
     for c in range(3):
         field[c] = complex(wave[(3 + c) * BLOCK], wave[(6 + c) * BLOCK])
 

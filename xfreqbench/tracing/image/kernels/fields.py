@@ -70,11 +70,11 @@ def gains(
         _launch(media, path, walk.start[0], offset_m[:, begin:end], wave, end - begin)
         for s in range(path.length + 1):
             for i in range(walk.num_crossed[s]):
-                q = walk.crossed[s, i]
-                transmit(media.lanes[facets.slab[q], :, low:], facets.face[q], wave, padded)
+                q, kind = walk.crossed[s, i], facets.slab[walk.crossed[s, i]]
+                transmit(media.lanes[media.first[kind] : media.first[kind + 1], :, low:], facets.face[q], wave, padded)
             if s < path.length:
-                q = walk.hit[s]
-                reflect(media.lanes[facets.slab[q], :, low:], facets.face[q], wave, padded)
+                q, kind = walk.hit[s], facets.slab[walk.hit[s]]
+                reflect(media.lanes[media.first[kind] : media.first[kind + 1], :, low:], facets.face[q], wave, padded)
         _receive(media, wave, gain[:, begin:end], end - begin)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .arrays import C128, F64, I64, Bools, Media
 from .compiled import bare, part
-from .slabs import coefficients
+from .slabs import Four, coefficients, stacked
 
 Pair = tuple[complex, complex]
 Polar = tuple[float, float, float]
@@ -116,7 +116,16 @@ def _axes(field: C128, k: F64, axis: F64, other: F64, work: F64) -> Pair:
 
 
 @bare
-def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field: Pair, work: F64) -> Pair:
+def _coefficients(media: Media, kind: int, f: int, cosine: float) -> Four:
+    """Reflection TE, TM and transmission TE, TM of a slab at its front."""
+    a, b = media.first[kind], media.first[kind + 1]
+    if b - a == 1:
+        return coefficients(cosine, media.permittivity[f, a], media.phase_thickness[f, a])
+    return stacked(cosine, media.permittivity[f, a:b], media.phase_thickness[f, a:b])
+
+
+@bare
+def _passed(media: Media, kind: int, f: int, normal: F64, along: F64, k: F64, field: Pair, work: F64) -> Pair:
     """What a face passes of a wave along k; the field is given along k×along and k×(k×along), of unit length."""
     norm, cosine, sine = _cross(k, normal, work[0]), 1.0, 0.0
     across = _cross(k, along, work[1])
@@ -124,7 +133,7 @@ def _passed(slab: tuple[complex, float], normal: F64, along: F64, k: F64, field:
         cosine = _dot(work[1], work[0]) / (norm * across)
         _cross(work[1], work[0], work[2])
         sine = _dot(k, work[2]) / (norm * across)
-    _, _, t_te, t_tm = coefficients(abs(_dot(k, normal)), slab[0], slab[1])
+    _, _, t_te, t_tm = _coefficients(media, kind, f, abs(_dot(k, normal)))
     te = t_te * (cosine * field[0] + sine * field[1])
     tm = t_tm * (cosine * field[1] - sine * field[0])
     return cosine * te - sine * tm, sine * te + cosine * tm
@@ -138,9 +147,8 @@ def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k
         if not is_zero and wedges.angle[e] > 2.0 * math.pi - SCREEN_RAD:
             continue
         kind = wedges.slab[e, 0] if is_zero else wedges.slab[e, 1]
-        slab = media.permittivity[f, kind], media.phase_thickness[f, kind]
         normal = wedges.normal[e] if is_zero else wedges.normal_n[e]
-        field = _passed(slab, normal, wedges.along[e], k, field, work)
+        field = _passed(media, kind, f, normal, wedges.along[e], k, field, work)
     return field
 
 
@@ -148,7 +156,7 @@ def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k
 def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
     """Reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
     cosine = math.sqrt(abs(_dot(k, normal) * _dot(out, normal)))
-    r_te, r_tm, _, _ = coefficients(cosine, media.permittivity[f, kind], media.phase_thickness[f, kind])
+    r_te, r_tm, _, _ = _coefficients(media, kind, f, cosine)
     return r_te, r_tm
 
 
@@ -199,7 +207,7 @@ def diffract(
     far_te, far_tm = _axes(fields[1], out, mirror_normal, along, work)
     r_te, r_tm = _reflection(media, wedges.slab[e, 0], f, wedges.normal[e], k, out)
     total += from_0 * (r_te * te * far_te + r_tm * tm * far_tm)
-    if wedges.angle[e] < 2.0 * math.pi - SCREEN_RAD:
+    if wedges.angle[e] < 2.0 * math.pi - SCREEN_RAD or wedges.slab[e, 0] != wedges.slab[e, 1]:
         r_te, r_tm = _reflection(media, wedges.slab[e, 1], f, wedges.normal_n[e], k, out)
     total += from_n * (r_te * te * far_te + r_tm * tm * far_tm)
     return -0.5 * total
