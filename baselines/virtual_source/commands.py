@@ -66,7 +66,7 @@ def compare_findings(
     from .findings.write import missing_rows, plane_rows, small_missing, write_findings, write_page
 
     chosen = choose_record(results, record.id, record.split, record.seed)
-    compared = ComparedFindings.of(chosen, open_dataset(data))
+    compared = ComparedFindings.of(chosen, open_dataset(data, chosen.job.receiver, chosen.job.polarization))
     tables = [
         (compared.title, *plane_rows(compared)),
         ("Planes of the scene that were not found", *missing_rows(compared)),
@@ -119,7 +119,7 @@ def measure_residual(
     from .findings.compared import ComparedFindings, choose_record
 
     chosen = choose_record(results, record.id, record.split, record.seed)
-    compared = ComparedFindings.of(chosen, open_dataset(data))
+    compared = ComparedFindings.of(chosen, open_dataset(data, chosen.job.receiver, chosen.job.polarization))
     plan = tables.plan_residual(results, compared, tx)
     tables.claim(output, chosen.id)
     with progress_bars("transmitters", ["tracing", "scoring"], quiet) as (tracing, scoring):

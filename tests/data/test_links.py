@@ -98,7 +98,9 @@ def test_a_file_says_which_links_it_holds_and_shows_one(joint: PasDataset, tmp_p
         assert file["receiver"].attrs["flag_meanings"].decode() == "first_one low"
         assert file["polarization"].attrs["flag_meanings"].decode() == "VV VH HV HH"
         assert file["rx_position_m"].shape == (2, 3) and file["line_of_sight"].shape == (3, 2)
-    assert "2 receivers" not in repr(joint) and "first one, of first one, low" in repr(joint)
+    assert "first one, of first one, low" in repr(joint)
+    with pytest.raises(ValueError, match="'receivers_json': the scene has the receivers"):
+        replace(joint.file_header, receivers=("first one", "high")).at()
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -112,6 +114,20 @@ def test_the_channel_back_has_the_letters_of_its_pair_turned(solver: Any) -> Non
 
     there, back = channel(*ends_m, "VH"), channel(*ends_m[::-1], "HV")
     assert abs(there - back) < 1e-3 * abs(there)  # Sionna RT is in single precision
+
+
+def test_a_pair_of_polarizations_goes_before_what_a_scene_states() -> None:
+    scene = xb.load_scene("two_rooms")
+    assert scene.transmitters
+    lying = replace(scene, transmitters=replace(scene.transmitters, polarization="H", pattern="dipole"))
+    for given in (scene, lying, replace(scene, transmitters=None)):
+        for pair in ("VV", "VH", "HV", "HH"):
+            turned = given.with_polarization(pair)
+            assert turned.transmitter_antenna == (given.transmitter_antenna.pattern, pair[0])
+            assert turned.receiver.polarization == pair[1]
+            assert turned.with_polarization(pair) == turned
+    assert scene.with_polarization("VV") == scene  # which is all of V
+    assert scene.with_polarization("HH").transmitter_polarization is None  # transmitters have the receiver's
 
 
 def few(path: Path, **changes: Any) -> PasDataset:

@@ -51,6 +51,8 @@ def test_the_hash_of_a_data_set_with_channels_is_what_it_was_before_there_were_o
         ("settings_json", "[" * 5000),
         ("software_json", '{"numpy": 2}'),
         ("rejected_json", "{"),
+        ("receivers_json", "3"),
+        ("polarizations_json", '["VX"]'),
     ],
 )
 def test_a_damaged_attribute_is_named(name: str, text: str) -> None:

@@ -367,11 +367,6 @@ class Scene:
         return turned if is_so else replace(turned, transmitter_polarization=sent)
 
     @property
-    def polarization(self) -> str:
-        """The polarization of the transmitters, then that of the receiver: one of `POLARIZATION_PAIRS`."""
-        return self.transmitter_antenna.polarization + self.receiver.polarization
-
-    @property
     def materials(self) -> dict[str, SceneMaterial]:
         """The scene's own table of materials, by name."""
         return {material.name: material for material in self.material}

@@ -217,6 +217,8 @@ def _missing_predictions(board: Board, absent: Mapping[str, RunRecord]) -> str:
     job = board.records[0].job
     methods = shlex.quote(",".join(dict.fromkeys(record.job.method for record in absent.values())))
     on = " --on validation" if job.protocol in VALIDATIONS else ""
+    on += f" --receiver {shlex.quote(job.receiver)}" if job.receiver else ""
+    on += f" --polarization {job.polarization}" if job.polarization else ""
     protocol = VALIDATIONS.get(job.protocol, job.protocol)
     command = f"xfreqbench run --data {job.dataset} --method {methods} --protocol {protocol}{on} --results FOLDER"
     return f"Without stored predictions: {', '.join(absent)}. `{command}` stores them."
