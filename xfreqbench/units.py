@@ -38,6 +38,11 @@ def format_ghz_list(carrier_hz: Iterable[float]) -> str:
     return ", ".join(f"{carrier / 1e9:.12g}" for carrier in carrier_hz) + " GHz"
 
 
+def band_text(low_hz: float, high_hz: float) -> str:
+    """A band of carriers as text: `2.4 to 77 GHz`, or one carrier where both ends are the same."""
+    return format_ghz(low_hz) if low_hz == high_hz else f"{low_hz / 1e9:.12g} to {format_ghz(high_hz)}"
+
+
 def format_point(point_m: Iterable[float]) -> str:
     """A place as text, in metres to the millimetre, however far from the origin: `(691608.25, 5334762.5, 1.2)`."""
     return f"({', '.join(f'{round(coordinate, 3):.10g}' for coordinate in point_m)})"

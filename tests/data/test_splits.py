@@ -113,6 +113,13 @@ def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> No
         make_splits(dataset, "sparse", on="validation")
 
 
+def test_a_target_outside_of_the_trained_band_is_extrapolated(dataset: PasDataset) -> None:
+    told = [split.extrapolation(dataset) for split in make_splits(dataset, "lofo", [1, 24.25, 94])]
+    assert told[0] == "lofo-1GHz extrapolates to 1 GHz: it is trained on 2.4 to 94 GHz"
+    assert told[1] is None
+    assert "to 94 GHz: it is trained on 1 to 77 GHz" in str(told[2])
+
+
 @pytest.mark.parametrize(("said", "name"), [("leave-one-out", "lofo"), ("Random", "random-samples"), ("lof", "lofo")])
 def test_a_protocol_by_the_name_that_others_give_it_is_told(dataset: PasDataset, said: str, name: str) -> None:
     with pytest.raises(UnknownNameError, match=f"Did you mean '{name}'"):

@@ -109,7 +109,8 @@ BROKEN = {
         "yielded step 1 after 1. .* a fit that stops early returns",
     ),
     "maps are not counted": (
-        FIT + "        for progress in super().fit(train, budget, seed):\n            yield Progress(progress.step, 0.0)\n",
+        FIT
+        + "        for progress in super().fit(train, budget, seed):\n            yield Progress(progress.step, 0.0)\n",
         "fit takes a budget in maps",
         "does not tell how many its steps have shown",
     ),

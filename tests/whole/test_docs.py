@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path
 
@@ -55,7 +55,11 @@ every_document = pytest.mark.parametrize("document", ALL, ids=named)
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("document", RUN_HERE, ids=named)
 def test_every_block_of_a_document_does_what_it_says(document: Path, tmp_path: Path) -> None:
-    follow(document, tmp_path / "work")
+    reader = follow(document, tmp_path / "work")
+    if document == README:  # its commands stand in indented blocks, and use the data that its Python has made
+        for command in command_lines(document, ("code_block",)):
+            dry = ["--dry-run"] if command[0] == "benchmark" and "--dry-run" not in command else []
+            reader.shell(shlex.join(["xfreqbench", *command, *dry]))
 
 
 @pytest.mark.sionna
@@ -177,11 +181,11 @@ def test_every_command_line_can_be_given(document: Path) -> None:
             assert names or not command, f"there is no command {command}"
 
 
-def command_lines(document: Path) -> list[list[str]]:
+def command_lines(document: Path, kinds: Sequence[str] = ("fence", "code_block", "code_inline")) -> list[list[str]]:
     """What follows the word xfreqbench in every line of code, up to where the shell begins something else."""
     tokens = MarkdownIt().parse(document.read_text(encoding="utf-8"))
     tokens += [child for token in tokens for child in token.children or []]
-    texts = [token.content for token in tokens if token.type in ("fence", "code_block", "code_inline")]
+    texts = [token.content for token in tokens if token.type in kinds]
     lines = [line.strip() for text in texts for line in text.replace("\\\n", " ").splitlines()]
     words = [shlex.split(line, comments=True) for line in lines if line.startswith("xfreqbench ")]
     return [list(takewhile(lambda word: word not in SHELL, line[1:])) for line in words]

@@ -282,5 +282,5 @@ def view(
     planned = plan_view(data_or_scene, tx, carrier)
     claim(planned, output)
     say(planned.missing or "tracing the rays of one transmitter", quiet)
-    for path in write_view(planned.with_rays(), output):
+    for path in write_view(planned.with_rays(), output, partial(say, quiet=quiet)):
         say(f"wrote {path}", quiet)

@@ -206,8 +206,8 @@ def benchmark(
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
-            "carrier; clutter: one room full of things; paper: the paper's experiments; paper-size: its method in "
-            "its own sizes."
+            "carrier; clutter: one room full of things; paper: the paper's experiments, and paper-lofo, paper-sparse, "
+            "paper-ablation, paper-maps: one of them; paper-size: its method in its own sizes."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
@@ -253,7 +253,8 @@ def benchmark(
         if not failures:
             benchmarks.record_contents(planned)
     folder = planned.results_dir
-    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", quiet=quiet)
+    pages = folder / "pages" if preset.startswith("paper") else None  # that of the paper's tables among them
+    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", details=pages, quiet=quiet)
     if failures:
         number = f"{len(failures)} of its parts failed; the same command tries them again."
         raise XFreqBenchError("\n".join([number, *failures]))
@@ -297,6 +298,8 @@ def report(
         from xfreqbench.report.leaderboard.paper import ship_maps
 
         say(f"wrote {ship_maps(results, maps)}", quiet)
+    if details is None:
+        say("claims and tables of the paper, distributions and maps stand in the pages of --details FOLDER", quiet)
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
@@ -308,7 +311,8 @@ def compare(a: Path, b: Path) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
     Rows of the same method, options and budget are paired, then rows that are alone with their method in A and in B,
-    and at last the only row left in A with the only one in B.
+    and at last the only row left in A with the only one in B. If A is one row, as in `compare results/nearest results`,
+    every row of B is compared with it.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ from xfreqbench.data.validation import (
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.types import FloatArray, IntArray
-from xfreqbench.units import format_ghz, format_ghz_list, ghz_to_hz
+from xfreqbench.units import band_text, format_ghz, format_ghz_list, ghz_to_hz
 
 PROTOCOL_VERSION = "1"
 LOFO_TARGETS_GHZ = (2.4, 24.25, 77.0)  # the paper's
@@ -132,6 +132,22 @@ class Split:
         trained_positions = KDTree(np.unique(dataset.tx_position_m[train], axis=0))
         distance_m = float(np.median(trained_positions.query(dataset.tx_position_m[test])[0]))
         return cls(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared, distance_m)
+
+    def trained_band_hz(self, dataset: PasDataset) -> tuple[float, float]:
+        """The lowest and the highest carrier that is trained on."""
+        carrier_hz = dataset.carrier_hz[self.train]
+        return float(carrier_hz.min()), float(carrier_hz.max())
+
+    def extrapolation(self, dataset: PasDataset) -> str | None:
+        """Words on the tested carriers that lie outside of the band of the training carriers; None without any."""
+        low_hz, high_hz = self.trained_band_hz(dataset)
+        tested_hz = np.unique(dataset.carrier_hz[self.test])
+        outside_hz = tested_hz[(tested_hz < low_hz) | (tested_hz > high_hz)]
+        if not len(outside_hz):
+            return None
+        return (
+            f"{self.name} extrapolates to {format_ghz_list(outside_hz)}: it is trained on {band_text(low_hz, high_hz)}"
+        )
 
     def __repr__(self) -> str:
         return f"<Split {self.name!r}: {len(self.train)} samples to train on, {len(self.test)} to test on>"

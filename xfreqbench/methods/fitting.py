@@ -83,8 +83,9 @@ def fit_within(
     spent, the fit ends at once. If the first step that the method yields is not higher, the method has started
     again: `spent` then does not count, and `before` is None.
 
-    Raises `MethodError` if the method yields nothing, something other than `Progress`, or a step that is not higher than
-    the one before, and `DivergenceError` for a loss that is infinite, or nan after it was finite. A budget in maps needs a method that counts them.
+    Raises `MethodError` if the method yields nothing, something other than `Progress`, or a step that is not higher
+    than the one before, and `DivergenceError` for a loss that is infinite, or nan after it was finite. A budget in maps
+    needs a method that counts them.
     """
     if spent and budget.share(spent.step, spent.seconds, spent.maps) >= 1:
         return spent

@@ -208,20 +208,40 @@ CARRIER = Preset(
     num_tx=dict.fromkeys(_ALL_SCENES, 480),
 )
 _PAPERS = (Setting("xfreq-gs"), *_SYSTEMS_OF_THE_PAPER)
+_PAPERS_LOFO = Block("office", "lofo", _PAPERS, "quick", SEEDS)
+_PAPERS_SPARSE = Block("office", "sparse", _PAPERS[:1], "quick", SEEDS)
+_PAPERS_ABLATION = Block("office", "lofo", (_PAPERS[0], *PAPER_ABLATIONS), "quick", SEEDS, targets_ghz=(24.25,))
 PAPER = Preset(
     description="the experiments of the paper of XFreq-GS on our data, in the lane quick: its four methods on lofo in "
     "the office, xfreq-gs on sparse, its ablations at 24.25 GHz, its methods on random samples, which its released "
     "code draws, and xfreq-gs at two more carriers, of which maps are shown",
     blocks=(
         *(_trivial(protocol, "office") for protocol in ("lofo", "sparse", "random-samples")),
-        Block("office", "lofo", _PAPERS, "quick", SEEDS),
-        Block("office", "sparse", _PAPERS[:1], "quick", SEEDS),
-        Block("office", "lofo", (_PAPERS[0], *PAPER_ABLATIONS), "quick", SEEDS, targets_ghz=(24.25,)),
+        _PAPERS_LOFO,
+        _PAPERS_SPARSE,
+        _PAPERS_ABLATION,
         Block("office", "random-samples", _PAPERS, "quick", SEEDS),
         Block("office", "lofo", _PAPERS[:1], "quick", targets_ghz=(10.0, 60.0)),
     ),
     left_out="the sizes of the paper (preset paper-size), other budgets, scenes and methods",
 )
+PARTS_OF_PAPER = {
+    f"paper-{part}": Preset(
+        description=f"{what}: a part of preset paper",
+        blocks=(Block("office", block.protocol, TRIVIAL_SETTINGS, None, targets_ghz=block.targets_ghz), block),
+        left_out="the other parts of preset paper",
+    )
+    for part, what, block in (
+        ("lofo", "the paper's four methods on lofo in the office, three seeds", _PAPERS_LOFO),
+        ("sparse", "xfreq-gs on sparse in the office, three seeds", _PAPERS_SPARSE),
+        ("ablation", "xfreq-gs and the paper's ablations at 24.25 GHz, three seeds", _PAPERS_ABLATION),
+        (
+            "maps",
+            "xfreq-gs at the five carriers of which maps are shown, one seed",
+            Block("office", "lofo", _PAPERS[:1], "quick", targets_ghz=(2.4, 10.0, 24.25, 60.0, 77.0)),
+        ),
+    )
+}
 PAPER_SIZE = Preset(
     description="xfreq-gs-paper, XFreq-GS in the sizes of its paper: width 256, six layers, one map a step, 200,000 "
     "steps, which are the lane converged, on lofo at 24.25 GHz in the office; hours on a core, so better with a GPU",
@@ -253,5 +273,6 @@ PRESETS: Mapping[str, Preset] = {
     "carrier": CARRIER,
     "clutter": CLUTTER,
     "paper": PAPER,
+    **PARTS_OF_PAPER,
     "paper-size": PAPER_SIZE,
 }

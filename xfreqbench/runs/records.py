@@ -35,6 +35,7 @@ from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
+from xfreqbench.units import band_text
 
 NUM_QUANTILES = 101
 LEAST_CORE_SHARE = 0.7  # of a core, below which seconds of a fit say little
@@ -213,6 +214,7 @@ class RunRecord(SealedModel):
     * `code_sha256` is the hash of the method's code, see `xfreqbench.methods.registry.code_sha256`.
     * `findings` is what the method says it has learned.
     * `fit_processor_seconds` is the time of all cores during the fit; see `core_share`.
+    * `trained_band_hz` are the lowest and the highest carrier that was trained on.
 
     If `external` is given, nothing was fitted or timed here: `fit_seconds`, `predict_ms_per_map` and `parameters` are
     as declared, or None; `peak_memory_mib` is None, `step` is 0 and `hardware` is empty. Only the scores were computed
@@ -253,6 +255,16 @@ class RunRecord(SealedModel):
     findings: Findings = Field(default_factory=dict)
     external: External | None = None
     fit_processor_seconds: Seconds | None = None
+    trained_band_hz: tuple[Amount, Amount] | None = None
+
+    @property
+    def extrapolated_from(self) -> str:
+        """The band of the training carriers, as text, if a carrier outside of it is tested; else empty."""
+        if self.trained_band_hz is None:
+            return ""
+        low, high = self.trained_band_hz
+        tested_hz = map(float, self.scores["ssim"].median_by_carrier_hz)
+        return "" if all(low <= tested <= high for tested in tested_hz) else band_text(low, high)
 
     def __repr__(self) -> str:
         job, ssim = self.job, self.scores.get("ssim")

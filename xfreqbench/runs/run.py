@@ -135,6 +135,8 @@ def asked_tasks(
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
     """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
     if progress:
+        for told in dict.fromkeys(filter(None, (task.split.extrapolation(task.dataset) for task in tasks))):
+            print(f"xfreqbench: {told}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
         if estimate.is_long:
             print(estimate, file=sys.stderr, flush=True)

@@ -89,6 +89,7 @@ def scored_record(
         external=outcome.external,
         recipe=dataset.recipe.id,
         fit_processor_seconds=outcome.fit_processor_seconds,
+        trained_band_hz=split.trained_band_hz(dataset),
     )
 
 

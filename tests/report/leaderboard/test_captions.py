@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 from tests.support.leaderboard_records import leaderboard_markdown, make_records, rows_of
-from tests.support.stored_records import external, make_record
+from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.report.leaderboard.report import leaderboard_summary
 
 
 def test_samples_without_a_path_are_said_to_be_left_out() -> None:
@@ -47,3 +48,14 @@ def test_external_rows_have_dashes_for_what_nobody_declares_and_a_note_whose_wor
     assert "silent (external): hardware not declared; told (external): 8 × H200." in markdown
     assert "Times were taken on AMD EPYC, 2 cores." in markdown
     assert "External rows" not in leaderboard_markdown(make_records())
+
+
+def test_a_missing_rank_or_skill_and_an_extrapolated_target_are_explained_below_the_table() -> None:
+    band = {"trained_band_hz": (1e9, 10e9)}
+    records = [make_record("nearest", **band), make_record("ours", **band)]
+    summary = leaderboard_summary(records)
+    assert "Without a rank, which takes 3 seeds (--seeds 0,1,2): ours." in summary
+    assert "were not run on the same splits: line-of-sight, mean-over-frequency, log-frequency." in summary
+    assert "Extrapolated: 24.25GHz (trained on 1 to 10 GHz)." in summary
+    inside = [make_record("nearest", trained_band_hz=(1e9, 77e9)), make_record("nearest", split=SPLITS[0])]
+    assert "Extrapolated" not in leaderboard_summary(inside)

@@ -94,6 +94,16 @@ def test_the_only_rows_of_both_are_compared_whatever_they_are(tmp_path: Path) ->
     assert rows_of(compare_results(a, b), "ours and theirs")
 
 
+def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
+    trivial = [record for record in make_records() if record.job.method != "ours"]
+    folder = stored(tmp_path / "a", [*of_three_seeds("ours", SHIFT, 1), *trivial])
+    tables = compare_results(folder / "ours", folder)
+    for method in ("nearest", "log-frequency"):
+        assert first_row(tables, f"ours and {method}")["B is"] in ("better", "worse", "=", "–")
+    assert first_row(tables, "ours")["B is"] == "="
+    assert "Only in" not in tables
+
+
 def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
     folder = stored(tmp_path / "results", make_records())
     assert {record.job.method for record in records_at(folder / "ours")} == {"ours"}

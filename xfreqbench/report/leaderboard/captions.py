@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, VALIDATIONS
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.boards import Board
+from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
-from xfreqbench.report.leaderboard.comparison import MIN_SEEDS
+from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, reduced_statement
 from xfreqbench.report.leaderboard.rows import BoardRow
@@ -98,13 +98,16 @@ def origin_statement(board: Board) -> str:
     return f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
 
 
-def notes(board: Board, rows: Sequence[BoardRow]) -> list[str]:
-    """Notes below a table of some rows of a board.
+def notes(comparison: Comparison) -> list[str]:
+    """Notes below a table of a comparison.
 
-    They say where the rows come from, if the board has several origins; who declares the times of rows that were
-    predicted elsewhere; what reduced re-implementations leave out; and which fits ran on a busy machine.
+    They say why a rank or a skill is missing; at which carriers methods extrapolate; where the rows come from, if the
+    board has several origins; who declares the times of rows that were predicted elsewhere; what reduced
+    re-implementations leave out; and which fits ran on a busy machine.
     """
-    every = (_origins_note(board, rows), _external_note(rows), reduced_statement(rows), _busy_note(rows))
+    board, rows = comparison.board, comparison.rows
+    missing = _unranked_note(comparison), _skill_note(comparison), _extrapolation_note(comparison)
+    every = (*missing, _origins_note(board, rows), _external_note(rows), reduced_statement(rows), _busy_note(rows))
     return [note for note in every if note]
 
 
@@ -115,6 +118,34 @@ def machine_names(records: Sequence[RunRecord]) -> list[str]:
 
 def _counted(name: str, values: Sequence[object]) -> str:
     return f"{name}{'s' if len(values) > 1 else ''} {', '.join(map(str, values))}"
+
+
+def _unranked_note(comparison: Comparison) -> str:
+    """Which rows have too few seeds for a rank; empty where none has."""
+    few = [
+        row.short_label
+        for row in comparison.rows
+        if not row.is_trivial and row.num_seeds(comparison.splits)[0] < MIN_SEEDS
+    ]
+    return f"Without a rank, which takes {MIN_SEEDS} seeds (--seeds 0,1,2): {', '.join(few)}." if few else ""
+
+
+def _skill_note(comparison: Comparison) -> str:
+    """Which trivial predictors a skill would need; empty where all were run."""
+    run = [{row.job.method for row in comparison.board.rows if split in row.by_split} for split in comparison.splits]
+    missing = [method for method in NEEDED_TRIVIAL if not all(method in methods for methods in run)]
+    return f"No skill is known, because these were not run on the same splits: {', '.join(missing)}." if missing else ""
+
+
+def _extrapolation_note(comparison: Comparison) -> str:
+    """Splits that test carriers outside of the band of the training carriers; empty where none does, or is known to."""
+    outside = dict.fromkeys(
+        f"{short_name(split)} (trained on {band})"
+        for split in comparison.splits
+        for record in comparison.rows[0].by_split[split]
+        if (band := record.extrapolated_from)
+    )
+    return f"Extrapolated: {', '.join(outside)}." if outside else ""
 
 
 def _origins_note(board: Board, rows: Sequence[BoardRow]) -> str:

@@ -181,7 +181,7 @@ def _set_table(comparison: Comparison) -> SetTable:
         columns=leaderboard_columns(comparison, PAGE),
         rows=comparison.rows,
         best_trivial=trivial[0] if trivial else None,
-        notes=notes(comparison.board, comparison.rows),
+        notes=notes(comparison),
     )
 
 

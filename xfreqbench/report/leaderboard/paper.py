@@ -24,7 +24,7 @@ from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
 from xfreqbench.report.leaderboard.overview import main_scene
-from xfreqbench.report.leaderboard.published import published_content, published_value, stands_for
+from xfreqbench.report.leaderboard.published import published_content, stands_for
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
@@ -180,7 +180,7 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
 def _papers_tables(
     content: Mapping[str, Any], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
 ) -> list[str]:
-    """The paper's tables with its rows and columns, for each budget of which we have a number: ours, theirs behind it."""
+    """The paper's tables, with its rows and columns, for each budget of which we have a number."""
     ours = {
         (name, row, statistic): (counterpart, place, statistic if column in _STATISTICS else _MEDIAN_SSIM)
         for counterpart in content["counterpart"]
@@ -200,7 +200,9 @@ def _papers_tables(
                 rows.append([heading(row), *cells])
             if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
                 header = (published["first_column"], *published["columns"])
-                parts.append(f"{published['title']}; ours in the budget {heading(title)}:\n\n{table(header, rows, prose)}")
+                parts.append(
+                    f"{published['title']}; ours in the budget {heading(title)}:\n\n{table(header, rows, prose)}"
+                )
     return parts
 
 

@@ -55,7 +55,8 @@ def compare_results(a: Path, b: Path) -> str:
     A set is a results folder, a file of records, the records of one method, such as `results/nearest`, or one record
     by its id or the first digits of it, such as `results/0123456789abcdef`. Rows with the same label (method, options
     and budget) are paired. Then the rows of a method that has one unpaired row in each set, and at last the only
-    unpaired row of each set. Raises `DataError` where there are no records, or none that may be compared.
+    unpaired row of each set. If A has one row, it is the reference of all rows of B. Raises `DataError` where there are
+    no records, or none that may be compared.
     """
     of_a, of_b = (
         {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)} for path in (a, b)
@@ -111,8 +112,11 @@ def _section(a: Board, b: Board) -> str:
 def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
     """Rows with the same label; then the only row of a method in A and in B; then the only row of A and of B.
 
-    Rows that are already paired do not count.
+    Rows that are already paired do not count. A lone row of A is a reference, with which every row of B is paired.
     """
+    if len(a.rows) == 1 < len(b.rows):
+        yield from ((a.rows[0], row) for row in b.rows)
+        return
     names: list[Callable[[BoardRow], str]] = [lambda row: row.label, lambda row: row.job.method, lambda row: ""]
     left_a, left_b = list(a.rows), list(b.rows)
     for name in names:

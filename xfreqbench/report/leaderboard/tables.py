@@ -39,7 +39,7 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
     num_splits = len(comparison.splits)
     where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
     caption = f"Median SSIM{where}; order within overlapping ranks means nothing:"
-    below = map(paragraph, notes(comparison.board, comparison.rows))
+    below = map(paragraph, notes(comparison))
     return "\n\n".join([caption, _leaderboard(comparison, columns), *below])
 
 
@@ -89,11 +89,7 @@ def _split_parts(board: Board, split: str, resampling: Resampling) -> list[str]:
     left_out = f"; {record.num_without_path} without any path are left out" if record.num_without_path else ""
     caption = f"{record.num_test} samples{left_out}. Medians where nothing else is said, means over seeds."
     title = f"### {heading(short_name(split))}"
-    alone = (
-        [*map(paragraph, notes(comparison.board, comparison.rows)), *_pair_table(comparison)]
-        if split in board.lone_splits()
-        else []
-    )
+    alone = [*map(paragraph, notes(comparison)), *_pair_table(comparison)] if split in board.lone_splits() else []
     return [title, caption, _leaderboard(comparison, ONE_SPLIT), *alone, *_carrier_table(board, split)]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -48,14 +48,19 @@ def claim(view: ViewPlan, folder: Path) -> None:
     require_space(folder / PAGE, 1)
 
 
-def write_view(view: ViewPlan, folder: Path) -> list[Path]:
+def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
     """Draw everything, then write `FILES`, for a scene without data only the first three; returns their paths.
+
+    `tell` is called with what is being done, in words.
 
     Raises what `claim` raises, before anything is drawn, and `DataError`.
     """
     claim(view, folder)
+    if view.dataset:
+        tell(f"comparing maps between {view.dataset.num_carriers} carriers")
     summary = summarize(view.dataset) if view.dataset else None
     with tempfile.TemporaryDirectory() as scratch:
+        tell("drawing the room, its rays and maps")
         drawn = dict(_drawn(view, summary, Path(scratch)))
     pictures = {name: Picture(name, alt, drawn[name]) for name, alt in _ALT.items() if name in drawn}
     page = view_page(view, summary, pictures, MODEL)
