@@ -54,6 +54,7 @@ from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_own
+from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
@@ -378,8 +379,12 @@ class PasDataset:
 
 @checked
 def open_dataset(path: FilePath) -> PasDataset:
-    """All samples of a data set; raises `DataError` for a file that is missing, damaged or no data set."""
-    path = Path(path)
+    """All samples of a data set; raises `DataError` for a file that is missing, damaged or no data set.
+
+    `path` may be an address (http, https). Of a file there, header and channels are read, and maps when they are asked
+    for, in ranges of bytes; each is compared with its hash or checksum. Needs `pip install "xfreqbench[remote]"`.
+    """
+    path = located(path)
     with open_sealed(path, SCHEMA) as file:
         header = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
         grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
@@ -426,7 +431,7 @@ def reopen(path: str, sha256: str, rows: Rows, is_isolated: bool = False) -> Pas
 
 def verify(path: str | Path) -> None:
     """Compare every byte of a data set with its hashes, and raise `DataError` naming the first damaged part."""
-    verify_sealed(Path(path), SCHEMA)
+    verify_sealed(located(path), SCHEMA)
 
 
 def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> bool:
