@@ -1,17 +1,14 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator
-from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 
 import pooch
 import pytest
 
 import xfreqbench as xb
+from tests.support.web import Server, served
 from xfreqbench.data import shipped
 from xfreqbench.data.fingerprint import compare_fingerprint
 from xfreqbench.data.generate import plan_of
@@ -23,43 +20,12 @@ from xfreqbench.units import PAPER_CARRIERS_GHZ
 OFFICE = shipped_folder() / "office.h5"
 
 
-class Server:
-    """Serves `content` at an address on this machine; `asked` are the ranges that were asked for, one an answer."""
-
-    def __init__(self) -> None:
-        self.content, self.breaks_after, self.asked = OFFICE.read_bytes(), 0, list[str]()
-        self.http = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, self))
-        self.url = f"http://127.0.0.1:{self.http.server_port}/office.h5"
-
-
-class _Handler(BaseHTTPRequestHandler):
-    def __init__(self, server: Server, *arguments: object) -> None:
-        self.served = server
-        super().__init__(*arguments)  # type: ignore[arg-type]
-
-    def do_GET(self) -> None:
-        server, asked = self.served, self.headers["Range"] or ""
-        server.asked.append(asked)
-        found = re.fullmatch(r"bytes=(\d+)-", asked)
-        rest = server.content[int(found[1]) :] if found else server.content
-        self.send_response(206 if found else 200)
-        self.send_header("Content-Length", str(len(rest)))
-        self.end_headers()
-        broken, server.breaks_after = server.breaks_after, 0
-        self.wfile.write(rest[:broken] if broken else rest)
-
-    def log_message(self, *_: object) -> None: ...
-
-
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("time.sleep", lambda _: None)  # between two tries
-    server = Server()
-    Thread(target=server.http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-    yield server
-    server.http.shutdown()
-    server.http.server_close()
+    with served(OFFICE.read_bytes()) as server:
+        yield server
 
 
 def test_the_office_ships_as_it_would_be_traced_now() -> None:

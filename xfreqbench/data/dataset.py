@@ -70,6 +70,7 @@ from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_own
+from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
@@ -500,8 +501,11 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
 
     Of a file with several receivers or pairs of polarizations, one of each is opened: the first where none is named.
     Raises `UnknownNameError` for one that the file does not hold.
+
+    `path` may be an address (http, https). Of a file there, header and channels are read, and maps when they are asked
+    for, in ranges of bytes; each is compared with its hash or checksum. Needs `pip install "xfreqbench[remote]"`.
     """
-    path = Path(path)
+    path = located(path)
     with open_sealed(path, SCHEMA) as file:
         whole = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
         link = whole.link(receiver, polarization)
@@ -565,7 +569,7 @@ def reopen(
 
 def verify(path: str | Path) -> None:
     """Compare every byte of a data set with its hashes, and raise `DataError` naming the first damaged part."""
-    verify_sealed(Path(path), SCHEMA)
+    verify_sealed(located(path), SCHEMA)
 
 
 def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> bool:

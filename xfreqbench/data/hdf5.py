@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from math import prod
 from os import SEEK_END
@@ -22,8 +22,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from xfreqbench.errors import DataError, StorageError
+from xfreqbench.errors import DataError, StorageError, XFreqBenchError
 from xfreqbench.system.files import atomic_path, storage_errors
+from xfreqbench.system.remote import RemotePath
 
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25
@@ -144,24 +145,29 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     `read_array`. A file that another program opened to write is refused. Raises `StorageError` for one that another
     program holds open to write, or that may not be read.
     """
+    is_remote = isinstance(path, RemotePath)
     with read_errors(path):  # a path that is too long raises an error too
-        is_there, is_folder = path.is_file(), path.is_dir()
+        is_there, is_folder = is_remote or path.is_file(), path.is_dir()
     if is_folder:
         raise DataError(f"{path} is a folder. Give one of its files, with a name in .h5.")
     if not is_there:
         raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
-    with read_errors(path), h5py.File(path, "r") as file:
+    with read_errors(path), _bytes_of(path) as stored, h5py.File(stored if is_remote else path, "r") as file:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
             raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
-        with path.open("rb") as stored:
-            stored.seek(-_TRAILER_BYTES, SEEK_END)
-            if stored.read(len(_TRAILER)) != _TRAILER:  # HDF5 overwrites it in any file that it opens to write
-                raise DataError(
-                    f"{path} does not end in its sha256: it was not written to its end, or another program opened it "
-                    "to write and may have changed it. Generate it again."
-                )
+        stored.seek(-_TRAILER_BYTES, SEEK_END)
+        if stored.read(len(_TRAILER)) != _TRAILER:  # HDF5 overwrites it in any file that it opens to write
+            raise DataError(
+                f"{path} does not end in its sha256: it was not written to its end, or another program opened it "
+                "to write and may have changed it. Generate it again."
+            )
         yield file
+
+
+def _bytes_of(path: Path) -> AbstractContextManager[Any]:
+    """The bytes of a file, opened to read; those of a file on a server stay open, and what was read is kept."""
+    return nullcontext(path.ranges()) if isinstance(path, RemotePath) else path.open("rb")
 
 
 @contextmanager
@@ -173,11 +179,15 @@ def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
     try:
         with _readable(path):
             yield
-    except _READ_FAILURES as error:
+    except XFreqBenchError:
+        raise
+    except Exception as error:
+        is_remote = isinstance(path, RemotePath)  # servers fail in ways of their own
+        if not (is_remote or isinstance(error, _READ_FAILURES)):
+            raise
         fault = getattr(error, "strerror", None) or error
-        raise DataError(
-            f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). Generate it again."
-        ) from error
+        advice = f"Download it: xfreqbench.fetch({str(path)!r})" if is_remote else "Generate it again."
+        raise DataError(f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). {advice}") from error
 
 
 @contextmanager
@@ -297,12 +307,15 @@ def _append_trailer(path: Path) -> None:
 
 def _is_whole(path: Path) -> bool:
     """Whether the trailer of a file has the hash of all bytes before it."""
-    digest, left = hashlib.sha256(), path.stat().st_size - _TRAILER_BYTES
-    with path.open("rb") as file:
+    digest = hashlib.sha256()
+    with _bytes_of(path) as file:
+        file.seek(-_TRAILER_BYTES, SEEK_END)
+        left = file.tell()
+        file.seek(0)
         while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
             digest.update(block)
             left -= len(block)
-        return file.read() == _TRAILER + digest.hexdigest().encode()
+        return file.read(_TRAILER_BYTES) == _TRAILER + digest.hexdigest().encode()
 
 
 def _set_texts(owner: Any, texts: Mapping[str, str | int]) -> None:

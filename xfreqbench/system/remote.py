@@ -1,0 +1,60 @@
+"""Files on web servers, of which only the bytes that are asked for are read.
+
+They are read by remfile, in the thread that asks. fsspec, which asks in a thread of its own, waits forever where the
+garbage collector frees an object of HDF5 in that thread: HDF5 is locked by the one that waits for it.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path, PosixPath
+from typing import Any
+
+from xfreqbench.errors import DataError, XFreqBenchError
+
+_TIMEOUT_S = 30.0  # for the first byte
+
+
+class RemotePath(PosixPath):
+    """The address of a file on a web server (http, https) in the place of its path: `str` gives the address."""
+
+    def __str__(self) -> str:
+        return super().__str__().replace(":/", "://", 1)
+
+    def resolve(self, strict: bool = False) -> RemotePath:
+        """The address, as it is."""
+        return self
+
+    def ranges(self) -> Any:
+        """The file, opened to read, which asks the server for ranges of bytes; the same one at each call.
+
+        What was read is kept in memory, up to 1 GB. Raises `DataError` where there is no such file, and
+        `XFreqBenchError` where the extra is not installed.
+        """
+        return _opened(str(self), os.getpid())
+
+
+def located(path: str | Path) -> Path:
+    """The path, or the address where it is one."""
+    is_address = str(path).startswith(("http://", "https://"))
+    return RemotePath(path) if is_address else Path(path)
+
+
+@lru_cache(maxsize=8)
+def _opened(address: str, process: int) -> Any:  # a forked process opens it anew, for connections are not shared
+    try:
+        import remfile
+        import requests
+    except ImportError as error:
+        advice = 'Run: pip install "xfreqbench[remote]"'
+        raise XFreqBenchError(f'Reading from afar needs the extra "remote". {advice}') from error
+    try:
+        with requests.get(address, headers={"Range": "bytes=0-0"}, stream=True, timeout=_TIMEOUT_S) as answer:
+            answer.raise_for_status()
+            gives_ranges = answer.status_code == requests.codes.partial_content
+        if gives_ranges:
+            return remfile.File(address)
+    except Exception as error:  # remfile's have no other type
+        raise DataError(f"{address} cannot be opened: {error}. Mend the address, or try again later.") from error
+    raise DataError(f"The server of {address} gives no parts of files. Download it: xfreqbench.fetch({address!r})")
