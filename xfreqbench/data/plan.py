@@ -205,13 +205,13 @@ def plan_generation(
     carriers = _checked_carriers(carrier_hz)
     prepared = PreparedScene.of(scene)
     scene, geometry = prepared.scene.with_receiver(receiver), prepared.geometry
-    if paths and "diffuse" in settings.named_interactions:
-        raise XFreqBenchError(
-            "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
-            "up to one for each ray: they are not stored. Leave out --paths, or the interaction diffuse."
-        )
     _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
+    if paths and settings.solver == "sionna" and "diffuse" in settings.named_interactions:
+        raise XFreqBenchError(
+            "Paths are asked for with diffuse reflection by solver sionna, whose paths are random samples, others at "
+            "each carrier, and up to one for each ray: they are not stored. Leave out --paths or --solver sionna."
+        )
     materials = (mesh.material for mesh in geometry.meshes)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)

@@ -29,6 +29,7 @@ from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
+from xfreqbench.tracing.image.diffuse import DiffuseReflection
 from xfreqbench.tracing.image.kernels.arrays import LANES, Antenna, Aperture, Media, Sums
 from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
@@ -42,7 +43,7 @@ from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction"})
+SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction", "diffuse"})
 MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
 # Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
@@ -61,7 +62,9 @@ class ImageSavings:
     path (not its phase) is computed at `field_nodes_per_axis`² points of the array and interpolated between
     them, which changes the answer; 4 on a 4×4 array computes it at every element. With diffraction, paths with
     more than `diffraction_planes` reflections (up to 3) on either side of the edge are left out, and those that a
-    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges.
+    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges. With
+    diffuse reflection, paths with more than `diffuse_mirrors` specular reflections (up to 1) are left out. Tiles are at
+    most `diffuse_tile_m` long, and `diffuse_tile_rad` as the array sees them; four times that with a mirror.
     """
 
     prune: bool = True
@@ -70,12 +73,16 @@ class ImageSavings:
     max_reflections: int | None = None
     diffraction_planes: int = 1
     diffraction_floor: float = 0.003
+    diffuse_mirrors: int = 1
+    diffuse_tile_m: float = 0.25
+    diffuse_tile_rad: float = 0.15
 
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
-    """Whether this solver takes the interactions that are asked for, and a smooth scene of as many mirrors."""
+    """Whether this solver takes the interactions, diffuse reflection where a material scatters, and as many mirrors."""
     is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.named_interactions)
-    return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
+    can_scatter = "diffuse" not in settings.named_interactions or bool(geometry.scattering)
+    return is_supported and can_scatter and geometry.num_mirrors <= MAX_MIRRORS
 
 
 class ImageTracer:
@@ -94,8 +101,8 @@ class ImageTracer:
         if not can_solve(geometry, settings):
             raise SceneError(
                 f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
-                f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
-                f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
+                f"mirrors, diffuse where a material scatters, but scene {scene.name!r} has {geometry.num_mirrors:,}"
+                f"{'' if geometry.scattering else ', none of them rough,'} and is asked for "
                 f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: "
                 "mirrors = 'patches', or a larger least_patch_area_m2, in the scene's TOML."
             )
@@ -131,6 +138,21 @@ class ImageTracer:
             self.diffraction = Diffraction(
                 geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
             )
+        self.diffuse = None
+        if "diffuse" in settings.named_interactions and settings.max_depth:
+            self.diffuse = DiffuseReflection(
+                self._scene,
+                self._media_at_centre,
+                slabs_of(geometry.meshes),
+                mirrors,
+                self._surface,
+                corners_m,
+                scene.receiver,
+                settings,
+                savings.diffuse_mirrors if "specular" in settings.named_interactions else 0,
+                savings.diffuse_tile_m,
+                savings.diffuse_tile_rad,
+            )
 
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:
@@ -145,6 +167,8 @@ class ImageTracer:
             floors[i] = self._add_plain(tx[i], sums, num_paths[i])
             if self.diffraction is not None:
                 self.diffraction.add_channel(tx[i], floors[i], sums, num_paths[i])
+            if self.diffuse is not None:
+                self.diffuse.add_channel(tx[i], sums, num_paths[i])
 
         side_by_side(add, len(tx))
         self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
@@ -170,6 +194,8 @@ class ImageTracer:
                 sums = np.zeros((shape[0], shape[2])), np.zeros((shape[0], shape[2]))
                 floor = self._add_plain(tx, sums, np.zeros(shape[0], np.int32))
             found += self.diffraction.paths(tx, floor)
+        if self.diffuse is not None:
+            found += self.diffuse.paths(tx)
         found.sort(key=lambda path: path[1])
 
         def column(i: int, dtype: type, *shape: int) -> Any:
@@ -208,7 +234,8 @@ def media_of(
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
     antennas = (scene.transmitter_antenna, scene.receiver.antenna)
     codes = (Antenna(polarization == "H", pattern == "dipole") for pattern, polarization in antennas)
-    media = Media(permittivity, phase_thickness, lanes, *codes)
+    specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
+    media = Media(permittivity, phase_thickness, lanes, specular, *codes)
     return media, np.array([kinds.index(mesh.slab) for mesh in meshes], dtype=np.int64)
 
 

@@ -71,6 +71,7 @@ class Media(NamedTuple):
     permittivity: C128  # (F, K) relative
     phase_thickness: F64  # (F, K): 2π d / λ
     lanes: F64  # (K, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
+    specular: F64  # (K,): share of the reflected field that the slab does not scatter, √(1 − S²); 1 where it is smooth
     transmitter: Antenna
     receiver: Antenna
 

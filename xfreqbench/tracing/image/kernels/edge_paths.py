@@ -20,7 +20,7 @@ from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions
 from .compiled import bare, entry, lane, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
-from .fields import antenna_field
+from .fields import antenna_field, specular_share
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
@@ -179,8 +179,9 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
         if s > 0:
             q = walk.hit[s - 1]
             reflect(media.lanes[facets.slab[q], :, lane : lane + 1], facets.face[q], wave, 1)
+    share = specular_share(facets, media, side.length, walk)
     for c in range(3):
-        field[c] = complex(wave[(3 + c) * BLOCK], wave[(6 + c) * BLOCK])
+        field[c] = complex(wave[(3 + c) * BLOCK], wave[(6 + c) * BLOCK]) * share
 
 
 @bare
