@@ -22,6 +22,7 @@ from xfreqbench.data.paths import SamplePaths
 from xfreqbench.data.plan import Plan
 from xfreqbench.data.retrace import require_origin
 from xfreqbench.errors import DataError, XFreqBenchError
+from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
 from xfreqbench.scene.prepared import PreparedScene
@@ -137,9 +138,10 @@ def test_other_paths_than_the_scenes_are_found_out(tmp_path: Path, monkeypatch: 
 
 
 def test_diffuse_paths_are_refused_before_anything_is_traced() -> None:
-    settings = TraceSettings(interactions=("specular", "diffuse"))
-    with pytest.raises(XFreqBenchError, match="Leave out --paths, or the interaction diffuse"):
-        plan_with_paths(settings=settings)
+    rough = replace(load_scene("two_rooms"), material=(SceneMaterial("concrete", scattering=Scattering(0.3)),))
+    settings = TraceSettings("sionna", ("specular", "diffuse"), rays=1000)
+    with pytest.raises(XFreqBenchError, match="Leave out --paths or --solver sionna"):
+        plan_with_paths(scene=rough, settings=settings)
 
 
 @pytest.mark.parametrize(

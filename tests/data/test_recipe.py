@@ -157,8 +157,12 @@ def test_extrapolated_materials_are_in_the_recipe() -> None:
 def test_diffuse_reflection_is_drawn_so_that_its_seed_is_in_the_recipe() -> None:
     rough = replace(ROOMS, material=(SceneMaterial("concrete", scattering=Scattering(0.3)),))
     asked = {"interactions": ("specular", "diffuse"), "rays": 1000}
-    one, other = (recipe_of(planned(rough, seed=seed, **asked)) for seed in (1, 2))
-    assert one.id != other.id
+    for solver in ("image", "sionna"):
+        one, other = (recipe_of(planned(rough, seed=seed, solver=solver, **asked)) for seed in (1, 2))
+        assert one.id != other.id
+    more, drawn = (recipe_of(planned(rough, solver=solver, **asked | {"rays": 2000})) for solver in ("image", "sionna"))
+    assert more.id == recipe_of(planned(rough, solver="image", **asked)).id  # no ray is drawn
+    assert drawn.id != recipe_of(planned(rough, solver="sionna", **asked)).id
 
 
 def test_meshes_are_in_the_recipe_by_what_they_are_and_not_by_their_file(tmp_path: Path) -> None:

@@ -222,12 +222,11 @@ def test_scattering_without_sense_is_refused(tmp_path: Path, fields: dict[str, o
             )
 
 
-@pytest.mark.sionna
 def test_a_plan_tells_how_a_scene_scatters() -> None:
     table = rough_wood(coefficient=0.3, pattern="directive", alpha_r=4)
     scene = parse_scene(f'name = "test"\n{PLACES}{table}{FOAM.replace("foam", "wood")}')
     without = plan_generation(scene, [1e9], maps=False)
-    assert without.settings.solver == "sionna"  # the image method knows smooth surfaces only
+    assert without.settings.solver == "image"
     assert "scattering: wood (S 0.3, directive), of which the interaction diffuse is not traced" in without.summary
     settings = TraceSettings(interactions=("specular", "diffuse"), rays=1000)
     traced = plan_generation(scene, [1e9], settings, maps=False)
@@ -238,7 +237,3 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
     assert "scattering" not in plan_generation(smooth, [1e9], maps=False).header.settings
     with pytest.raises(SceneError, match="no material of the scene scatters"):
         plan_generation(smooth, [1e9], settings, maps=False)
-    with pytest.raises(SceneError, match="rough ones too"):
-        tracer_of(
-            PreparedScene.of(scene), [1e9], TraceSettings(interactions=("specular", "refraction"), solver="image")
-        )

@@ -20,6 +20,7 @@ from xfreqbench.bench.tables import Bench
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr
+from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
@@ -167,6 +168,7 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
         )
     yield from edge_savings(work.few(2, 3))
+    yield from diffuse_savings(work.few(2, 10))
     yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
     yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
@@ -186,6 +188,28 @@ def edge_savings(work: Workload) -> Iterator[Saving]:
             "channels with diffraction, rays shot beforehand",
             lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
             lambda: on.channel(work.tx_position_m).cfr,
+        )
+
+
+def diffuse_savings(work: Workload) -> Iterator[Saving]:
+    """Diffuse reflection left out, where every material scatters: all of it, and that over a mirror."""
+    names = sorted({str(surface.material) for surface in work.scene.surface})
+    rough = tuple(SceneMaterial(name, scattering=Scattering(0.3)) for name in names)
+    scene, every = replace(work.scene, material=rough), (*WITHOUT_DIFFRACTION, "diffuse")
+    settings = replace(work.settings, interactions=every)
+    on = ImageTracer(scene, work.carrier_hz, settings)
+    for name, without in (
+        ("no diffuse reflection", ImageTracer(scene, work.carrier_hz, work.settings)),
+        (
+            "no diffuse reflection over a mirror",
+            ImageTracer(scene, work.carrier_hz, settings, ImageSavings(diffuse_mirrors=0)),
+        ),
+    ):
+        yield work.saving(
+            f"image: {name}",
+            "channels with all materials rough, S = 0.3, rays shot beforehand",
+            lambda: on.channel(work.tx_position_m).cfr,
+            lambda without=without: without.channel(work.tx_position_m).cfr,  # type: ignore[misc]
         )
 
 

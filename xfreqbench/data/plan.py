@@ -222,13 +222,13 @@ def plan_generation(
     pairs = _pairs(polarizations)
     scene, geometry = _with_receivers(prepared.scene, receivers), prepared.geometry
     scene = scene.with_polarization(pairs[0]) if pairs else scene
-    if paths and "diffuse" in settings.named_interactions:
-        raise XFreqBenchError(
-            "Paths are asked for with diffuse reflection, whose paths are random samples, others at each carrier, and "
-            "up to one for each ray: they are not stored. Leave out --paths, or the interaction diffuse."
-        )
     _require_memory(scene, geometry)
     settings = resolve_solver(geometry, settings)
+    if paths and settings.solver == "sionna" and "diffuse" in settings.named_interactions:
+        raise XFreqBenchError(
+            "Paths are asked for with diffuse reflection by solver sionna, whose paths are random samples, others at "
+            "each carrier, and up to one for each ray: they are not stored. Leave out --paths or --solver sionna."
+        )
     materials = (layer.material for slab in slabs_of(geometry.meshes) for layer in slab.layers)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)

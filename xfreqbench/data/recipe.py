@@ -37,7 +37,8 @@ class Recipe:
     others published: these have their content as their recipe.
 
     Solver, number of rays, seed, threads, processor and versions of software are in neither hash, since they change
-    nothing but digits. Only diffuse reflection is drawn at random: its rays and its seed are in both.
+    nothing but digits. Only diffuse reflection is drawn at random: its seed is in both, with the number of rays of
+    solver `sionna`, or the name of solver `image`.
     """
 
     scene_name: str
@@ -55,6 +56,7 @@ class Recipe:
         grid: AngularGrid,
     ) -> Recipe:
         """The recipe of channels that were traced in a scene; the header tells the rest."""
+        drawn = "image" if settings.solver == "image" else settings.rays
         physics = _sha256(
             {
                 "version": header.physics,
@@ -62,7 +64,7 @@ class Recipe:
                 "interactions": sorted(settings.named_interactions),
                 "max_depth": settings.max_depth,
                 "extrapolated_materials": header.settings.get("extrapolated_materials", []),
-                "drawn": [settings.rays, settings.seed] if "diffuse" in settings.named_interactions else [],
+                "drawn": [drawn, settings.seed] if "diffuse" in settings.named_interactions else [],
             }
         )
         samples = {

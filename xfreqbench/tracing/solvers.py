@@ -66,9 +66,9 @@ def _check_diffuse(geometry: Geometry, settings: TraceSettings) -> None:
             "scattering = {coefficient = 0.3}, or leave out the interaction."
         )
     most_rays = MAX_DIFFUSE_PATHS // max(1, settings.max_depth)
-    if settings.rays > most_rays:
+    if settings.solver == "sionna" and settings.rays > most_rays:
         raise XFreqBenchError(
-            f"With diffuse reflection every ray may leave a path at each of {settings.max_depth} depths, and "
+            f"By solver sionna every ray may leave a diffuse path at each of {settings.max_depth} depths, and "
             f"{MAX_DIFFUSE_PATHS:,} of them fit into memory. Ask for --rays {most_rays:,} at most, or for less depth."
         )
 

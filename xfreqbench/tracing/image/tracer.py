@@ -13,7 +13,7 @@ stretch under 1 cm; here two surfaces may be as near to each other as a micromet
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,12 +25,14 @@ from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
+from xfreqbench.tracing.image.diffuse import DiffuseReflection
 from xfreqbench.tracing.image.kernels.arrays import LANES, Antenna, Aperture, Media, Sums
 from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
@@ -44,7 +46,7 @@ from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction"})
+SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction", "diffuse"})
 MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
 # Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
@@ -63,7 +65,9 @@ class ImageSavings:
     path (not its phase) is computed at `field_nodes_per_axis`² points of the array and interpolated between
     them, which changes the answer; 4 on a 4×4 array computes it at every element. With diffraction, paths with
     more than `diffraction_planes` reflections (up to 3) on either side of the edge are left out, and those that a
-    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges.
+    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges. With
+    diffuse reflection, paths with more than `diffuse_mirrors` specular reflections (up to 1) are left out. Tiles are at
+    most `diffuse_tile_m` long, and `diffuse_tile_rad` as the array sees them; four times that with a mirror.
     """
 
     prune: bool = True
@@ -72,12 +76,16 @@ class ImageSavings:
     max_reflections: int | None = None
     diffraction_planes: int = 1
     diffraction_floor: float = 0.003
+    diffuse_mirrors: int = 1
+    diffuse_tile_m: float = 0.25
+    diffuse_tile_rad: float = 0.15
 
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
-    """Whether this solver takes the interactions that are asked for, and a smooth scene of as many mirrors."""
+    """Whether this solver takes the interactions, diffuse reflection where a material scatters, and as many mirrors."""
     is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.named_interactions)
-    return is_supported and not geometry.scattering and geometry.num_mirrors <= MAX_MIRRORS
+    can_scatter = "diffuse" not in settings.named_interactions or bool(geometry.scattering)
+    return is_supported and can_scatter and geometry.num_mirrors <= MAX_MIRRORS
 
 
 class ImageTracer:
@@ -96,8 +104,8 @@ class ImageTracer:
         if not can_solve(geometry, settings):
             raise SceneError(
                 f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
-                f"mirrors that are smooth, but scene {scene.name!r} has {geometry.num_mirrors:,}"
-                f"{', rough ones too,' if geometry.scattering else ''} and is asked for "
+                f"mirrors, diffuse where a material scatters, but scene {scene.name!r} has {geometry.num_mirrors:,}"
+                f"{'' if geometry.scattering else ', none of them rough,'} and is asked for "
                 f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: "
                 "mirrors = 'patches', or a larger least_patch_area_m2, in the scene's TOML."
             )
@@ -133,6 +141,21 @@ class ImageTracer:
             self.diffraction = Diffraction(
                 geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
             )
+        self.diffuse = None
+        if "diffuse" in settings.named_interactions and settings.max_depth:
+            self.diffuse = DiffuseReflection(
+                self._scene,
+                self._media_at_centre,
+                kinds_of(geometry.meshes),
+                mirrors,
+                self._surface,
+                corners_m,
+                scene.receiver,
+                settings,
+                savings.diffuse_mirrors if "specular" in settings.named_interactions else 0,
+                savings.diffuse_tile_m,
+                savings.diffuse_tile_rad,
+            )
 
     def with_antennas(self, scene: Scene) -> ImageTracer:
         """A tracer of a scene that differs in its antennas alone, which shares the sequences that were found."""
@@ -143,6 +166,8 @@ class ImageTracer:
         other._floor_at = {}
         if self.diffraction is not None:
             other.diffraction = self.diffraction.in_scene(other._scene)
+        if self.diffuse is not None:
+            other.diffuse = self.diffuse.in_scene(other._scene, other._media_at_centre)
         return other
 
     @checked
@@ -158,6 +183,8 @@ class ImageTracer:
             floors[i] = self._add_plain(tx[i], sums, num_paths[i])
             if self.diffraction is not None:
                 self.diffraction.add_channel(tx[i], floors[i], sums, num_paths[i])
+            if self.diffuse is not None:
+                self.diffuse.add_channel(tx[i], sums, num_paths[i])
 
         side_by_side(add, len(tx))
         self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
@@ -183,6 +210,8 @@ class ImageTracer:
                 sums = np.zeros((shape[0], shape[2])), np.zeros((shape[0], shape[2]))
                 floor = self._add_plain(tx, sums, np.zeros(shape[0], np.int32))
             found += self.diffraction.paths(tx, floor)
+        if self.diffuse is not None:
+            found += self.diffuse.paths(tx)
         found.sort(key=lambda path: path[1])
 
         def column(i: int, dtype: type, *shape: int) -> Any:
@@ -208,6 +237,12 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
     return (row[:, None] * cols + col[None]).reshape(-1, 4)
 
 
+def kinds_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:
+    """The distinct slabs of some meshes, then those that differ from all of them with their back to the front."""
+    kinds = slabs_of(meshes)
+    return list(dict.fromkeys([*kinds, *(slab.turned for slab in kinds)]))
+
+
 def media_of(
     meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, scene: Scene
 ) -> tuple[Media, Int[IntArray, "2 S"]]:
@@ -215,8 +250,7 @@ def media_of(
 
     The slab of a mesh is told as it is, and with its back to the front.
     """
-    kinds = slabs_of(meshes)
-    kinds = list(dict.fromkeys([*kinds, *(slab.turned for slab in kinds)]))
+    kinds = kinds_of(meshes)
     layers = [layer for slab in kinds for layer in slab.layers]
     first = np.cumsum([0, *(len(slab.layers) for slab in kinds)])
     eta = [[complex_permittivity(layer.material, float(f), policy) for layer in layers] for f in carrier_hz]
@@ -227,7 +261,8 @@ def media_of(
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
     antennas = (scene.transmitter_antenna, scene.receiver.antenna)
     codes = (Antenna(polarization == "H", pattern == "dipole") for pattern, polarization in antennas)
-    media = Media(permittivity, phase_thickness, lanes, first, *codes)
+    specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
+    media = Media(permittivity, phase_thickness, lanes, first, specular, *codes)
     kind = [[kinds.index(slab) for slab in (mesh.slab, mesh.slab.turned)] for mesh in meshes]
     return media, np.array(kind, dtype=np.int64).reshape(-1, 2).T
 

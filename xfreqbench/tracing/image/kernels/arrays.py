@@ -72,6 +72,7 @@ class Media(NamedTuple):
     phase_thickness: F64  # (F, N): 2π d / λ
     lanes: F64  # (N, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
     first: I64  # (K + 1,): layers first[k] to first[k + 1] are of kind k, the first at the front
+    specular: F64  # (K,): share of the reflected field that the slab does not scatter, √(1 − S²); 1 where it is smooth
     transmitter: Antenna
     receiver: Antenna
 

@@ -20,7 +20,7 @@ from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions
 from .compiled import bare, entry, lane, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
-from .fields import antenna_field
+from .fields import antenna_field, specular_share
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
@@ -181,8 +181,9 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
             q, kind = walk.hit[s - 1], facets.slab[walk.hit[s - 1]]
             layers = media.lanes[media.first[kind] : media.first[kind + 1], :, lane : lane + 1]
             reflect(layers, facets.face[q], wave, 1)
+    share = specular_share(facets, media, side.length, walk)
     for c in range(3):
-        field[c] = complex(wave[(3 + c) * BLOCK], wave[(6 + c) * BLOCK])
+        field[c] = complex(wave[(3 + c) * BLOCK], wave[(6 + c) * BLOCK]) * share
 
 
 @bare

@@ -56,6 +56,15 @@ def _receive(media: Media, wave: F64, gain: F64, number: int) -> None:
 
 
 @bare
+def specular_share(facets: Facets, media: Media, length: int, walk: Walk) -> float:
+    """What rough facets leave of the field of a path that was traced and is reflected so many times."""
+    share = 1.0
+    for s in range(length):
+        share *= media.specular[facets.slab[walk.hit[s]]]
+    return share
+
+
+@bare
 def gains(
     facets: Facets, media: Media, path: Path, offset_m: F64, first: int, number: int, walk: Walk, gain: F64
 ) -> None:
@@ -63,7 +72,7 @@ def gains(
 
     They are lanes `first` and after of `media`. Spreading and travel phase are left out.
     """
-    wave = walk.wave
+    wave, share = walk.wave, specular_share(facets, media, path.length, walk)
     for begin in range(0, number, BLOCK):
         end = min(number, begin + BLOCK)
         low, padded = first + begin, -(-(end - begin) // LANES) * LANES
@@ -76,6 +85,10 @@ def gains(
                 q, kind = walk.hit[s], facets.slab[walk.hit[s]]
                 reflect(media.lanes[media.first[kind] : media.first[kind + 1], :, low:], facets.face[q], wave, padded)
         _receive(media, wave, gain[:, begin:end], end - begin)
+    if share < 1.0:
+        for i in range(number):
+            gain[0, i] *= share
+            gain[1, i] *= share
 
 
 @bare

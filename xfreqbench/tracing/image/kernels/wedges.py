@@ -94,7 +94,8 @@ def _cross(a: F64, b: F64, out: F64) -> float:
 
 
 @bare
-def _dot(a: F64, b: F64) -> float:
+def dot(a: F64, b: F64) -> float:
+    """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -130,10 +131,10 @@ def _passed(media: Media, kind: int, f: int, normal: F64, along: F64, k: F64, fi
     norm, cosine, sine = _cross(k, normal, work[0]), 1.0, 0.0
     across = _cross(k, along, work[1])
     if norm > 1e-9:
-        cosine = _dot(work[1], work[0]) / (norm * across)
+        cosine = dot(work[1], work[0]) / (norm * across)
         _cross(work[1], work[0], work[2])
-        sine = _dot(k, work[2]) / (norm * across)
-    _, _, t_te, t_tm = _coefficients(media, kind, f, abs(_dot(k, normal)))
+        sine = dot(k, work[2]) / (norm * across)
+    _, _, t_te, t_tm = _coefficients(media, kind, f, abs(dot(k, normal)))
     te = t_te * (cosine * field[0] + sine * field[1])
     tm = t_tm * (cosine * field[1] - sine * field[0])
     return cosine * te - sine * tm, sine * te + cosine * tm
@@ -154,10 +155,10 @@ def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k
 
 @bare
 def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
-    """Reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
-    cosine = math.sqrt(abs(_dot(k, normal) * _dot(out, normal)))
+    """Specular reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
+    cosine = math.sqrt(abs(dot(k, normal) * dot(out, normal)))
     r_te, r_tm, _, _ = _coefficients(media, kind, f, cosine)
-    return r_te, r_tm
+    return r_te * media.specular[kind], r_tm * media.specular[kind]
 
 
 @bare
@@ -194,7 +195,7 @@ def diffract(
 
     total = (beside_n + beside_0) * (hard * far_hard + soft * far_soft)
     if not wedges.is_opaque[e]:
-        mean, slope = work[5], _dot(k, along)
+        mean, slope = work[5], dot(k, along)
         across = math.sqrt(max(0.0, 1.0 - slope * slope))
         for i in range(2):
             for c in range(3):
