@@ -76,7 +76,9 @@ def test_two_paths_have_the_spreads_and_k_of_their_closed_forms() -> None:
 
 def test_weak_paths_count_for_the_power_alone_and_silence_has_no_statistics() -> None:
     weak = 10**-2.6  # below the window of 25 dB
-    found = of_paths(ragged([2, 0, 1], [1.0, weak, 1.0], delay_s=np.array([0, 1e-6, 0])), 0)
+    paths = ragged([2, 0, 1], [1.0, weak, 1.0], delay_s=np.array([0, 1e-6, 0]))
+    assert of_paths(paths, 0, window_db=27)["delay_spread_s"][0] == pytest.approx(1e-6 * np.sqrt(weak) / (1 + weak))
+    found = of_paths(paths, 0)
     assert found["path_loss_db"][0] == pytest.approx(-10 * np.log10(1 + weak), rel=1e-6)
     assert found["delay_spread_s"][0] == 0
     assert found["num_paths"].tolist()[::2] == [1, 1]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from xfreqbench.examples.make_office_cluttered import clutter, write_scene
+from xfreqbench.examples.what_clutter_adds import variants
 
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry
@@ -81,8 +82,13 @@ def test_the_cluttered_office_is_the_office_and_what_its_script_adds(tmp_path: P
         assert (ours.name, ours.slab) == (theirs.name, theirs.slab)
         np.testing.assert_allclose(ours.corners_m, theirs.corners_m, atol=1e-5)
     assert can_solve(Geometry(meshes), TraceSettings().by("image"))
-    furnished = load_scene(str(write_scene(tmp_path / "furnished", ["furniture"])))
-    assert {mesh.name for mesh in surface_meshes(furnished)[len(office.surface) :]} == set(clutter()["furniture"])
+
+
+def test_each_row_of_the_table_of_clutter_is_another_room(tmp_path: Path) -> None:
+    rows = [(meshes_sha256(surface_meshes(scene)), settings) for _, scene, settings in variants(tmp_path)]
+    assert len(set(rows)) == len(rows)
+    full = meshes_sha256(surface_meshes(load_scene("office_cluttered")))
+    assert [number for number, (sha256, _) in enumerate(rows) if sha256 == full] == [5, 6, 7]
 
 
 def test_rejected_transmitters_are_counted_by_reason() -> None:

@@ -252,14 +252,14 @@ def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) ->
     return ChannelStatistics(links, x * y * z, 2 * (x * y + y * z + z * x), absorption, source)
 
 
-def of_paths(paths: RaggedPaths, carrier: int) -> dict[str, Float[FloatArray, "T *S"]]:
+def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> dict[str, Float[FloatArray, "T *S"]]:
     """The statistics of `LinkStatistics`, by name, of all T transmitters at the carrier of that number."""
     num_tx = len(paths.num_paths)
     tx = np.repeat(np.arange(num_tx), paths.num_paths)
     power = np.abs(paths.gain[:, carrier].astype(np.complex128)) ** 2
     strongest = np.zeros(num_tx)
     np.maximum.at(strongest, tx, power)
-    is_heard = power >= np.maximum(strongest * 10 ** (-WINDOW_DB / 10), np.finfo(float).tiny)[tx]
+    is_heard = power >= np.maximum(strongest * 10 ** (-window_db / 10), np.finfo(float).tiny)[tx]
     near = np.where(is_heard, power, 0.0)
     mechanism = _mechanism(paths)
 
