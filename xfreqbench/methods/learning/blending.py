@@ -178,7 +178,7 @@ class Blend:
                 name = _best_at_unseen(predictors, coarse, carrier_hz)
             elif _of(kind) == KINDS[0]:  # inside the band that at all carriers, for they differ much in which is best
                 told_hz = rows.carrier_hz[:1] if is_outermost else inner_carriers_hz(train)
-                name = _best_at_unheard(predictors, coarse, told_hz.tolist())
+                name = _best_at_unheard(predictors, coarse, told_hz.tolist(), is_inside=not is_outermost)
             else:
                 name = _best_predictor(rows, knowing)
             weight = _best_weight(rows, predict, knowing[name], is_cautious=are_few or carrier_hz is not None)
@@ -275,10 +275,13 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
     return max(sums, key=lambda name: sums[name])
 
 
-def _best_at_unheard(predictors: Sequence[type], train: PasDataset, carriers_hz: Sequence[float]) -> str:
+def _best_at_unheard(
+    predictors: Sequence[type], train: PasDataset, carriers_hz: Sequence[float], *, is_inside: bool
+) -> str:
     """The predictor with the highest SSIM at carriers of a training, each unheard in turn.
 
-    It is the mean over frequency where that may be as good: of few carriers, another may be better by chance.
+    If they are inside the band it is the mean over frequency where that may be as good: of few carriers, another may
+    be better by chance.
     """
     similar: dict[str, list[FloatArray]] = {predictor.__name__: [] for predictor in predictors}
     tx_index = []
@@ -296,7 +299,7 @@ def _best_at_unheard(predictors: Sequence[type], train: PasDataset, carriers_hz:
         return predictors[0].__name__
     scores = {name: np.concatenate(parts) for name, parts in similar.items()}
     best = max(scores, key=lambda name: scores[name].mean())
-    if _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
+    if is_inside and _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
         return _STEADY
     return best
 
