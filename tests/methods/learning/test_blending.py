@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 CARRIERS_GHZ = (1.0, 5.0, 10.0, 37.0)
 NEW_M = np.array([[40.0, 1.0, 1.0]])
+WEIGHTS = ((2e9, 0.25), (8e9, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,7 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 @pytest.fixture(scope="module")
 def holdout(train: PasDataset) -> Holdout:
-    (drawn,) = Holdout.draw(train, 0)  # too few transmitters for a region
-    return drawn
+    return Holdout.draw(train, 0)[-1]
 
 
 def told(maps: np.ndarray) -> Callable[..., np.ndarray]:
@@ -55,32 +55,63 @@ def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
     return predict
 
 
+def at(kind: str, carrier_hz: float) -> str:
+    """The name of a choice for a held-out carrier."""
+    return f"{kind} at {carrier_hz / 1e9:g} GHz"
+
+
 def test_one_carrier_inside_the_band_and_some_transmitters_are_held_out(train: PasDataset, holdout: Holdout) -> None:
-    carriers = {kind: set(train.carrier_hz[rows] / 1e9) for kind, rows in holdout.rows.items()}
+    (held_out_hz,) = set(np.unique(train.carrier_hz)) - set(train.carrier_hz[holdout.left])
+    assert held_out_hz in {5e9, 10e9}
+    unheard, unseen, both = at(KINDS[0], held_out_hz), KINDS[1], at(KINDS[2], held_out_hz)
+    assert set(holdout.rows) == {unheard, unseen, both}
     transmitters = {kind: set(train.tx_index[rows]) for kind, rows in holdout.rows.items()}
-    (held_out,) = carriers[KINDS[0]]
-    assert held_out in {5.0, 10.0}
-    assert carriers[KINDS[1]] == set(CARRIERS_GHZ) - {held_out}
-    assert carriers[KINDS[2]] == {held_out}
-    assert len(transmitters[KINDS[1]]) == 8  # a tenth would be too few
-    assert transmitters[KINDS[2]] <= transmitters[KINDS[1]]
-    assert not transmitters[KINDS[0]] & transmitters[KINDS[1]]
-    assert not set(train.tx_index[holdout.left]) & transmitters[KINDS[1]]
-    assert set(train.carrier_hz[holdout.left] / 1e9) == carriers[KINDS[1]]
+    assert set(train.carrier_hz[holdout.rows[unheard]]) == set(train.carrier_hz[holdout.rows[both]]) == {held_out_hz}
+    assert held_out_hz not in train.carrier_hz[holdout.rows[unseen]]
+    assert len(transmitters[unseen]) == 8  # a tenth would be too few
+    assert transmitters[both] <= transmitters[unseen]
+    assert not transmitters[unheard] & transmitters[unseen]
+    assert not set(train.tx_index[holdout.left]) & transmitters[unseen]
     assert all(train.has_path[rows].all() for rows in holdout.rows.values())
 
 
+def test_before_it_the_outermost_carriers_are_held_out(train: PasDataset, holdout: Holdout) -> None:
+    early, _ = Holdout.draw(train, 0)
+    assert early.until < holdout.until
+    assert set(train.carrier_hz[early.left] / 1e9) == {5.0, 10.0}
+    assert set(early.rows) == {at(kind, carrier_hz) for kind in KINDS[0:4:2] for carrier_hz in (1e9, 37e9)}
+    for kind, rows in early.rows.items():
+        assert set(train.carrier_hz[rows] / 1e9) == {float(kind.split()[-2])}
+
+
+@pytest.mark.parametrize(
+    ("carriers_ghz", "number"), [((1, 2), 0), ((1, 2, 3), 1), ((1, 2, 3, 5, 7), 2), (range(1, 11), 3)]
+)
+def test_of_more_carriers_more_are_held_out_the_lowest_and_the_highest_too(
+    tmp_path: Path, carriers_ghz: Sequence[float], number: int
+) -> None:
+    data = write_dataset(tmp_path / "data.h5", 12, tuple(map(float, carriers_ghz)))
+    last = Holdout.draw(data, 3)[-1]
+    gone = sorted({*carriers_ghz} - set((data.carrier_hz[last.left] / 1e9).tolist()))
+    assert len(gone) == number
+    assert number < 2 or gone[0] == carriers_ghz[1]
+    assert number < 3 or gone[-1] == carriers_ghz[-2]
+
+
 def test_the_same_seed_holds_out_the_same_rows(train: PasDataset, holdout: Holdout) -> None:
-    (again,), (other,) = (Holdout.draw(train, seed) for seed in (0, 1))
-    assert all(np.array_equal(again.rows[kind], holdout.rows[kind]) for kind in KINDS[:3])
-    assert any(not np.array_equal(other.rows[kind], holdout.rows[kind]) for kind in KINDS[:3])
+    again, other = (Holdout.draw(train, seed)[-1].rows for seed in (0, 1))
+    assert set(again) == set(holdout.rows)
+    assert all(np.array_equal(again[kind], rows) for kind, rows in holdout.rows.items())
+    assert any(not np.array_equal(other.get(kind, []), rows) for kind, rows in holdout.rows.items())
 
 
-def test_of_few_transmitters_or_carriers_none_is_held_out(tmp_path: Path) -> None:
-    few = write_dataset(tmp_path / "few.h5", 6, (1.0, 10.0))
+def test_where_nothing_can_be_held_out_other_carriers_have_mostly_the_line_of_sight(tmp_path: Path) -> None:
+    few = write_dataset(tmp_path / "few.h5", 6, (10.0,))
     (drawn,) = Holdout.draw(few, 0)
     assert len(drawn.left) == len(few)
-    assert not Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices
+    assert Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices == {
+        KINDS[0]: Choice(predictor="LineOfSight", weight=0.25)
+    }
 
 
 def away_m(position_m: np.ndarray, known_m: np.ndarray) -> np.ndarray:
@@ -94,11 +125,12 @@ def test_transmitters_of_a_region_are_far_from_those_that_are_left(many: PasData
     left_m = np.unique(many.tx_position_m[early.left], axis=0)
     spacing_m = np.median(KDTree(left_m).query(left_m, k=2)[0][:, 1])
     bounds = dict(zip(KINDS[3:], np.repeat([1.5, 3.0], 2) * spacing_m, strict=True))
-    for kind, rows in early.rows.items():
-        assert (away_m(many.tx_position_m[rows], left_m) > bounds[kind]).all()
+    far = {name: rows for name, rows in early.rows.items() if name.partition(" at ")[0] in KINDS[3:]}
+    for name, rows in far.items():
+        assert (away_m(many.tx_position_m[rows], left_m) > bounds[name.partition(" at ")[0]]).all()
         assert len(np.unique(many.tx_index[rows])) >= 8
-    assert {KINDS[3], KINDS[4]} <= set(early.rows)
-    assert set(early.left) < set(late.left)
+    assert {KINDS[3], at(KINDS[4], 5e9), at(KINDS[4], 37e9)} <= set(far)
+    assert not set(many.carrier_hz[early.left]) & {5e9, 37e9}
     assert len(np.unique(many.tx_index[late.left])) - len(left_m) > 20  # that many more for a quarter of the training
 
 
@@ -115,22 +147,22 @@ def test_a_budget_of_few_seconds_chooses_nothing_for_far_transmitters(many: PasD
 
 def test_far_transmitters_have_their_own_choice(many: PasDataset) -> None:
     early, late = Holdout.draw(many, 0)
-    far_tx = np.concatenate([many.tx_index[rows] for rows in early.rows.values()]).tolist()
+    far_tx = np.concatenate([many.tx_index[rows] for name, rows in early.rows.items() if "far" in name]).tolist()
     near_right = right_at(many, set(many.tx_index.tolist()) - set(far_tx))
     far_right = right_at(many, set(far_tx))
     near_right.__name__, far_right.__name__ = "NearRight", "FarRight"
     given = (near_right, far_right), many
     flat = told(np.ones((64, *many.grid.shape), np.float32))
     before = Blend.chosen(*given, early, flat).choices
-    assert {choice.predictor for choice in before.values()} == {"FarRight"}
+    assert {choice.predictor for name, choice in before.items() if "far" in name} == {"FarRight"}
     blend = Blend.chosen(*given, late, flat, before)
     assert {kind: blend.choices[kind] for kind in before} == before
-    assert blend.choices[KINDS[0]].predictor == "NearRight"
+    assert blend.choices[at(KINDS[0], 10e9)].predictor == "NearRight"
 
 
 def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout: Holdout) -> None:
     blend = Blend.chosen(TRIVIAL, train, holdout, truth_of(train))
-    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(KINDS[:3], 1.0)
+    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(holdout.rows, 1.0)
 
 
 def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
@@ -138,9 +170,9 @@ def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
 ) -> None:
     noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
     blend = Blend.chosen(TRIVIAL, train, holdout, told(noise))
-    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(KINDS[:3], 0.0)
+    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(holdout.rows, 0.0)
     query = train.tx_position_m[:1], np.array([80e9])
-    name = blend.choices[KINDS[0]].predictor
+    name = next(choice.predictor for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
     (alone,) = [each() for each in TRIVIAL if each.__name__ == name]
     next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
     np.testing.assert_allclose(blend.maps(noise[:1], *query), alone.predict(*query), atol=1e-6)
@@ -170,7 +202,7 @@ def test_of_few_transmitters_the_predictor_is_the_one_that_is_best_at_all_of_the
     lucky.__name__, steady.__name__ = "Lucky", "Steady"
     flat = np.ones((64, *train.grid.shape), np.float32)
     choices = Blend.chosen((lucky, steady), train, holdout, told(flat)).choices
-    assert [choices[kind].predictor for kind in KINDS[:3]] == ["Steady", "Steady", "Steady"]
+    assert {choices[kind].predictor for kind in holdout.rows} == {"Steady"}
 
 
 def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(train: PasDataset, holdout: Holdout) -> None:
@@ -190,6 +222,20 @@ def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monke
         patched.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
         Blend.chosen(TRIVIAL, train, holdout, told(noise))
     assert 0 < len(read) == len(set(read)) <= len(train)
+
+
+def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_them_the_outermosts(
+    train: PasDataset,
+) -> None:
+    chosen = {at(KINDS[0], hz): Choice(predictor="LineOfSight", weight=weight, carrier_hz=hz) for hz, weight in WEIGHTS}
+    blend = Blend(TRIVIAL, train, chosen)
+    los = TRIVIAL[0]()
+    next(iter(los.fit(train, Budget(), 0)))
+    learned = np.ones((1, *train.grid.shape), np.float32)
+    for carrier_hz, weight in ((0.5e9, 0.25), (2e9, 0.25), (4e9, 0.625), (8e9, 1.0), (90e9, 1.0)):
+        query = train.tx_position_m[:1], np.array([carrier_hz])
+        mixed = weight + (1 - weight) * los.predict(*query)
+        np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
 
 
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:
@@ -221,8 +267,8 @@ def test_a_blended_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     unbroken, before, after = (XFreqGS(XFreqGSConfig(**options)) for _ in range(3))
     losses = trained(unbroken, train, 12)
     early, late = trained(before, train, 4, end=12), trained(after, train, 9, end=12)
-    assert KINDS[0] not in before.findings().get("blend", {})  # of far transmitters it may have chosen
-    assert KINDS[0] in after.findings()["blend"]
+    assert KINDS[1] not in before.findings().get("blend", {})  # of far transmitters it may have chosen
+    assert KINDS[1] in after.findings()["blend"]
     assert after.findings() == unbroken.findings()
     for nth, (broken, seen) in enumerate([(before, early), (after, late)]):
         resumed = reloaded(broken, tmp_path / f"saved{nth}")

@@ -277,6 +277,18 @@ def test_only_a_fixed_frequency_method_gives_all_carriers_one_map(
     assert (across.max() < 1e-5) == (method is FixedFrequencyGS)
 
 
+@every_method
+def test_beyond_the_band_maps_are_those_of_its_outermost_carriers(
+    method: type[LearnedMethod], dataset: PasDataset
+) -> None:
+    model = tiny(method)
+    trained(model, dataset, 5)
+    low_hz, high_hz = dataset.carrier_hz.min(), dataset.carrier_hz.max()
+    tx_m = dataset.tx_position_m[:1].repeat(2, axis=0)
+    beyond = model.predict(tx_m, np.array([low_hz / 20, high_hz * 20]))
+    np.testing.assert_allclose(beyond, model.predict(tx_m, np.array([low_hz, high_hz])), atol=1e-5)
+
+
 def test_carriers_of_a_narrow_band_are_told_apart() -> None:
     scaling = Scaling()
     carrier_hz = torch.tensor([24.25e9, 24.25e9 + 1e4], dtype=torch.float64)

@@ -304,16 +304,13 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
 def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:
     """Error of carriers on the logarithmic axis of a training band, against ratios of logarithms.
 
-    For a band of one carrier, the reference is twice the logarithm of the ratio to it.
+    Carriers beyond the band are taken for its edge; that of a band of one carrier is 0.
     """
     scaling = Scaling()
     scaling.log_band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
     found = scaling.unit_carrier(torch.tensor(carrier_hz, dtype=torch.float64))[:, 0]
-    if low_hz == high_hz:
-        expected = [2 * math.log(carrier / low_hz) for carrier in carrier_hz]
-    else:
-        width = math.log1p((high_hz - low_hz) / low_hz)
-        expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 for carrier in carrier_hz]
+    width, inside = math.log1p((high_hz - low_hz) / low_hz), np.clip(carrier_hz, low_hz, high_hz)
+    expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 if width else 0.0 for carrier in inside]
     return float((found - torch.tensor(expected)).abs().max())
 
 

@@ -1,14 +1,14 @@
 """Blends learned maps with those of a trivial predictor, by weights that are chosen on validation rows of the training.
 
-In the first half of a training one carrier and some transmitters are held out, as unseen ones will be. With them
-the weights are chosen, for each kind of query; then the training goes on with all rows. Transmitters that are far from
-all trained ones are a kind of their own: without trained neighbours, other predictors are the good ones. For them, the
-transmitters of a whole region are held out in the first quarter.
+In the first half of a training some carriers and transmitters are held out, as unseen ones will be. With them the
+weights are chosen, for each kind of query; then the training goes on with all rows. For transmitters that are far from
+all trained ones, and for carriers beyond the training band, other predictors are the good ones. For them, a region of
+transmitters and the outermost carriers are held out in the first quarter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.mixing import STRIDE, WEIGHTS, Predict, mixed, similarities, similarities_by_weight
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps
+from xfreqbench.units import format_ghz
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters
@@ -33,18 +34,26 @@ _ROUNDING = 1e-6  # of a standard error: a gain at one transmitter alone is as l
 _FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
 _LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take one or two
 _REGION_SHARE = 0.15  # of the transmitters
+_MANY_CARRIERS = 7  # so many that those inside the band may be held out beside the outermost ones
+_MOST_CARRIERS = 3  # that are held out inside the band
+_STEADY = "MeanOverFrequency"  # the trivial predictor that no single carrier leads astray
+_UNKNOWN_WEIGHT = 0.25  # of the learned maps, where no carrier can be held out
 _PLACES = ("transmitter", "far transmitter", "very far transmitter")
 BoolArray = NDArray[np.bool_]
 KINDS = ("unseen carrier", *(kind for place in _PLACES for kind in (f"unseen {place}", f"unseen carrier and {place}")))
 
 
 class Choice(BaseModel):
-    """For a kind of query: the trivial predictor's name, and the weight of the learned maps beside it."""
+    """For a kind of query: the trivial predictor's name, and the weight of the learned maps beside it.
+
+    It is a choice for one carrier, held out to make it, where the kind is of unseen carriers.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     predictor: str
     weight: float
+    carrier_hz: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,41 +66,56 @@ class Holdout:
 
     @classmethod
     def draw(cls, train: PasDataset, seed: int, seconds: float | None = None) -> list[Holdout]:
-        """One carrier inside the band and a tenth of the transmitters, and before it a region too, the earliest first.
+        """Carriers inside the band and a tenth of the transmitters, and before it a region and the outermost carriers.
 
-        They are the same for the same seed. Of few transmitters they are more than a tenth. `make_splits` with
-        `on="validation"` chooses among the same carriers, and draws transmitters in the same way. Where too few
-        transmitters of the region would be far from those that are left, it is not held out.
+        The earliest comes first, and they are the same for the same seed. Of few transmitters they are more than a
+        tenth. `make_splits` with `on="validation"` chooses among the same inner carriers, and draws transmitters in the
+        same way. Where too few transmitters of the region would be far from those that are left, it is not held out.
         """
         generator = np.random.default_rng(seed)
-        is_carrier, inner_hz = np.zeros(len(train), bool), inner_carriers_hz(train)
-        if len(inner_hz):
-            is_carrier = train.carrier_hz == inner_hz[generator.integers(len(inner_hz))]
+        heard_hz, inner_hz = np.unique(train.carrier_hz), inner_carriers_hz(train)
+        is_carrier = np.isin(train.carrier_hz, _drawn_carriers(inner_hz, generator))
         least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.place_index)) // _LEAST_TX_SHARE))
         is_tx = np.isin(train.place_index, validation_tx(train, generator, _MOST_ROWS, least))
 
-        def drawn(until: float, left: BoolArray, of_kinds: Mapping[str, BoolArray]) -> Holdout:
-            rows = {
-                kind: np.sort(generator.permutation(np.flatnonzero(of & train.has_path))[:_MOST_ROWS])
-                for kind, of in of_kinds.items()
-            }
-            return cls(until, np.flatnonzero(left), rows)
+        def drawn(until: float, is_unseen: BoolArray, is_unheard: BoolArray, places: Sequence[BoolArray]) -> Holdout:
+            """What is neither of unseen transmitters nor of unheard carriers is left; places are those of `KINDS`."""
+            of_kinds = {KINDS[2 * nth - 1]: of & ~is_unheard for nth, of in enumerate(places) if nth}
+            for nth, of in enumerate(places):
+                for carrier_hz in np.unique(train.carrier_hz[is_unheard]).tolist():
+                    kind = f"{KINDS[2 * nth]} at {format_ghz(carrier_hz)}"
+                    of_kinds[kind] = of & is_unheard & (train.carrier_hz == carrier_hz)
+            drawn = {kind: generator.permutation(np.flatnonzero(of & train.has_path)) for kind, of in of_kinds.items()}
+            rows = {kind: np.sort(of[:_MOST_ROWS]) for kind, of in drawn.items() if len(of) >= _LEAST_ROWS}
+            return cls(until, np.flatnonzero(~is_unseen & ~is_unheard), rows)
 
-        among = (is_carrier & ~is_tx, ~is_carrier & is_tx, is_carrier & is_tx)
-        last = drawn(CHOOSE_AT, ~is_carrier & ~is_tx, dict(zip(KINDS[:3], among, strict=True)))
+        last = drawn(CHOOSE_AT, is_tx, is_carrier, (~is_tx, is_tx))
         is_unseen = is_tx | _is_in_region(train, generator)
-        left = ~is_carrier & ~is_unseen
-        if not left.any() or (seconds is not None and seconds < _LEAST_SECONDS_FOR_FAR):
+        is_outermost = np.isin(train.carrier_hz, heard_hz[[0, -1]] if len(heard_hz) > 2 else heard_hz[1:])
+        is_unheard = is_outermost | (is_carrier & (len(heard_hz) >= _MANY_CARRIERS))
+        is_left = ~is_unseen & ~is_unheard
+        if not is_left.any() or (seconds is not None and seconds < _LEAST_SECONDS_FOR_FAR):
             return [last]
-        known = TrainingTransmitters(train.subset(np.flatnonzero(left)))
+        known = TrainingTransmitters(train.subset(np.flatnonzero(is_left)))
         reach = _reach(known, train.tx_position_m) * is_unseen
-        far: dict[str, BoolArray] = {}
-        for nth, kinds in ((2, KINDS[5:]), (1, KINDS[3:5])):
+        for nth in (2, 1):
             if len(np.unique(train.tx_index[reach == nth])) < _LEAST_TX:  # a few transmitters say little
                 reach[reach == nth] -= 1
-            else:
-                far |= dict(zip(kinds, ((reach == nth) & ~is_carrier, (reach == nth) & is_carrier), strict=True))
-        return [drawn(CHOOSE_FAR_AT, left, far), last] if far else [last]
+        is_near = reach == 0  # with inner carriers, they wait for the last holdout
+        places = (is_near & ~is_unseen & is_outermost, is_tx & is_near & is_outermost, reach == 1, reach == 2)
+        early = drawn(CHOOSE_FAR_AT, is_unseen, is_unheard, places)
+        return [early, last] if early.rows else [last]
+
+
+def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Generator) -> Float[FloatArray, "n"]:
+    """Of carriers inside the band, at most half: one at random, and beside it the lowest, and the highest.
+
+    What is learned often fails at one end of the band alone.
+    """
+    number = min(_MOST_CARRIERS, (len(inner_hz) + 1) // 2)
+    ends = {0: [], 1: [], 2: [0], 3: [0, len(inner_hz) - 1]}[number]
+    others = np.setdiff1d(np.arange(len(inner_hz)), ends)
+    return inner_hz[[*ends, *([generator.choice(others)] if number else [])]]
 
 
 def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDArray[np.bool_], "N"]:
@@ -118,7 +142,7 @@ class Blend:
 
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
-        needed = {choice.predictor for choice in choices.values() if choice.weight < 1}
+        needed = {choice.predictor for choice in choices.values() if choice.weight != 1}
         self._predictors = {
             predictor.__name__: _knowing(predictor, train) for predictor in predictors if predictor.__name__ in needed
         }
@@ -134,7 +158,8 @@ class Blend:
     ) -> Blend:
         """For each kind of query the choice that is best on the held-out rows; `predict` gives the learned maps.
 
-        `before` are the choices for other kinds, made earlier.
+        `before` are the choices for other kinds, made earlier. Where no carrier can be held out, maps at others are
+        means of the learned ones and those of the first predictor.
 
         A few held-out transmitters say little. Then the predictor is the one that is best at all training
         transmitters, a fifth of them unseen in turn, and the weight the smallest that is not worse than the best by
@@ -144,44 +169,81 @@ class Blend:
         left = coarse.subset(holdout.left)
         knowing = {predictor.__name__: _knowing(predictor, left).predict for predictor in predictors}
         choices = dict(before)
+        outermost_hz = train.carrier_hz.min(), train.carrier_hz.max()
         for kind, of_kind in holdout.rows.items():
-            if len(of_kind) < _LEAST_ROWS:
-                continue
             rows = coarse.subset(of_kind)
-            are_few = len(np.unique(rows.tx_index)) < _FEW_TX
-            known = knowing
-            if are_few and kind in KINDS[1:3]:
-                unseen_hz = rows.carrier_hz[0] if kind == KINDS[2] else None
-                name = _best_at_unseen(predictors, coarse, unseen_hz)
-                known = {name: knowing[name]}
-            choices[kind] = _best(rows, predict, known, is_cautious=are_few)
+            carrier_hz = float(rows.carrier_hz[0]) if " at " in kind else None
+            are_few, is_outermost = len(np.unique(rows.tx_index)) < _FEW_TX, carrier_hz in outermost_hz
+            if are_few and _of(kind) in KINDS[1:3]:
+                name = _best_at_unseen(predictors, coarse, carrier_hz)
+            elif _of(kind) == KINDS[0]:  # inside the band that at all carriers, for they differ much in which is best
+                told_hz = rows.carrier_hz[:1] if is_outermost else inner_carriers_hz(train)
+                name = _best_at_unheard(predictors, coarse, told_hz.tolist(), is_inside=not is_outermost)
+            else:
+                name = _best_predictor(rows, knowing)
+            weight = _best_weight(rows, predict, knowing[name], is_cautious=are_few or carrier_hz is not None)
+            choices[kind] = Choice(predictor=name, weight=weight, carrier_hz=carrier_hz)
+        if holdout.until == CHOOSE_AT and not any(map(KINDS[0].__eq__, map(_of, choices))):
+            choices[KINDS[0]] = Choice(predictor=predictors[0].__name__, weight=_UNKNOWN_WEIGHT)
         return cls(predictors, train, choices)
 
     def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, blended by the choice for the kind of each."""
         blended = learned.copy()
-        for nth, chosen in enumerate(self._of_kinds(tx_position_m, carrier_hz)):
-            choice = self._choice(nth)
-            if choice is None or choice.weight == 1 or not chosen.any():
-                continue
-            trivial = self._predictors[choice.predictor].predict(tx_position_m[chosen], carrier_hz[chosen])
-            blended[chosen] = mixed(choice.weight, learned[chosen], trivial)
+        for (kind, is_beyond), asked in self._kinds(tx_position_m, carrier_hz).items():
+            blended[asked] = 0
+            for choice, share in self._shares(kind, is_beyond, carrier_hz[asked]):
+                at, maps = asked[share > 0], learned[asked[share > 0]]
+                if choice.weight != 1 and len(at):
+                    trivial = self._predictors[choice.predictor].predict(tx_position_m[at], carrier_hz[at])
+                    maps = mixed(choice.weight, maps, trivial)
+                blended[at] += share[share > 0].astype(np.float32)[:, None, None] * maps
+            blended[asked] = mixed(1.0, blended[asked], blended[asked])
         return blended
 
-    def _choice(self, nth: int) -> Choice | None:
-        """The choice for a kind; where far transmitters have none, that for nearer ones."""
-        nearer = range(nth, 0, -2) if nth else [0]
-        return next((self.choices[KINDS[kind]] for kind in nearer if KINDS[kind] in self.choices), None)
+    def _shares(
+        self, kind: str, is_beyond: bool, carrier_hz: Float[FloatArray, "B"]
+    ) -> Iterator[tuple[Choice, Float[FloatArray, "B"]]]:
+        """The choices for a kind, and the share of each at some carriers, all inside the band or all beyond it.
 
-    def _of_kinds(
+        A carrier between two that were held out has a share of both, by its distance from them in log f; one beyond
+        them has all of the nearest. Inside the band the outermost carriers do not count, and beyond it they alone.
+        """
+        of_kind = [choice for name, choice in self.choices.items() if _of(name) == kind]
+        outermost_hz = self.transmitters.carrier_hz[[0, -1]]
+        alike = [choice for choice in of_kind if (_carrier_of(choice) in outermost_hz) == is_beyond] or of_kind
+        choices = sorted(alike, key=_carrier_of)
+        place = np.interp(np.log(carrier_hz), np.log([*map(_carrier_of, choices)]), np.arange(len(choices)))
+        for nth, choice in enumerate(choices):
+            yield choice, np.clip(1 - np.abs(place - nth), 0, 1)
+
+    def _kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> tuple[Bool[NDArray[np.bool_], "B"], ...]:
-        """Which queries are of each kind; those of seen transmitters and carriers are as those of unseen carriers."""
-        is_known = self.transmitters.knows(tx_position_m)
-        is_heard = np.isin(carrier_hz, self.transmitters.carrier_hz)
-        reach = _reach(self.transmitters, tx_position_m)
-        of_places = [~is_known & (reach == nth) for nth in range(len(_PLACES))]
-        return is_known, *(rows for of in of_places for rows in (of & is_heard, of & ~is_heard))
+    ) -> dict[tuple[str, bool], Int[IntArray, "n"]]:
+        """The numbers of the queries of each kind, inside the band and beyond it.
+
+        Where there is no choice for their kind, a nearer one's is taken. Those of seen transmitters and carriers are as
+        those of unseen carriers.
+        """
+        place = np.where(self.transmitters.knows(tx_position_m), 0, 1 + _reach(self.transmitters, tx_position_m))
+        heard_hz, known = self.transmitters.carrier_hz, {*map(_of, self.choices)}
+        is_heard, is_beyond = np.isin(carrier_hz, heard_hz), (carrier_hz < heard_hz[0]) | (carrier_hz > heard_hz[-1])
+        of_kind: dict[tuple[str, bool], list[int]] = {}
+        for nth, (where, heard) in enumerate(zip(place.tolist(), is_heard.tolist(), strict=True)):
+            nearer = range(where, min(where, 1) - 1, -1)
+            kinds = [KINDS[max(0, 2 * n - is_too)] for is_too in ((1,) if heard else (0, 1)) for n in nearer]
+            if found := next((kind for kind in kinds if kind in known), None):
+                of_kind.setdefault((found, bool(is_beyond[nth])), []).append(nth)
+        return {kind: np.array(numbers) for kind, numbers in of_kind.items()}
+
+
+def _of(name: str) -> str:
+    """The kind of query that a choice is for, without the carrier."""
+    return name.partition(" at ")[0]
+
+
+def _carrier_of(choice: Choice) -> float:
+    return choice.carrier_hz or 1.0
 
 
 def _knowing(predictor: type, train: PasDataset) -> Any:
@@ -213,20 +275,54 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
     return max(sums, key=lambda name: sums[name])
 
 
-def _best(rows: PasDataset, predict: Predict, trivial: Mapping[str, Predict], *, is_cautious: bool) -> Choice:
-    """The predictor with the highest SSIM by itself, and the weight with the highest SSIM beside it.
+def _best_at_unheard(
+    predictors: Sequence[type], train: PasDataset, carriers_hz: Sequence[float], *, is_inside: bool
+) -> str:
+    """The predictor with the highest SSIM at carriers of a training, each unheard in turn.
+
+    If they are inside the band it is the mean over frequency where that may be as good: of few carriers, another may
+    be better by chance.
+    """
+    similar: dict[str, list[FloatArray]] = {predictor.__name__: [] for predictor in predictors}
+    tx_index = []
+    for carrier_hz in carriers_hz:
+        is_carrier = train.carrier_hz == carrier_hz
+        rows = np.flatnonzero(is_carrier & train.has_path)
+        asked, left = train.subset(rows[:: -(-len(rows) // _MOST_ROWS) or 1]), train.subset(~is_carrier)
+        if not (len(asked) and left.has_path.any()):
+            continue
+        tx_index.append(asked.tx_index)
+        for predictor in predictors:
+            maps = _knowing(predictor, left).predict(asked.tx_position_m, asked.carrier_hz)
+            similar[predictor.__name__].append(similarities(maps, asked.pas(), 1))
+    if not tx_index:
+        return predictors[0].__name__
+    scores = {name: np.concatenate(parts) for name, parts in similar.items()}
+    best = max(scores, key=lambda name: scores[name].mean())
+    if is_inside and _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
+        return _STEADY
+    return best
+
+
+def _best_predictor(rows: PasDataset, trivial: Mapping[str, Predict]) -> str:
+    """The predictor with the highest SSIM by itself."""
+    query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
+    return max(trivial, key=lambda name: similarities(trivial[name](*query), truth, 1).mean())
+
+
+def _best_weight(rows: PasDataset, predict: Predict, trivial: Predict, *, is_cautious: bool) -> float:
+    """The weight of the learned maps with the highest SSIM beside a trivial predictor.
 
     Of weights that are equally good it is the largest, and of those that may be as good, if it `is_cautious`, the
     smallest.
     """
-    query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
-    learned, maps = predict(*query)[:, ::STRIDE, ::STRIDE], {name: known(*query) for name, known in trivial.items()}
-    name = max(maps, key=lambda name: similarities(maps[name], truth, 1).mean())
-    similar = dict(zip(WEIGHTS, similarities_by_weight(learned, maps[name], truth, 1), strict=True))
+    query = rows.tx_position_m, rows.carrier_hz
+    scores = similarities_by_weight(predict(*query)[:, ::STRIDE, ::STRIDE], trivial(*query), rows.pas(), 1)
+    similar = dict(zip(WEIGHTS, scores, strict=True))
     best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
     if is_cautious:
         best = next(weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index))
-    return Choice(predictor=name, weight=best)
+    return best
 
 
 def _may_be_as_good(

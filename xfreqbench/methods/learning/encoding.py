@@ -32,7 +32,7 @@ class Scaling(nn.Module):
     """The receiver's frame and the box and band of the training data, scaled to [−1, 1].
 
     Positions are relative to the array, in its frame. The box holds all training transmitters and the array, with
-    a margin of `_MARGIN`. Carriers lie on a logarithmic axis; those outside the band exceed ±1.
+    a margin of `_MARGIN`. A carrier outside the band is taken for the nearest one in it, so that nothing extrapolates.
     """
 
     receiver_m: Tensor
@@ -74,22 +74,22 @@ class Scaling(nn.Module):
         return (position_m - self.center_m) / self.half_size_m
 
     def unit_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
-        """Natural logarithms of carriers, scaled so that the training band is [−1, 1].
-
-        For a band of one carrier they are taken relative to it, and doubled.
-        """
-        low, high = self.log_band
-        width = torch.where(high > low, high - low, 1.0)
-        return ((2 * carrier_hz.log() - low - high) / width)[:, None].float()
+        """Logarithms of carriers, scaled so that the training band is [−1, 1]; for a band of one carrier, it is 0."""
+        return self._unit(carrier_hz.log(), self.log_band)
 
     def root_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
         """Square roots of carriers, scaled so that the training band is [−1, 1]; for a band of one carrier, it is 0.
 
         Carriers stand more evenly on this axis than on a logarithm, where the lowest have most to say.
         """
-        low, high = (self.log_band / 2).exp()
-        width = torch.where(high > low, high - low, high)
-        return ((2 * carrier_hz.sqrt() - low - high) / width)[:, None].float()
+        return self._unit(carrier_hz.sqrt(), (self.log_band / 2).exp())
+
+    @staticmethod
+    def _unit(carrier: Float[Tensor, "B"], band: Float[Tensor, "2"]) -> Float[Tensor, "B 1"]:
+        """Carriers of the band on an axis, scaled to [−1, 1]; those outside it are −1 or 1."""
+        low, high = band
+        width = torch.where(high > low, high - low, 1.0)
+        return ((2 * carrier.clamp(low, high) - low - high) / width)[:, None].float()
 
 
 class FeatureGrid(nn.Module):

@@ -209,7 +209,7 @@ class LearnedMethod:
         """For each kind of query, with which trivial predictor maps are blended, and the weight of the learned maps."""
         if self._blend is None:
             return {}
-        return {"blend": {kind: choice.model_dump() for kind, choice in self._blend.choices.items()}}
+        return {"blend": {kind: choice.model_dump(exclude_none=True) for kind, choice in self._blend.choices.items()}}
 
     def _learned(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
