@@ -1,4 +1,4 @@
-"""Kernels of a slab of one layer or several: its coefficients, and what it does to a wave, for many waves in lanes."""
+"""Kernels of a slab of one or several layers: its coefficients, and what it does to a wave, for many waves in lanes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Four = tuple[complex, complex, complex, complex]
 Pair = tuple[float, float]  # real and imaginary part
 
 OPAQUE_NEPERS = 40.0  # of loss through a slab: nothing comes back from its far face, and nothing comes out
-GRAZING = 1e-6  # cosine below which layers are met as at this one, so that no echo between two of them goes on for ever
+GRAZING = 1e-6  # least cosine of incidence upon layers; at 0 the echoes between two of them have no finite sum
 
 
 @lane
@@ -112,8 +112,8 @@ coefficients = within(slab_coefficients)
 def _stack(cosine: float, real: F64, imag: F64, phase_thickness: F64, is_from_behind: bool) -> Four:
     """Reflection TE, TM and transmission TE, TM of n layers in contact, as `stack_coefficients`.
 
-    Every layer is a slab in free space, with no space to the next: what two parts throw to each other is summed
-    (Redheffer's star product). No number in it is larger than 1 but for 1/(1 − r·r'), which echoes are.
+    Every layer is a slab in free space, at no distance from the next. 1/(1 − r·r') sums the echoes between a layer and
+    those before it (Redheffer's star product). No exponential grows, however thick the layers are.
     """
     front_te, front_tm, back_te, back_tm, through_te, through_tm = 0j, 0j, 0j, 0j, 1.0 + 0j, 1.0 + 0j
     for i in range(len(real)):
