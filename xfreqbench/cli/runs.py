@@ -157,7 +157,8 @@ def run(
     from xfreqbench.runs.run import asked_tasks, run_shown
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
-    methods, targets_ghz = dict.fromkeys(names, set_), parse_targets_ghz(targets)
+    methods: dict[str | type, tuple[str, ...]] = {name: set_ for name in names}
+    targets_ghz = parse_targets_ghz(targets)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device)
     if dry_run:
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
