@@ -75,7 +75,7 @@ def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: l
     [
         (
             "run --data office.h5 --results results",
-            "needs --method.",
+            "needs --methods or --method.",
             "Example: xfreqbench run --data office.h5 --method",
         ),
         ("view office.h5", "needs --output or -o.", "Example: xfreqbench view office.h5 --tx 7 -o office_view"),
@@ -92,6 +92,18 @@ def test_a_command_line_that_lacks_something_is_told_what_and_shown_an_example(
     said = " ".join((done.stderr + done.stdout).replace("│", " ").split())
     assert done.returncode == 2
     assert needed in said and example in said, said
+
+
+def test_options_have_the_names_of_python_and_their_older_ones() -> None:
+    for word in ("--methods nearest --targets-ghz 10 --seeds 1", "--method nearest --targets 10 --seed 1"):
+        _, bound, _ = app.parse_args(f"run --data d.h5 --results r {word}", exit_on_error=False)
+        assert {name: bound.arguments[name] for name in ("method", "targets", "seed")} == {
+            "method": "nearest",
+            "targets": "10",
+            "seed": "1",
+        }
+    for word in ("--freqs-ghz", "--freqs"):
+        assert app.parse_args(f"generate empty -o x.h5 {word} 2.4", exit_on_error=False)[1].arguments["freqs"] == "2.4"
 
 
 def test_an_unknown_option_names_the_nearest() -> None:

@@ -185,7 +185,11 @@ def split(
         str, Parameter(help="lofo, sparse, held-out-tx, lofo-unseen-tx, held-out-block or random-samples; see `run`.")
     ] = "lofo",
     targets: Annotated[
-        str | None, Parameter(help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77.")
+        str | None,
+        Parameter(
+            name=["--targets-ghz", "--targets"],
+            help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77.",
+        ),
     ] = None,
     on: ScoredOnOption = "test",
     maps: Annotated[

@@ -142,7 +142,10 @@ def bench_measured(
     scene: str,
     measured: Path,
     *,
-    freqs: Annotated[str, Parameter(help="Carriers in GHz, comma-separated, whose powers are averaged.")],
+    freqs: Annotated[
+        str,
+        Parameter(name=["--freqs-ghz", "--freqs"], help="Carriers in GHz, comma-separated, whose powers are averaged."),
+    ],
     height: Annotated[
         float | None, Parameter(help="z in metres of all positions, for a file without that column.")
     ] = None,

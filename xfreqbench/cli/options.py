@@ -51,7 +51,11 @@ for flag in ("--help", "--version"):
     app[flag].group = _OTHERS
 
 Freqs = Annotated[
-    str, Parameter(help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.")
+    str,
+    Parameter(
+        name=["--freqs-ghz", "--freqs"],
+        help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.",
+    ),
 ]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
@@ -88,7 +92,7 @@ def parse_names(text: str | None) -> list[str] | None:
     return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
 
 
-def parse_carriers_ghz(freqs: str, option: str = "--freqs") -> list[float]:
+def parse_carriers_ghz(freqs: str, option: str = "--freqs-ghz") -> list[float]:
     """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names `option`."""
     if freqs.strip() == "paper":
         return list(PAPER_CARRIERS_GHZ)
@@ -106,7 +110,7 @@ def parse_carriers_ghz(freqs: str, option: str = "--freqs") -> list[float]:
     return carriers_ghz
 
 
-def parse_carriers_hz(freqs: str, option: str = "--freqs") -> list[float]:
+def parse_carriers_hz(freqs: str, option: str = "--freqs-ghz") -> list[float]:
     """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises as `parse_carriers_ghz` does."""
     return [ghz_to_hz(carrier_ghz) for carrier_ghz in parse_carriers_ghz(freqs, option)]
 
@@ -115,7 +119,7 @@ def parse_targets_ghz(targets: str | None) -> list[float] | Literal["all"] | Non
     """Held-out carriers in GHz from text such as `2.4,77`; `all` and None stay. Raises `XFreqBenchError`."""
     if targets is None:
         return None
-    return "all" if targets == "all" else parse_carriers_ghz(targets, "--targets")
+    return "all" if targets == "all" else parse_carriers_ghz(targets, "--targets-ghz")
 
 
 def say(text: str, quiet: bool = False) -> None:

@@ -113,7 +113,11 @@ def run(
     data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
     results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
-        str, Parameter(help="Names or package.module:Class, comma-separated; `all` for every installed one.")
+        str,
+        Parameter(
+            name=["--methods", "--method"],
+            help="Names or package.module:Class, comma-separated; `all` for every installed one.",
+        ),
     ],
     protocol: Annotated[
         str,
@@ -127,11 +131,15 @@ def run(
     targets: Annotated[
         str | None,
         Parameter(
-            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; default 2.4,24.25,77."
+            name=["--targets-ghz", "--targets"],
+            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; by default "
+            "2.4,24.25,77.",
         ),
     ] = None,
     on: ScoredOnOption = "test",
-    seed: Annotated[str, Parameter(help="Seeds of the methods, comma-separated: one run each.")] = "0",
+    seed: Annotated[
+        str, Parameter(name=["--seeds", "--seed"], help="Seeds of the methods, comma-separated: one run each.")
+    ] = "0",
     budget: Annotated[
         str,
         Parameter(
@@ -164,8 +172,8 @@ def run(
     from xfreqbench.runs.run import asked_tasks, run_shown
 
     names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
-    methods, targets_ghz = dict.fromkeys(names, set_), parse_targets_ghz(targets)
-    link = receiver, polarization
+    methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(names, set_)
+    targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
     if dry_run:
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
@@ -194,7 +202,7 @@ def _seeds(text: str) -> list[int]:
     """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
-        raise XFreqBenchError(f"--seed takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}.")
+        raise XFreqBenchError(f"--seeds takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}.")
     return list(dict.fromkeys(map(int, parts)))
 
 

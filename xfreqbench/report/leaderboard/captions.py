@@ -16,17 +16,17 @@ from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
 _EXPLAINED_COSTS = ("seconds", "milliseconds", "memory", "parameters")
-_OF_ALL_TRIVIAL = f"1 − (1 − SSIM) / (1 − SSIM of the best of {', '.join(EVERY_TRIVIAL)} on the same split)"
 LEADERBOARD_TERMS = {
-    "skill": f"{_OF_ALL_TRIVIAL}; negative where a method is worse than that predictor, a dash unless the first "
-    f"{len(NEEDED_TRIVIAL)} of them were run; the others count where they were. Every resample finds the best anew",
-    "[low, high]": f"95 % percentile interval of {NUM_RESAMPLES:,} bootstrap resamples, which draw "
-    "transmitters with all their samples, the same ones for every method (paired), and seeds, whose deviations "
-    "are widened as Student's t asks for their number. Of a hundred pairs of equally good methods, five may "
-    "still be told apart. A bound that decides which is better, and that is not known to a tenth of its distance from "
-    "zero, is taken from 16,000 resamples, and as 0 where these do not suffice",
-    "rank": "best and worst place that the intervals of the differences leave open; not corrected for the "
-    f"number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so not ranked (a trivial predictor has no seed)",
+    "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
+    f"below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of {', '.join(EVERY_TRIVIAL)} on the same split). "
+    f"A dash: one of the first {len(NEEDED_TRIVIAL)} of these was not run. In every resample the best is found anew",
+    "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws transmitters with all "
+    "their samples, the same ones for every method (paired), and seeds; as seeds are few, their spread is widened by "
+    "Student's t. Of a hundred pairs of equally good methods, about five are still told apart by chance. A bound that "
+    "decides which is better, and that is not known to a tenth of its distance from zero, is taken from 16,000 "
+    "resamples, and as 0 where these do not suffice",
+    "rank": "the best and the worst place that the intervals of the differences allow; not corrected for the number of "
+    f"comparisons. A dash: fewer than {MIN_SEEDS} seeds, so no rank (a trivial predictor needs no seed)",
 }
 _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "
