@@ -46,6 +46,11 @@ def test_each_saving_of_the_image_method_leaves_the_maps_where_they_were(work: W
     assert {name for name in exact for saving in savings if name in saving.name} == exact
 
 
+def test_diffuse_reflection_changes_the_channels_and_most_of_it_comes_without_a_mirror(work: Workload) -> None:
+    (all_of_it, _), (over_mirrors, _) = map(moved, efficiency.diffuse_savings(work.few(2, 1)))
+    assert all_of_it > over_mirrors > 1e-3
+
+
 def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
     kept, together = efficiency.map_savings(work.few(2, 1))
     for saving in (kept, together):

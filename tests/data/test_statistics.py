@@ -86,6 +86,28 @@ def test_weak_paths_count_for_the_power_alone_and_silence_has_no_statistics() ->
     assert np.isnan(found["k_factor_db"]).all()  # no other path than the direct one
 
 
+def test_diffuse_paths_count_together_however_many_they_are() -> None:
+    """A tile of 18 dB below the direct path, and 100 of a hundredth of its power each."""
+
+    def statistics(number: int) -> dict[str, NDArray[np.float64]]:
+        delay_s = np.array([10e-9, *[30.2e-9] * number, 60e-9])
+        power = [1.0, *[10**-1.8 / number] * number, 10**-2.7]
+        num_interactions = np.array([0] + [1] * (number + 1))
+        paths = ragged(
+            [number + 2],
+            power,
+            delay_s=delay_s,
+            num_interactions=num_interactions,
+            interaction=[DIFFUSE] * (number + 1),
+        )
+        return of_paths(paths, 0)
+
+    one, many = statistics(1), statistics(100)
+    assert one["delay_spread_s"][0] == pytest.approx(20.2e-9 * np.sqrt(10**-1.8) / (1 + 10**-1.8), rel=1e-3)
+    for name in ("delay_spread_s", "k_factor_db", "arrival_azimuth_spread_deg"):
+        assert many[name][0] == pytest.approx(one[name][0], rel=1e-5)
+
+
 def test_a_path_has_one_mechanism_and_their_shares_sum_to_one() -> None:
     met = [[], [SPECULAR], [SPECULAR, REFRACTION], [REFRACTION, DIFFRACTION], [DIFFRACTION, DIFFUSE]]
     power = [5.0, 4.0, 3.0, 2.0, 1.0]

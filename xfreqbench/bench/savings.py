@@ -132,8 +132,9 @@ def bench_savings(bench: Bench) -> None:
 
 
 def all_savings() -> Iterator[Saving]:
-    """All savings: of both solvers, and of maps."""
+    """All savings: of both solvers, and of maps; and what diffuse reflection costs, which is off by default."""
     yield from image_savings(office_workload("image"))
+    yield from diffuse_savings(office_workload("image", num_tx=4))
     yield from map_savings(office_workload("image", num_tx=6))
     yield from sionna_savings(office_workload("sionna"))
 
@@ -168,7 +169,6 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
         )
     yield from edge_savings(work.few(2, 3))
-    yield from diffuse_savings(work.few(2, 10))
     yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
     yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")

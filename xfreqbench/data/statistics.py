@@ -37,6 +37,7 @@ from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz
 
 WINDOW_DB = 25.0
+_DELAY_STEPS = 10_000  # of a nanosecond, in each of which the power of all diffuse paths counts together
 MECHANISMS = ("direct", "reflected", "transmitted", "diffracted", "diffuse")
 _LEAST_DECADES = 0.1  # of distance, over which an exponent is fitted
 
@@ -46,10 +47,11 @@ class LinkStatistics:
     """What the paths of n transmitters at F carriers say; nan where no path arrives, or the sample is not asked for.
 
     Path loss and the shares of the power, summed over paths, are of all paths; the rest is of those at most
-    `WINDOW_DB` below the strongest. Delay spreads are the rms of delays weighted by power, and angular spreads the
-    circular standard deviation √(−2·ln|Σ P·exp(jφ) / Σ P|) (3GPP TR 38.901, Annex A), in world axes, of arrival at the
-    array and of departure from the transmitter. `k_factor_db` is the power of the direct path over that of all others,
-    and nan without both. The last axis of `power_share` has the `MECHANISMS`: a path is what comes last in this order
+    `WINDOW_DB` below the strongest, where diffuse ones count by their power in each nanosecond. Delay spreads are the
+    rms of delays weighted by power, and angular spreads the circular standard deviation √(−2·ln|Σ P·exp(jφ) / Σ P|)
+    (3GPP TR 38.901, Annex A), in world axes, of arrival at the array and of departure from the transmitter.
+    `k_factor_db` is the power of the direct path over that of all others, and nan without both. The last axis of
+    `power_share` has the `MECHANISMS`: a path is what comes last in this order
     of what it meets, so that one which is both reflected and transmitted is transmitted.
     """
 
@@ -259,9 +261,13 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
     power = np.abs(paths.gain[:, carrier].astype(np.complex128)) ** 2
     strongest = np.zeros(num_tx)
     np.maximum.at(strongest, tx, power)
-    is_heard = power >= np.maximum(strongest * 10 ** (-window_db / 10), np.finfo(float).tiny)[tx]
-    near = np.where(is_heard, power, 0.0)
+    least = np.maximum(strongest * 10 ** (-window_db / 10), np.finfo(float).tiny)[tx]
     mechanism = _mechanism(paths)
+    # what tiles scatter counts together, whatever their size
+    diffuse = mechanism == MECHANISMS.index("diffuse")
+    step = tx * _DELAY_STEPS + np.minimum(paths.delay_s * 1e9, _DELAY_STEPS - 1).astype(np.int64)
+    together = np.bincount(step, power * diffuse, num_tx * _DELAY_STEPS)[step]
+    near = np.where(np.where(diffuse, together, power) >= least, power, 0.0)
 
     def total(weights: Float[FloatArray, "P"]) -> Float[FloatArray, "T"]:
         return np.bincount(tx, weights, num_tx).astype(np.float64)
@@ -288,7 +294,7 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
         "departure_azimuth_spread_deg": angular_spread_deg(paths.departure_azimuth_rad),
         "departure_zenith_spread_deg": angular_spread_deg(paths.departure_elevation_rad),
         "k_factor_db": k_factor_db,
-        "num_paths": np.where(strongest > 0, total(is_heard.astype(np.float64)), np.nan),
+        "num_paths": np.where(strongest > 0, total((power >= least).astype(np.float64)), np.nan),
         "power_share": np.stack(
             [total(power * (mechanism == kind)) / all_power for kind in range(len(MECHANISMS))], axis=-1
         ),

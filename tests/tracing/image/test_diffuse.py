@@ -25,7 +25,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 CARRIER_HZ = 10e9
 TX_M = np.array([1.2, 2.6, 0.8])
 ALL: tuple[Interaction, ...] = ("specular", "refraction", "diffraction", "diffuse")
-SETTINGS = TraceSettings("image", ("specular", "refraction", "diffuse"), max_depth=2)
+SETTINGS = TraceSettings("image", ("specular", "refraction", "diffuse"), max_depth=2, rays=20_000)
 PATTERNS = (
     Scattering(coefficient=0.4, xpd_coefficient=0.2),
     Scattering(coefficient=0.6, pattern="directive", alpha_r=4),
@@ -160,10 +160,10 @@ def test_phases_are_random_so_that_powers_add() -> None:
     scene, settings = PreparedScene.of(plate(Scattering(0.7), receiver=RECEIVER)), replace(SETTINGS, max_depth=1)
     tracer = ImageTracer(scene, [CARRIER_HZ], replace(settings, interactions=("diffuse",)))
     total = (np.abs(tracer.paths(TX_M).gain[0]) ** 2)[1:].sum()  # without the line of sight
-    seeds = (replace(settings, interactions=("diffuse",), seed=seed) for seed in range(150))
+    seeds = (replace(settings, interactions=("diffuse",), seed=seed) for seed in range(60))
     cfr = np.array([ImageTracer(scene, [CARRIER_HZ], each).channel(TX_M[None]).cfr[0, 0] for each in seeds])
     spread = cfr - cfr.mean(axis=0)
-    np.testing.assert_allclose((np.abs(spread) ** 2).mean(axis=0), total, rtol=0.35)  # 1/√150, four times
+    np.testing.assert_allclose((np.abs(spread) ** 2).mean(axis=0), total, rtol=0.5)  # 1/√60, four times
     assert (np.abs(spread) ** 2).mean() == pytest.approx(total, rel=0.15)
 
 
@@ -182,6 +182,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
     assert resolve_solver(PreparedScene.of(plate(Scattering(0.6))).geometry, TraceSettings()).solver == "image"
 
 
+@pytest.mark.slow
 @pytest.mark.sionna
 def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
     """Over 20 seeds, in a room of three rough materials of three patterns, of paths that a tile scatters at the end.
