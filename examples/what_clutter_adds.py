@@ -18,7 +18,7 @@ from xfreqbench.examples.make_office_cluttered import write_scene
 
 import xfreqbench as xb
 from xfreqbench.data.statistics import WINDOW_DB, of_paths
-from xfreqbench.scene.materials import Scattering, SceneMaterial
+from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.placement import place_transmitters
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
@@ -30,8 +30,6 @@ FOUR = xb.TraceSettings(solver="image", interactions=("specular", "refraction"),
 DIFFUSE = xb.TraceSettings(
     solver="sionna", interactions=("specular", "refraction", "diffuse"), max_depth=4, rays=200_000
 )
-# fitted by Degli-Esposti et al. (2007) at 1.3 GHz: a metal wall, a uniform one of brick, one with windows and doors
-PLATE, WALL, UNEVEN = (Scattering(s, pattern="directive", alpha_r=a) for s, a in ((0.05, 4), (0.2, 4), (0.4, 3)))
 
 
 def made_of(scene: xb.Scene, material: str, thickness_m: float, *names: str) -> xb.Scene:
@@ -43,29 +41,27 @@ def made_of(scene: xb.Scene, material: str, thickness_m: float, *names: str) -> 
     return replace(scene, surface=tuple(surfaces))
 
 
-def rough(scene: xb.Scene, **scattering: Scattering) -> xb.Scene:
-    """The scene with materials that scatter."""
-    own = scene.materials
-    changed = {n: replace(own.get(n) or SceneMaterial(n), scattering=each) for n, each in scattering.items()}
-    return replace(scene, material=tuple({**own, **changed}.values()))
+def scattering(scene: xb.Scene, by: Scattering | None) -> xb.Scene:
+    """The scene with all materials that scatter doing so by one law, or, with None, not at all."""
+    materials = [replace(each, scattering=each.scattering and by) for each in scene.material]
+    return replace(scene, material=tuple(materials))
 
 
 def variants(folder: Path) -> Iterator[tuple[str, xb.Scene, xb.TraceSettings]]:
     """Rows of the table: words, scene, and settings."""
-    office, full = xb.load_scene("office"), xb.load_scene("office_cluttered")
+    office, uneven = xb.load_scene("office"), xb.load_scene("office_cluttered")
+    full = scattering(uneven, None)
     furniture = ("desk", "cabinet")
     yield "shell", replace(office, surface=tuple(s for s in office.surface if not s.name.startswith(furniture))), SMOOTH
     yield "office: desks, cabinets", office, SMOOTH
     kinds = ["furniture", "metal", "plants", "people"]
     for number, words in ((1, "chairs, bookcase"), (2, "metal"), (3, "plants"), (4, "people")):
-        scene = xb.load_scene(str(write_scene(folder / str(number), kinds[:number])))
+        scene = scattering(xb.load_scene(str(write_scene(folder / str(number), kinds[:number]))), None)
         yield f"+ {words}", scene, SMOOTH
     yield "without diffraction, depth 8", full, replace(FOUR, max_depth=8)
     yield "without diffraction, depth 4", full, FOUR
-    everywhere = dict.fromkeys(("concrete", "plasterboard", "metal", "books", "leaf"), Scattering(0.6))
-    measured = {"concrete": WALL, "plasterboard": WALL, "metal": PLATE, "books": UNEVEN, "leaf": UNEVEN}
-    yield "+ scattering as measured", rough(full, **measured), DIFFUSE
-    yield "+ Lambert's law, S = 0.6", rough(full, **everywhere), DIFFUSE
+    yield "+ scattering as measured", uneven, DIFFUSE
+    yield "+ Lambert's law, S = 0.6", scattering(uneven, Scattering(0.6)), DIFFUSE
     yield "walls of concrete", made_of(full, "concrete", 0.2, "wall"), SMOOTH
     yield "coated window", made_of(full, "metal", 0.001, "window"), SMOOTH
     yield "+ metal floor, ceiling", made_of(full, "metal", 0.001, "window", "floor", "ceiling"), SMOOTH

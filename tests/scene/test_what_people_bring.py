@@ -24,7 +24,7 @@ SHIPPED = {
     "empty": ("e3b0c44298fc1c14", "22432289376c81f8"),
     "lounge": ("3a9733bb3952b748", "371502a4ceee4812"),
     "office": ("8f59e2cc110cf6f6", "5f8a1436a4670e4f"),
-    "office_cluttered": ("1093c3cc0f37be33", "a1708f07b90a1458"),
+    "office_cluttered": ("99711f43c4edcd6e", "5ab5b6b4a18a4f59"),
     "two_rooms": ("b42b44cd08745dec", "88149a990bd70de3"),
 }
 OWN = '[[material]]\nname = "foam"\nrelative_permittivity = 1.5\nconductivity_s_m = 0.002\n'
