@@ -74,3 +74,18 @@ def test_data_of_a_scene_that_ships_name_it(tmp_path: Path) -> None:
     card = (tmp_path / "card/README.md").read_text()
     assert "xfreqbench generate two_rooms --tx" in card and "license: other\n" in card
     assert not (tmp_path / "card/scene.toml").exists()
+
+
+def test_data_of_several_receivers_and_polarizations_are_made_again_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    high = replace(ROOMS.receiver, name="high")
+    scene = replace(ROOMS, receiver=high, other_receivers=(replace(high, position_m=(4.0, 2.0, 1.1), name="low"),))
+    links = {"receivers": ["all"], "polarizations": ["V", "H"]}
+    before = open_dataset(generate_planned(small_plan(scene, 2, maps=False, **links), tmp_path / "rooms.h5"))
+    write_card(before.path, tmp_path / "card", "CC0-1.0", lambda _: None)
+    monkeypatch.chdir(tmp_path / "card")
+    (line,) = [line for line in Path("README.md").read_text().splitlines() if line.startswith("xfreqbench gen")]
+    assert xfreqbench(*shlex.split(line)[1:-1], tmp_path / "again.h5", "-q", is_bounded=False).code == 0
+    again = open_dataset(tmp_path / "again.h5", "low", "HV")
+    assert np.array_equal(again.cfr, before.at("low", "HV").cfr)

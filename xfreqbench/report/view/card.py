@@ -188,12 +188,13 @@ def _summary(dataset: PasDataset) -> str:
 def _command(dataset: PasDataset, name: str) -> tuple[str, str]:
     """The command that makes the data again, and the scene's TOML where it does not ship; empty where nothing tells."""
     try:
-        scene, settings, header = dataset.scene, dataset.trace_settings, dataset.header
+        settings, header = dataset.trace_settings, dataset.file_header
     except DataError:
         return "", ""
+    receivers = header.receivers or ((header.receiver.name,) if header.receiver.name else ())
     ships = header.scene_name in shipped_scenes() and any(
-        header.scene_json == load_scene(header.scene_name).with_receiver(receiver).canonical_json
-        for receiver in (None, *([header.receiver.name] if header.receiver.name else []))
+        header.scene_json == load_scene(header.scene_name).with_receiver(*names).canonical_json
+        for names in ((), receivers)
     )
     options = {
         "tx-positions": TRANSMITTERS,
@@ -205,13 +206,14 @@ def _command(dataset: PasDataset, name: str) -> tuple[str, str]:
         "seed": settings.seed,
         "pas-kind": header.pas_kind,
         "materials": settings.materials,
-        **({"receiver": header.receiver.name} if ships and header.receiver.name else {}),
+        **({"receiver": ",".join(receivers)} if receivers else {}),
+        **({"polarization": ",".join(header.polarizations)} if header.polarizations else {}),
         "output": name,
     }
     words = ["xfreqbench", "generate", header.scene_name if ships else SCENE]
     words += [word for name, value in options.items() for word in (f"--{name}", str(value))]
     words += ["--paths"] * header.paths + ["--no-maps"] * (not header.maps)
-    return shlex.join(words), "" if ships else _toml(json.loads(scene.canonical_json))
+    return shlex.join(words), "" if ships else _toml(json.loads(header.scene_json))
 
 
 def _toml(scene: dict[str, Any]) -> str:
@@ -228,6 +230,8 @@ def _toml(scene: dict[str, Any]) -> str:
         return isinstance(given, dict) or (isinstance(given, list) and bool(given) and isinstance(given[0], dict))
 
     told = {key: each for key, each in scene.items() if each is not None}
+    if others := told.pop("other_receivers", []):
+        told["receiver"] = [told["receiver"], *others]
     lines = [f"{key} = {value(each)}" for key, each in told.items() if not is_table(each)]
     for key, each in told.items():
         if is_table(each):
