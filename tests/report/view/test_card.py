@@ -85,7 +85,9 @@ def test_data_of_several_receivers_and_polarizations_are_made_again_whole(
     before = open_dataset(generate_planned(small_plan(scene, 2, maps=False, **links), tmp_path / "rooms.h5"))
     write_card(before.path, tmp_path / "card", "CC0-1.0", lambda _: None)
     monkeypatch.chdir(tmp_path / "card")
-    (line,) = [line for line in Path("README.md").read_text().splitlines() if line.startswith("xfreqbench gen")]
+    (line,) = [
+        line for line in (tmp_path / "card/README.md").read_text().splitlines() if line.startswith("xfreqbench gen")
+    ]
     assert xfreqbench(*shlex.split(line)[1:-1], tmp_path / "again.h5", "-q", is_bounded=False).code == 0
     again = open_dataset(tmp_path / "again.h5", "low", "HV")
     assert np.array_equal(again.cfr, before.at("low", "HV").cfr)
