@@ -104,4 +104,4 @@ def test_the_import_brings_nothing_heavy_and_of_ours_the_places_of_caches_alone(
     loaded = done.stdout.split()
     assert not set(HEAVY) & set(loaded)
     ours = {name for name in loaded if name.startswith("xfreqbench")}
-    assert ours == {"xfreqbench", "xfreqbench.system", "xfreqbench.system.caches"}
+    assert ours == {"xfreqbench", "xfreqbench.system", "xfreqbench.system.caches", "xfreqbench.system.callable_package"}

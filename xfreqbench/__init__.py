@@ -10,6 +10,7 @@ import sys
 import lazy_loader as lazy
 
 from xfreqbench.system.caches import settle_caches
+from xfreqbench.system.callable_package import hinted
 
 if sys.platform == "win32":
     raise ImportError("xfreqbench runs on Linux. On Windows, install it in WSL: run wsl --install, and pip there.")
@@ -18,16 +19,5 @@ settle_caches()  # before any library looks for its own
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep
 # it, and two fits beside each other on two cores run at a hundredth of their speed.
 os.environ.setdefault("GOMP_SPINCOUNT", "infinite" if os.getenv("OMP_WAIT_POLICY", "").upper() == "ACTIVE" else "1")
-_found, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> object:
-    """A public name or a subpackage, imported now; raises `AttributeError` that names the nearest one."""
-    try:
-        return _found(name)
-    except AttributeError:
-        from difflib import get_close_matches
-
-        nearest = [] if name.startswith("_") else get_close_matches(name, __all__, n=1)
-        hint = f" Did you mean {nearest[0]!r}?" if nearest else " docs/api.md lists the public names."
-        raise AttributeError(f"xfreqbench has no {name!r}.{hint}", name=name) from None
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+__getattr__ = hinted(__getattr__, __all__)

@@ -353,7 +353,7 @@ def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path)
 
 def run_cli(dataset: PasDataset, results: Path, method: str, **options: str) -> list[records.Job]:
     data, method = Path(dataset.path), f"nearest,{__name__}:{method}"
-    runs.run(data=data, results=results, method=method, targets="77", quiet=True, **options)
+    runs.run(data=data, results=results, method=method, targets="77", budget="32steps", quiet=True, **options)
     return [record.job for record in records.read(results / "records.jsonl").records]
 
 
@@ -369,7 +369,7 @@ def test_a_list_of_seeds_is_a_run_each(dataset: PasDataset, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("seed", ["", "1;2", "-1", "0.5"])
 def test_a_seed_that_is_no_whole_number_is_refused(dataset: PasDataset, tmp_path: Path, seed: str) -> None:
-    with pytest.raises(XFreqBenchError, match="--seed takes whole numbers"):
+    with pytest.raises(XFreqBenchError, match="--seeds takes whole numbers"):
         run_cli(dataset, tmp_path, "Stepwise", seed=seed)
 
 

@@ -199,7 +199,6 @@ def _is_idle(path: Path, source: bytes) -> bool:
 
 
 _IDLE_BEGINNINGS = (
-    "def __getattr__(",  # offers names lazily
     "from __future__ ",
     "from typing ",
     "import lazy_loader",
@@ -207,6 +206,7 @@ _IDLE_BEGINNINGS = (
     "import typing",
     "os.environ.setdefault(",  # how threads wait, and where is kept what was compiled, changes no result
     "from xfreqbench.system.caches ",
+    "from xfreqbench.system.callable_package ",
     "settle_caches()",
 )
 
