@@ -176,9 +176,8 @@ class Blend:
             are_few, is_outermost = len(np.unique(rows.tx_index)) < _FEW_TX, carrier_hz in outermost_hz
             if are_few and _of(kind) in KINDS[1:3]:
                 name = _best_at_unseen(predictors, coarse, carrier_hz)
-            elif _of(kind) == KINDS[0]:  # inside the band that at all carriers, for they differ much in which is best
-                told_hz = rows.carrier_hz[:1] if is_outermost else inner_carriers_hz(train)
-                name = _best_at_unheard(predictors, coarse, told_hz.tolist(), is_inside=not is_outermost)
+            elif _of(kind) == KINDS[0] and not is_outermost:
+                name = _best_at_unheard(predictors, coarse)
             else:
                 name = _best_predictor(rows, knowing)
             weight = _best_weight(rows, predict, knowing[name], is_cautious=are_few or carrier_hz is not None)
@@ -275,17 +274,15 @@ def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: fl
     return max(sums, key=lambda name: sums[name])
 
 
-def _best_at_unheard(
-    predictors: Sequence[type], train: PasDataset, carriers_hz: Sequence[float], *, is_inside: bool
-) -> str:
-    """The predictor with the highest SSIM at carriers of a training, each unheard in turn.
+def _best_at_unheard(predictors: Sequence[type], train: PasDataset) -> str:
+    """The predictor with the highest SSIM at the carriers inside the band of a training, each unheard in turn.
 
-    If they are inside the band it is the mean over frequency where that may be as good: of few carriers, another may
-    be better by chance.
+    Carriers differ much in which is the best. It is the mean over frequency where that may be as good: of few carriers,
+    another may be better by chance.
     """
     similar: dict[str, list[FloatArray]] = {predictor.__name__: [] for predictor in predictors}
     tx_index = []
-    for carrier_hz in carriers_hz:
+    for carrier_hz in inner_carriers_hz(train).tolist():
         is_carrier = train.carrier_hz == carrier_hz
         rows = np.flatnonzero(is_carrier & train.has_path)
         asked, left = train.subset(rows[:: -(-len(rows) // _MOST_ROWS) or 1]), train.subset(~is_carrier)
@@ -299,7 +296,7 @@ def _best_at_unheard(
         return predictors[0].__name__
     scores = {name: np.concatenate(parts) for name, parts in similar.items()}
     best = max(scores, key=lambda name: scores[name].mean())
-    if is_inside and _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
+    if _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
         return _STEADY
     return best
 
