@@ -103,6 +103,8 @@ def test_versions_of_software_and_references_are_in_no_recipe(usual: Recipe) -> 
         {"scene": with_surface(0, material="wood")},
         {"scene": replace(ROOMS, receiver=replace(ROOMS.receiver, polarization="H"))},
         {"scene": with_grid(polarization="H")},
+        {"scene": with_grid(orientation_deg=(0, 45, 0))},
+        {"scene": replace(ROOMS, receiver=replace(ROOMS.receiver, antenna_orientation_deg=(0, 45, 0)))},
         {"max_depth": 5},
         {"interactions": ("specular",)},
         {"interactions": ("specular", "refraction", "diffraction")},

@@ -29,8 +29,10 @@ def slab_coefficients(
 
 
 def antenna_field(direction: np.ndarray, pattern: str, polarization: str) -> np.ndarray:
-    """Field of an unrotated antenna: theta-hat (V) or phi-hat (H), a short dipole weighted by √1.5·sin θ."""
+    """Field of an unrotated antenna: theta-hat (V) or phi-hat (H), or a short dipole's along z (V) or y (H)."""
     x, y, z = direction
+    if (pattern, polarization) == ("dipole", "H"):
+        return np.asarray(np.sqrt(1.5) * (np.array([0.0, 1.0, 0.0]) - y * direction))
     horizontal = np.hypot(x, y)
     theta_hat = np.array([x * z / horizontal, y * z / horizontal, -horizontal])
     phi_hat = np.array([-y / horizontal, x / horizontal, 0.0])

@@ -17,7 +17,7 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
-from xfreqbench.scene.model import POLARIZATION_PAIRS, Scene, TransmitterGrid, load_scene
+from xfreqbench.scene.model import POLARIZATION_PAIRS, ReceiverArray, Scene, TransmitterGrid, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import Paths
@@ -33,12 +33,16 @@ SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, 
 SOLVERS = ("sionna", "image")
 POLARIZATIONS = ("V", "H")
 DIPOLE_H = replace(GRID, pattern="dipole", polarization="H")
+TILTED = replace(GRID, pattern="dipole", orientation_deg=(20.0, 40.0, -30.0))
+SECTOR = replace(GRID, pattern="tr38901", polarization="H", orientation_deg=(-100.0, -20.0, 10.0))
+LOOKING = replace(ONE_ELEMENT, pattern="tr38901", boresight=(0.4, 1.0, -0.5))
 
 
 def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> Any:
     from xfreqbench.tracing.sionna.plain import loaded, solve
 
-    return solve(loaded(scene, carrier_hz), tx[None], SETTINGS.interactions, 3, SETTINGS.rays, seed=1)
+    loaded_scene, antenna = loaded(scene, carrier_hz), scene.transmitter_antenna
+    return solve(loaded_scene, tx[None], SETTINGS.interactions, 3, SETTINGS.rays, 1, antenna)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -64,11 +68,15 @@ def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("transmitters", [GRID, DIPOLE_H], ids=["equal antennas", "H to V"])
+@pytest.mark.parametrize(
+    ("receiver", "transmitters"),
+    [(ONE_ELEMENT, GRID), (ONE_ELEMENT, DIPOLE_H), (ONE_ELEMENT, TILTED), (LOOKING, GRID), (LOOKING, SECTOR)],
+    ids=["equal antennas", "H to V", "tilted to V", "iso to sector", "sector to sector"],
+)
 def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(
-    transmitters: TransmitterGrid, solver: SolverName
+    receiver: ReceiverArray, transmitters: TransmitterGrid, solver: SolverName
 ) -> None:
-    scene = replace(simple_scenes(ONE_ELEMENT)["a wall and a pane between"], transmitters=transmitters)
+    scene = replace(simple_scenes(receiver)["a wall and a pane between"], transmitters=transmitters)
     tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
     cfr = tracer.channel(TRANSMITTERS_M).cfr[..., 0]
     for tx, row in zip(TRANSMITTERS_M, cfr, strict=True):

@@ -191,7 +191,7 @@ def _num_walls(
 
 def _alone(prepared: PreparedScene, receiver: ReceiverArray, polarization: Literal["V", "H"]) -> PreparedScene:
     """The scene with one element in the place of a receiver, isotropic and of one polarisation."""
-    element = replace(receiver, rows=1, cols=1, pattern="iso", polarization=polarization)
+    element = replace(receiver, rows=1, cols=1, pattern="iso", polarization=polarization, antenna_orientation_deg=None)
     return PreparedScene(replace(prepared.scene, receiver=element, other_receivers=()), prepared.geometry)
 
 

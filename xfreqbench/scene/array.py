@@ -58,6 +58,19 @@ def rotation_quaternion(rotation: Float[FloatArray, "3 3"]) -> tuple[float, floa
     return x, y, z, w
 
 
+def orientation_rotation(bearing_downtilt_slant_deg: tuple[float, float, float]) -> Float[FloatArray, "3 3"]:
+    """Rotation of an antenna into the world, Eq. (7.1-4) of 3GPP TR 38.901; its columns are the antenna's axes.
+
+    The antenna looks along the first. It is turned by the slant about x, then by the downtilt about y, then by the
+    bearing about z, all counter-clockwise.
+    """
+    (cos_a, cos_b, cos_c), (sin_a, sin_b, sin_c) = (f(np.radians(bearing_downtilt_slant_deg)) for f in (np.cos, np.sin))
+    bearing = np.array([[cos_a, -sin_a, 0.0], [sin_a, cos_a, 0.0], [0.0, 0.0, 1.0]])
+    downtilt = np.array([[cos_b, 0.0, sin_b], [0.0, 1.0, 0.0], [-sin_b, 0.0, cos_b]])
+    slant = np.array([[1.0, 0.0, 0.0], [0.0, cos_c, -sin_c], [0.0, sin_c, cos_c]])
+    return np.asarray(bearing @ downtilt @ slant)
+
+
 def steering_vector(
     element_position_m: Float[FloatArray, "M 3"], arrival: Float[FloatArray, "... 3"], carrier_hz: float
 ) -> Complex[NDArray[np.complex128], "... M"]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.resources import files
-from math import isclose, prod
+from math import atan2, degrees, hypot, isclose, prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
@@ -17,7 +17,14 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_seri
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.errors import SceneError, UnknownNameError
-from xfreqbench.scene.array import ArrayPlane, frame_rotation, planar_array, quaternion_rotation, rotation_quaternion
+from xfreqbench.scene.array import (
+    ArrayPlane,
+    frame_rotation,
+    orientation_rotation,
+    planar_array,
+    quaternion_rotation,
+    rotation_quaternion,
+)
 from xfreqbench.scene.imported import Slab, rough
 from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, material_named
 from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
@@ -35,10 +42,12 @@ Point = tuple[Metres, Metres, Metres]
 Quaternion = tuple[Metres, Metres, Metres, Metres]
 PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
-Pattern = Literal["iso", "dipole"]
+Pattern = Literal["iso", "dipole", "tr38901"]
 Polarization = Literal["V", "H"]
 PolarizationPair = Literal["VV", "VH", "HV", "HH"]  # what the transmitter sends in, then what the receiver hears in
 POLARIZATION_PAIRS: tuple[PolarizationPair, ...] = get_args(PolarizationPair)
+Degrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: see `orientation_rotation`
 
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
@@ -112,16 +121,39 @@ class Antenna(NamedTuple):
 
     pattern: Pattern
     polarization: Polarization
+    orientation_deg: Orientation = (0.0, 0.0, 0.0)
+
+    def __str__(self) -> str:
+        angles = zip(("bearing", "downtilt", "slant"), self.orientation_deg, strict=True)
+        turned = "".join(f", {name} {angle_deg:g}°" for name, angle_deg in angles) if any(self.orientation_deg) else ""
+        return f"{self.pattern} pattern, polarization {self.polarization}{turned}"
+
+    @property
+    def as_vertical(self) -> Antenna:
+        """The antenna as one of polarization V, if it is a dipole: a dipole along y is one along z, slanted by 90°."""
+        if (self.pattern, self.polarization) != ("dipole", "H"):
+            return self
+        bearing, downtilt, slant = self.orientation_deg
+        return Antenna("dipole", "V", (bearing, downtilt, slant + 90))
+
+    @property
+    def rotation(self) -> Float[FloatArray, "3 3"]:
+        """Matrix that takes the antenna's axes to the world; its columns are these axes."""
+        return orientation_rotation(self.orientation_deg)
 
 
 @dataclass(frozen=True, config=_STRICT)
 class ReceiverArray:
     """A planar array whose boresight is the pole of the hemisphere of directions.
 
-    Elements are `spacing_wavelengths` apart at each carrier, by default half a wavelength. All of them, and the
-    transmitters unless the scene says otherwise, have the same antenna: `pattern` is `iso` or `dipole` (short, along
-    the vertical), and its field is polarised along the vertical (`V`: the unit vector of the polar angle in world axes)
-    or the horizontal (`H`: that of the azimuth).
+    Elements are `spacing_wavelengths` apart at each carrier, by default half a wavelength. All of them have the same
+    antenna. It has axes of its own: it looks along x, and z points up. They are turned by `antenna_orientation_deg`,
+    bearing, downtilt and slant as in 3GPP TR 38.901. By default they are the world's, but elements of pattern `tr38901`
+    look along the boresight, with z as near to the world's vertical as can be (the world's x, where they look down).
+
+    `pattern` is `iso`, `dipole` (short) or `tr38901` (the element of Table 7.3-1, 8 dBi), and `polarization` is `V` or
+    `H`. A dipole lies along z (`V`) or y (`H`). The field of the others is along the unit vector of the polar angle
+    (`V`) or of the azimuth (`H`) about z.
 
     `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array holds
     the pole, and `boresight` is the pole alone. `orientation`, a quaternion x, y, z, w, is the whole turn from the
@@ -136,13 +168,14 @@ class ReceiverArray:
     boresight: Point = (0.0, 0.0, -1.0)
     pattern: Pattern = "iso"
     polarization: Polarization = "V"
+    antenna_orientation_deg: Orientation | None = None
     plane: ArrayPlane = "xy"
     orientation: Quaternion | None = None
     name: str | None = None
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        default = {"plane": "xy", "orientation": None, "name": None}
+        default = {"antenna_orientation_deg": None, "plane": "xy", "orientation": None, "name": None}
         return {key: value for key, value in serialize(self).items() if key not in default or value != default[key]}
 
     @model_validator(mode="after")
@@ -168,7 +201,11 @@ class ReceiverArray:
     @property
     def antenna(self) -> Antenna:
         """The antenna of each element."""
-        return Antenna(self.pattern, self.polarization)
+        given = self.antenna_orientation_deg
+        if given is None and self.pattern == "tr38901":
+            x, y, z = self.boresight
+            given = degrees(atan2(y, x)), degrees(atan2(-z, hypot(x, y))), 0.0
+        return Antenna(self.pattern, self.polarization, given or (0.0, 0.0, 0.0))
 
     @property
     def num_elements(self) -> int:
@@ -226,7 +263,8 @@ class ReceiverArray:
 class TransmitterGrid:
     """A lattice of positions for transmitters; those nearer than `clearance_m` to anything are left out.
 
-    `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's.
+    `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's,
+    but `iso` beside a receiver of pattern `tr38901`. `orientation_deg` turns their antennas (see `ReceiverArray`).
     """
 
     min_m: Point
@@ -235,6 +273,7 @@ class TransmitterGrid:
     clearance_m: PositiveMetres = 0.15
     pattern: Pattern | None = None
     polarization: Polarization | None = None
+    orientation_deg: Orientation | None = None
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
@@ -395,19 +434,21 @@ class Scene:
 
     @property
     def transmitter_antenna(self) -> Antenna:
-        """The antenna of every transmitter: that of the receiver's elements, but for what the grid states."""
-        stated, receiver = self.transmitters, self.receiver.antenna
-        if stated is not None:
-            receiver = Antenna(stated.pattern or receiver.pattern, stated.polarization or receiver.polarization)
-        return receiver._replace(polarization=self.transmitter_polarization or receiver.polarization)
+        """The antenna of every transmitter, as `TransmitterGrid` says, but for `transmitter_polarization`."""
+        pattern, polarization, _ = self.receiver.antenna
+        usual = Antenna("iso" if pattern == "tr38901" else pattern, polarization)
+        stated = {name: getattr(self.transmitters, name, None) for name in Antenna._fields}
+        stated["polarization"] = self.transmitter_polarization or stated["polarization"]
+        return usual._replace(**{name: value for name, value in stated.items() if value is not None})
 
     @property
-    def antenna_settings(self) -> dict[str, str]:
+    def antenna_settings(self) -> dict[str, Any]:
         """The transmitters' antenna, for the header of data; empty where it is that of the receiver."""
-        antenna = self.transmitter_antenna
+        pattern, polarization, orientation_deg = antenna = self.transmitter_antenna
         if antenna == self.receiver.antenna:
             return {}
-        return {f"transmitter_{name}": value for name, value in antenna._asdict().items()}
+        turned = {"transmitter_orientation_deg": list(orientation_deg)} if any(orientation_deg) else {}
+        return {"transmitter_pattern": pattern, "transmitter_polarization": polarization, **turned}
 
     @property
     def least_patch(self) -> PatchSize | None:

@@ -184,6 +184,8 @@ def antenna_field(direction: Float[Tensor, "... 3"], antenna: Antenna) -> Float[
     """Real field vector of an antenna along the world's vertical towards a direction (see `ReceiverArray`)."""
     pattern, polarization = antenna
     x, y, z = direction.unbind(-1)
+    if pattern == "dipole" and polarization == "H":  # a short dipole along y: what of y is across the direction
+        return 1.5**0.5 * (direction.new_tensor([0.0, 1.0, 0.0]) - y[..., None] * direction)
     level = (x * x + y * y).sqrt().clamp_min(_MIN_SIN)
     scale = 1.5**0.5 * level if pattern == "dipole" else torch.ones_like(level)
     if polarization == "H":

@@ -12,7 +12,7 @@ from scipy.special import erfc, jv, wofz
 from tests.support.reference import cfr_at_centre
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.edges import find_edges
@@ -168,14 +168,28 @@ def test_the_field_is_continuous_where_another_path_ends(material: str, polariza
     assert np.abs(without[0] - without[-1]).min() > 0.1 * np.abs(without[-1]).min()
 
 
-@pytest.mark.parametrize("antennas", [("V", "V"), ("H", "H"), ("V", "H")])
+UPRIGHT = 0.0, 0.0, 0.0
+
+
+@pytest.mark.parametrize(
+    "antennas",
+    [
+        (("iso", "V", UPRIGHT), ("iso", "V", UPRIGHT)),
+        (("iso", "H", UPRIGHT), ("iso", "H", UPRIGHT)),
+        (("iso", "V", UPRIGHT), ("iso", "H", UPRIGHT)),
+        (("dipole", "H", (20.0, 40.0, -30.0)), ("tr38901", "V", (150.0, 30.0, 10.0))),
+    ],
+)
 def test_the_two_ends_of_a_path_may_change_places(antennas: tuple[Any, Any]) -> None:
     surfaces = METAL_BOX, WOODEN_BOX, PANE, FLOOR
     ends = tuple(zip([(-0.3, 0.7, 1.9), (4.4, 1.3, 0.8)], antennas, strict=True))
 
     def paths_between(receiver: tuple[Any, Any], transmitter: tuple[Any, Any]) -> Paths:
-        scene = scene_of(*surfaces, at_m=receiver[0], polarization=receiver[1])
-        scene = replace(scene, transmitters=replace(GRID, polarization=transmitter[1]))
+        pattern, polarization, turned = receiver[1]
+        antenna = {"pattern": pattern, "polarization": polarization, "antenna_orientation_deg": turned}
+        scene = scene_of(*surfaces, at_m=receiver[0], **antenna)
+        antenna = dict(zip(Antenna._fields, transmitter[1], strict=True))
+        scene = replace(scene, transmitters=replace(GRID, **antenna))
         return tracer(scene, [1e9, 10e9], max_depth=4).paths(np.array(transmitter[0]))
 
     there, back = paths_between(*ends), paths_between(*ends[::-1])

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.facets import Geometry, group_by_plane, planar_facets
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
+from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
-from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
+from xfreqbench.tracing.image.kernels.fields import antenna_field, element_gain
+from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, _antenna, can_solve
 from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.units import PAPER_CARRIERS_GHZ, SPEED_OF_LIGHT_M_S, ghz_to_hz
@@ -73,6 +75,68 @@ def test_a_ray_along_the_vertical_is_the_limit_of_rays_beside_it(polarization: s
     )
     for cfr in beside:
         np.testing.assert_allclose(along, cfr, rtol=1e-9)  # lengths differ by 1e-14, phases by 1e-12 rad
+
+
+def field_of(antenna: dict[str, Any], direction: np.ndarray) -> np.ndarray:
+    """Field of a transmitter towards a direction, along the polar angle's and the azimuth's unit vectors: (2,)."""
+    at_m = tuple((np.array([0.0, 0.0, 2.0]) - direction).tolist())  # where the transmitter is
+    field = []
+    for polarization, sign in (("V", 1), ("H", -1)):  # at the receiver, θ̂ is that of the ray and φ̂ the opposite
+        receiver = replace(RECEIVER, rows=1, cols=1, polarization=polarization)
+        scene = replace(scene_of(receiver=receiver), transmitters=replace(GRID, **antenna))
+        settings = TraceSettings(interactions=("refraction",))
+        field.append(sign * ImageTracer(scene, [10e9], settings).paths(np.array(at_m)).gain[0, 0].real)
+    return np.array(field) * 4 * np.pi * 10e9 / SPEED_OF_LIGHT_M_S
+
+
+TILTED = 30.0, -50.0, 20.0  # bearing, downtilt, slant
+
+
+@pytest.mark.parametrize("polarization", ["V", "H"])
+@pytest.mark.parametrize("orientation_deg", [None, TILTED, (0.0, 0.0, 90.0)])
+def test_a_dipole_sends_what_of_its_axis_is_across_the_direction(polarization: str, orientation_deg: Any) -> None:
+    """The field of a Hertzian dipole: gain 3/2·sin² of the angle to its axis, z (V, downwards) or y (H)."""
+    axis = np.array([0.0, 0.0, -1.0] if polarization == "V" else [0.0, 1.0, 0.0])
+    if orientation_deg:
+        axis = Rotation.from_euler("ZYX", orientation_deg, degrees=True).apply(axis)
+    antenna = {"pattern": "dipole", "polarization": polarization, "orientation_deg": orientation_deg}
+    for direction in np.array([[0.6, 0.0, 0.8], [-0.36, 0.48, -0.8], [0.28, -0.96, 0.0]]):
+        level = np.hypot(*direction[:2])
+        theta = np.array([direction[0] * direction[2], direction[1] * direction[2], -(level**2)]) / level
+        expected = np.sqrt(1.5) * np.array([axis @ theta, axis @ np.cross(direction, theta)])
+        np.testing.assert_allclose(field_of(antenna, direction), expected, atol=1e-9)
+    along = axis + 1e-9  # off the pole of the receiver's frame
+    assert np.linalg.norm(field_of(antenna, along / np.linalg.norm(along))) < 1e-7
+
+
+@pytest.mark.parametrize("orientation_deg", [None, TILTED])
+@pytest.mark.parametrize(("pattern", "mean"), [("iso", 1.0), ("dipole", 1.0), ("tr38901", 0.657)])
+def test_the_mean_power_of_an_antenna_over_all_directions_is_its_efficiency(
+    pattern: str, mean: float, orientation_deg: Any
+) -> None:
+    """1, but for the element of 3GPP, which is not normalised: its gain is 8 dBi and its directivity 9.83 dBi."""
+    antenna = _antenna(Antenna(pattern, "V", orientation_deg or (0.0, 0.0, 0.0)))  # type: ignore[arg-type]
+    k = np.arange(20_000) + 0.5
+    z, azimuth = 1 - 2 * k / len(k), np.pi * (1 + 5**0.5) * k  # a spiral that covers the sphere evenly
+    level = np.sqrt(1 - z**2)
+    power = [
+        np.sum(np.square(antenna_field.py_func(antenna, *way)))
+        * (element_gain.py_func(antenna, *way) ** 2 if antenna.is_directive else 1)
+        for way in zip(level * np.cos(azimuth), level * np.sin(azimuth), z, strict=True)
+    ]
+    assert np.mean(power) == pytest.approx(mean, rel=2e-3)
+
+
+def test_the_element_of_3gpp_has_the_gains_of_its_table() -> None:
+    receiver = replace(RECEIVER, rows=1, cols=1, pattern="tr38901", boresight=(0.0, 1.0, 0.0))
+    scene = scene_of(receiver=receiver)
+    assert scene.transmitter_antenna == Antenna("iso", "V")  # not directive where nothing is stated
+    for off_deg, gain_dbi in ((0, 8.0), (32.5, 5.0), (65, -4.0), (180, -22.0)):
+        turn = np.radians(off_deg)
+        tx_m = np.array([np.sin(turn), np.cos(turn), 2.0])
+        gain = ImageTracer(scene, [10e9], TraceSettings(interactions=("refraction",))).paths(tx_m).gain[0, 0]
+        amplitude = abs(gain) * 4 * np.pi * 10e9 / SPEED_OF_LIGHT_M_S
+        assert 20 * np.log10(amplitude) == pytest.approx(gain_dbi, abs=1e-6)
 
 
 def test_the_carriers_may_come_in_any_order() -> None:

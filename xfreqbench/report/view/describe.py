@@ -27,7 +27,7 @@ def describe(path: Path) -> str:
         *_links_line(dataset),
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
         f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
-        f"{receiver.pattern} pattern, polarization {receiver.polarization}",
+        f"{receiver.antenna}",
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths"
         f"{'' if receiver.resolves_directions else '; nearly constant, for the array has hardly any extent'}",

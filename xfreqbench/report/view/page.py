@@ -125,8 +125,8 @@ def _receiver(view: ViewPlan) -> str:
     receiver = view.header.receiver
     return (
         f"{receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths apart at "
-        f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.pattern} pattern, "
-        f"polarization {receiver.polarization}, in plane {receiver.plane} of its frame"
+        f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.antenna}, "
+        f"in plane {receiver.plane} of its frame"
     )
 
 

@@ -13,6 +13,7 @@ stretch under 1 cm; here two surfaces may be as near to each other as a micromet
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -24,10 +25,12 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
+from xfreqbench.scene.array import frame_rotation
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
+from xfreqbench.scene.model import Antenna as SceneAntenna
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
@@ -48,6 +51,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction", "diffuse"})
 MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
+MOST_AMPLITUDE = {"iso": 1.0, "dipole": math.sqrt(1.5), "tr38901": 10**0.4}  # of an antenna, in any direction
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
 # Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
 # carrier where that is lower.
@@ -125,6 +129,8 @@ class ImageTracer:
         if not savings.share_visibility:
             quads = np.repeat(np.unique(quads)[:, None], 4, axis=1)
         self._scene = KernelScene(self.facets, media, aperture, quads)
+        ends = scene.transmitter_antenna, scene.receiver.antenna
+        self._most_antennas = math.prod(MOST_AMPLITUDE[antenna.pattern] for antenna in ends)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         points_m = np.vstack([receiver_m, receiver_m + ascending[0] / lowest_hz * aperture.corner_m[0]])
         sequences = sequences_of(
@@ -196,7 +202,8 @@ class ImageTracer:
         limits = self.settings.max_depth, self.savings.share_visibility
         add_channel(self._scene, self._trie, tx_m, *limits, sums, num_paths)
         strongest = np.hypot(*sums).max(axis=1)
-        return np.asarray(self.savings.diffraction_floor * strongest / self._scene.aperture.wavelength_m)
+        share = self.savings.diffraction_floor / self._most_antennas
+        return np.asarray(share * strongest / self._scene.aperture.wavelength_m)
 
     @checked
     def paths(self, tx_position_m: Position) -> Paths:
@@ -259,12 +266,25 @@ def media_of(
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
-    antennas = (scene.transmitter_antenna, scene.receiver.antenna)
-    codes = (Antenna(polarization == "H", pattern == "dipole") for pattern, polarization in antennas)
     specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
-    media = Media(permittivity, phase_thickness, lanes, first, specular, *codes)
+    transmitter, receiver = (_antenna(each) for each in (scene.transmitter_antenna, scene.receiver.antenna))
+    if abs(np.dot(transmitter.axis, receiver.axis)) > 1 - 1e-12:
+        # The ends of a ray beside both axes have opposite azimuths, however often floor and ceiling reflect it.
+        x, y, z = transmitter.aside
+        receiver = receiver._replace(aside=(-x, -y, -z))
+    antennas = np.array([np.hstack(each) for each in (transmitter, receiver)], dtype=np.float64)
+    media = Media(permittivity, phase_thickness, lanes, first, specular, antennas)
     kind = [[kinds.index(slab) for slab in (mesh.slab, mesh.slab.turned)] for mesh in meshes]
     return media, np.array(kind, dtype=np.int64).reshape(-1, 2).T
+
+
+def _antenna(antenna: SceneAntenna) -> Antenna:
+    """An antenna as kernels take it."""
+    antenna = antenna.as_vertical
+    ahead, _, axis = ((x, y, z) for x, y, z in antenna.rotation.T.tolist())
+    x, y, z = frame_rotation(axis)[:, 0].tolist()
+    is_dipole, is_directive = antenna.pattern == "dipole", antenna.pattern == "tr38901"
+    return Antenna(antenna.polarization == "H", is_dipole, is_directive, axis, (x, y, z), ahead)
 
 
 def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.model import Antenna
 from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR
-from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, point3f, rt
+from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, orientation_rad, point3f, rt
 from xfreqbench.types import FloatArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
@@ -30,8 +30,9 @@ class Field:
 
     def __init__(self, radio_scene: RadioScene, transmitter: Antenna, receiver: Antenna) -> None:
         self.radio_scene = radio_scene
-        antennas = (antenna_array(antenna, np.zeros((1, 3))) for antenna in (transmitter, receiver))
-        self._sent, self._received = (array.antenna_pattern.patterns for array in antennas)
+        self._antennas = transmitter, receiver
+        arrays = (antenna_array(antenna, np.zeros((1, 3))) for antenna in self._antennas)
+        self._sent, self._received = (array.antenna_pattern.patterns for array in arrays)
 
     def find_paths(
         self,
@@ -92,8 +93,8 @@ class Field:
             diffraction=diffraction,
             src_positions=_sources(tx_position_m, target_m),
             tgt_positions=point3f(target_m),
-            src_orientations=dr.zeros(mi.Point3f, len(tx_position_m)),
-            tgt_orientations=dr.zeros(mi.Point3f, len(target_m)),
+            src_orientations=orientation_rad(self._antennas[0], len(tx_position_m)),
+            tgt_orientations=orientation_rad(self._antennas[1], len(target_m)),
             src_antenna_patterns=self._sent,
             tgt_antenna_patterns=self._received,
         )

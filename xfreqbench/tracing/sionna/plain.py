@@ -13,10 +13,12 @@ from jaxtyping import Complex, Float
 from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.model import Scene
-from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, mi, rt
+from xfreqbench.scene.model import Antenna, Scene
+from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, mi, orientation_rad, rt
 from xfreqbench.tracing.tracer import Interaction
 from xfreqbench.types import FloatArray
+
+UPRIGHT = Antenna("iso", "V")
 
 
 def plain_channel(
@@ -32,10 +34,10 @@ def plain_channel(
 
     Raises `MaterialBandError` for a carrier outside a material's band.
     """
-    sionna_scene = loaded(scene, carrier_hz)
+    sionna_scene, antenna = loaded(scene, carrier_hz), scene.transmitter_antenna
     channels = []
     for tx in tx_position_m:
-        paths = solve(sionna_scene, tx[None], interactions, max_depth, rays, seed)
+        paths = solve(sionna_scene, tx[None], interactions, max_depth, rays, seed, antenna)
         gain, _ = paths.cir(normalize_delays=False, out_type="numpy")  # which holds the carrier phase already
         channels.append(gain.astype(np.complex128).sum(axis=(0, 2, 3, 4, 5)))
     return np.array(channels).reshape(len(tx_position_m), scene.receiver.num_elements)
@@ -49,7 +51,8 @@ def loaded(scene: Scene, carrier_hz: float) -> Any:
     sionna_scene.tx_array = antenna_array(scene.transmitter_antenna, np.zeros((1, 3)))
     elements = receiver.element_position_wavelengths @ receiver.rotation.T
     sionna_scene.rx_array = antenna_array(receiver.antenna, elements)
-    sionna_scene.add(rt.Receiver(name="receiver", position=mi.Point3f(*receiver.position_m)))
+    orientation = orientation_rad(receiver.antenna)
+    sionna_scene.add(rt.Receiver(name="receiver", position=mi.Point3f(*receiver.position_m), orientation=orientation))
     return sionna_scene
 
 
@@ -60,12 +63,14 @@ def solve(
     max_depth: int,
     rays: int,
     seed: int,
+    antenna: Antenna = UPRIGHT,
 ) -> Any:
-    """Sionna's own paths of T transmitters to every element of the array."""
+    """Sionna's own paths of T transmitters, turned as the `antenna` says, to every element of the array."""
     for name in list(sionna_scene.transmitters):
         sionna_scene.remove(name)
     for number, position_m in enumerate(tx_position_m.tolist()):
-        sionna_scene.add(rt.Transmitter(name=f"transmitter {number}", position=mi.Point3f(*position_m)))
+        name, orientation = f"transmitter {number}", orientation_rad(antenna)
+        sionna_scene.add(rt.Transmitter(name=name, position=mi.Point3f(*position_m), orientation=orientation))
     return rt.PathSolver()(
         sionna_scene,
         max_depth=max_depth,

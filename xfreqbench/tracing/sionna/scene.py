@@ -39,7 +39,7 @@ _PATTERNS: dict[ScatteringPattern, Any] = {
     "backscattering": rt.BackscatteringPattern,
 }
 
-__all__ = ["RadioScene", "antenna_array", "dr", "mi", "point3f", "roomy_hash_table", "rt"]
+__all__ = ["RadioScene", "antenna_array", "dr", "mi", "orientation_rad", "point3f", "roomy_hash_table", "rt"]
 
 
 HASH_TABLE_SIZE = 2**25  # Sionna's table of a million loses 9 % of the candidates of 1e5 rays, and 22 % of 5e5
@@ -66,10 +66,20 @@ def point3f(positions_m: Float[NDArray[Any], "N 3"]) -> Any:
 
 
 def antenna_array(antenna: Antenna, positions_wavelengths: Float[FloatArray, "M 3"]) -> Any:
-    """Sionna's array of equal antennas at the given positions, in wavelengths, in world axes."""
-    array = rt.PlanarArray(num_rows=1, num_cols=1, pattern=antenna.pattern, polarization=antenna.polarization)
-    array.normalized_positions = point3f(positions_wavelengths)
+    """Sionna's array of equal antennas at the given positions, in wavelengths, in world axes.
+
+    Its device has to be turned by `orientation_rad`.
+    """
+    array = rt.PlanarArray(
+        num_rows=1, num_cols=1, pattern=antenna.pattern, polarization=antenna.as_vertical.polarization
+    )
+    array.normalized_positions = point3f(positions_wavelengths @ antenna.as_vertical.rotation)
     return array
+
+
+def orientation_rad(antenna: Antenna, number: int = 1) -> Any:
+    """The orientation of so many devices with an antenna, as Sionna has it."""
+    return point3f(np.radians([antenna.as_vertical.orientation_deg] * number).reshape(number, 3))
 
 
 class RadioScene:

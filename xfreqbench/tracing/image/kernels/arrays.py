@@ -19,6 +19,7 @@ I64 = NDArray[np.int64]
 C128 = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Sums = tuple[F64, F64]  # real and imaginary
+Vector = tuple[float, float, float]
 # A path to the array centre at F carriers: gain (F,) without spreading and travel phase, length in metres, unit vector
 # to where it comes from (3,), and its D interactions from the transmitter on: codes (D,), the mesh that is met at each
 # (D,), padded with −1, and where they happen (D, 3), padded with NaN.
@@ -55,14 +56,18 @@ class Facets(NamedTuple):
 
 
 class Antenna(NamedTuple):
-    """What the antennas at one end of a path send or take."""
+    """What the antennas at one end of a path send or take, with unit vectors in world axes."""
 
     is_horizontal: bool
     is_dipole: bool
+    is_directive: bool
+    axis: Vector  # about which polar angle and azimuth are counted
+    aside: Vector  # at right angles to it: the azimuth of the axis itself, opposite at the two ends of a path
+    ahead: Vector  # at right angles to it: where the antenna looks
 
 
 class Media(NamedTuple):
-    """Kinds of slabs at each carrier, and the antennas at either end. (F carriers, K kinds of N layers, L lanes)
+    """Kinds of slabs at each carrier, and the antennas at both ends. (F carriers, K kinds of N layers, L lanes)
 
     A lane is one of the N nodes of the array at one carrier, or one of its M elements. The nodes of all carriers come
     first, those of one carrier side by side: L = F·N + F·M.
@@ -73,8 +78,7 @@ class Media(NamedTuple):
     lanes: F64  # (N, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
     first: I64  # (K + 1,): layers first[k] to first[k + 1] are of kind k, the first at the front
     specular: F64  # (K,): share of the reflected field that the slab does not scatter, √(1 − S²); 1 where it is smooth
-    transmitter: Antenna
-    receiver: Antenna
+    antennas: F64  # (2, 12): `Antenna` of the transmitter and of the receiver, in one array, for tuples cost time
 
     def in_lanes(self, num_nodes: int, num_elements: int) -> Media:
         """The media of an array of so many nodes and elements, from those with one lane for each carrier."""

@@ -22,7 +22,6 @@ from .arrays import (
     I32,
     I64,
     LANES,
-    Antenna,
     Bools,
     CentrePath,
     Facets,
@@ -36,7 +35,7 @@ from .arrays import (
 from .bundles import EVERYWHERE, follow, gather_mirrors
 from .channels import list_interactions
 from .compiled import bare, entry
-from .fields import antenna_field, specular_share, spread
+from .fields import antenna_field, antenna_of, element_gain, specular_share, spread
 from .sequences import mirrored_offsets
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import LONE, side_of
@@ -139,10 +138,11 @@ def _reach(
 
 
 @bare
-def _bring(facets: Facets, media: Media, antenna: Antenna, pole: float, has_mirror: int, first: int, walk: Walk) -> int:
+def _bring(facets: Facets, media: Media, half: int, has_mirror: int, first: int, walk: Walk) -> int:
     """Bring the field of an antenna at the end of the way traced last back to its tile, at carriers `first` and after.
 
-    The waves are left in `walk.wave`; returned is their number.
+    `half` is 0 for the transmitter's antenna, 1 for the receiver's. The waves are left in `walk.wave`; their number is
+    returned.
     """
     wave, start, image, mirror = walk.wave, walk.start, walk.image, walk.mirror
     number = min(BLOCK, media.permittivity.shape[0] - first)
@@ -153,7 +153,11 @@ def _bring(facets: Facets, media: Media, antenna: Antenna, pole: float, has_mirr
     kx = mirror[0, 0] * x + mirror[1, 0] * y + mirror[2, 0] * z
     ky = mirror[0, 1] * x + mirror[1, 1] * y + mirror[2, 1] * z
     kz = mirror[0, 2] * x + mirror[1, 2] * y + mirror[2, 2] * z
-    ex, ey, ez = antenna_field(antenna, kx, ky, kz, pole)
+    antenna = antenna_of(media.antennas[half])
+    ex, ey, ez = antenna_field(antenna, kx, ky, kz)
+    if antenna.is_directive:
+        own = element_gain(antenna, kx, ky, kz)
+        ex, ey, ez = own * ex, own * ey, own * ez
     for i in range(padded):
         wave[i], wave[BLOCK + i], wave[2 * BLOCK + i] = kx, ky, kz
         wave[3 * BLOCK + i], wave[4 * BLOCK + i], wave[5 * BLOCK + i] = ex, ey, ez
@@ -238,7 +242,7 @@ def _light(
     has_mirror = 1 if plane >= 0 else 0
     share = specular_share(facets, media, has_mirror, walk)
     for first in range(0, media.permittivity.shape[0], BLOCK):
-        number = _bring(facets, media, media.transmitter, 1.0, has_mirror, first, walk)
+        number = _bring(facets, media, 0, has_mirror, first, walk)
         for c in range(3):
             k_in[c] = wave[c * BLOCK]
         _resolve(wave, k_in[0], k_in[1], k_in[2], share, first, number, field)
@@ -314,7 +318,7 @@ def responses(
                 source[v, a] += walk.mirror[b, a] * (walk.start[0, b] - walk.image[b])
         share = specular_share(facets, media, has_mirror, walk)
         for first in range(0, num_carriers, BLOCK):
-            number = _bring(facets, media, media.receiver, -1.0, has_mirror, first, walk)
+            number = _bring(facets, media, 1, has_mirror, first, walk)
             for c in range(3):
                 leaves[v, c] = -wave[c * BLOCK]
             _resolve(wave, leaves[v, 0], leaves[v, 1], leaves[v, 2], share, first, number, response[v])

@@ -20,7 +20,7 @@ from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions
 from .compiled import bare, entry, lane, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
-from .fields import antenna_field, specular_share
+from .fields import antenna_field, antenna_of, element_gain, specular_share
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
@@ -169,9 +169,10 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
     for c in range(3):
         wave[c * BLOCK] = mirror[0, c] * way[0] + mirror[1, c] * way[1] + mirror[2, c] * way[2]
         wave[(6 + c) * BLOCK] = 0.0
-    antenna = media.receiver if half else media.transmitter
-    sent = antenna_field(antenna, wave[0], wave[BLOCK], wave[2 * BLOCK], 1.0 - 2.0 * half)
-    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = sent
+    antenna = antenna_of(media.antennas[half])
+    sent = antenna_field(antenna, wave[0], wave[BLOCK], wave[2 * BLOCK])
+    own = element_gain(antenna, wave[0], wave[BLOCK], wave[2 * BLOCK]) if antenna.is_directive else 1.0
+    wave[3 * BLOCK], wave[4 * BLOCK], wave[5 * BLOCK] = own * sent[0], own * sent[1], own * sent[2]
     for s in range(side.length, -1, -1):
         for i in range(walk.num_crossed[s] - 1, -1, -1):
             q, kind = walk.crossed[s, i], facets.slab[walk.crossed[s, i]]

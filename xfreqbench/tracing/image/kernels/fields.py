@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import BLOCK, F64, LANES, Antenna, Facets, Media, Path, Walk
+from .arrays import BLOCK, F64, LANES, Antenna, Facets, Media, Path, Vector, Walk
 from .compiled import bare, lane
 from .slabs import cosine_and_sine, reflect, transmit
 
@@ -12,26 +12,50 @@ Image = tuple[float, float, float, float]  # squared distance, and the way from 
 
 
 @lane
-def antenna_field(antenna: Antenna, x: float, y: float, z: float, pole: float) -> tuple[float, float, float]:
-    """World components of the antenna's real field towards a direction.
+def antenna_of(row: F64) -> Antenna:
+    """An antenna from its row (12,) in `Media`."""
+    axis, aside, ahead = (row[3], row[4], row[5]), (row[6], row[7], row[8]), (row[9], row[10], row[11])
+    return Antenna(row[0] != 0.0, row[1] != 0.0, row[2] != 0.0, axis, aside, ahead)
 
-    `pole` is the cosine of the azimuth of a vertical direction: 1 at one end of a path and −1 at the other, as the ends
-    of a ray beside the vertical have opposite azimuths, however often floor and ceiling reflect it.
+
+@lane
+def antenna_field(antenna: Antenna, x: float, y: float, z: float) -> Vector:
+    """World components of the antenna's real field towards a direction, without the gain of a directive element.
+
+    With the antenna's axis a, it is along the polar angle's unit vector (a·k)ρ − |k − (a·k)a|a or, if it is horizontal,
+    the azimuth's a×ρ; ρ is along k − (a·k)a.
     """
-    horizontal = math.sqrt(x * x + y * y)
-    inverse = 1.0 / max(horizontal, 1e-12)
-    cos_phi = x * inverse if horizontal > 1e-12 else pole
-    sin_phi = y * inverse if horizontal > 1e-12 else 0.0
-    scale = math.sqrt(1.5) * horizontal if antenna.is_dipole else 1.0
+    ax, ay, az = antenna.axis
+    along = ax * x + ay * y + az * z
+    x, y, z = x - along * ax, y - along * ay, z - along * az
+    across = math.sqrt(x * x + y * y + z * z)
+    inverse = 1.0 / max(across, 1e-12)
+    is_aside = across > 1e-12
+    x = x * inverse if is_aside else antenna.aside[0]
+    y = y * inverse if is_aside else antenna.aside[1]
+    z = z * inverse if is_aside else antenna.aside[2]
+    scale = math.sqrt(1.5) * across if antenna.is_dipole else 1.0
     if antenna.is_horizontal:
-        return -scale * sin_phi, scale * cos_phi, 0.0
-    return scale * z * cos_phi, scale * z * sin_phi, -scale * horizontal
+        return scale * (ay * z - az * y), scale * (az * x - ax * z), scale * (ax * y - ay * x)
+    return (scale * (along * x - across * ax), scale * (along * y - across * ay), scale * (along * z - across * az))
+
+
+@bare
+def element_gain(antenna: Antenna, x: float, y: float, z: float) -> float:
+    """Amplitude of the element of 3GPP TR 38.901, Table 7.3-1: 8 dBi where it looks, up to 30 dB less elsewhere."""
+    (ax, ay, az), (bx, by, bz) = antenna.axis, antenna.ahead
+    along, ahead = ax * x + ay * y + az * z, bx * x + by * y + bz * z
+    left = (ay * bz - az * by) * x + (az * bx - ax * bz) * y + (ax * by - ay * bx) * z
+    elevation, azimuth = math.atan2(along, math.hypot(ahead, left)), math.atan2(left, ahead)
+    width = math.radians(65.0)
+    loss_db = min(12.0 * (elevation / width) ** 2, 30.0) + min(12.0 * (azimuth / width) ** 2, 30.0)
+    return float(10.0 ** ((8.0 - min(loss_db, 30.0)) / 20.0))
 
 
 @bare
 def _launch(media: Media, path: Path, start: F64, offset_m: F64, wave: F64, number: int) -> None:
     """Begin waves from `start` (3,) to the images of antennas at `offset_m` (3, number), with the antenna's field."""
-    image, mirror = path.image, path.mirror
+    image, mirror, antenna = path.image, path.mirror, antenna_of(media.antennas[0])
     ix, iy, iz = image[0] - start[0], image[1] - start[1], image[2] - start[2]
     for i in range(number):
         x, y, z = offset_m[0, i], offset_m[1, i], offset_m[2, i]
@@ -40,19 +64,30 @@ def _launch(media: Media, path: Path, start: F64, offset_m: F64, wave: F64, numb
         kz = iz + (mirror[2, 0] * x + mirror[2, 1] * y + mirror[2, 2] * z)
         inverse = 1.0 / math.sqrt(kx * kx + ky * ky + kz * kz)
         kx, ky, kz = kx * inverse, ky * inverse, kz * inverse
-        ex, ey, ez = antenna_field(media.transmitter, kx, ky, kz, 1.0)
+        ex, ey, ez = antenna_field(antenna, kx, ky, kz)
         wave[i], wave[BLOCK + i], wave[2 * BLOCK + i] = kx, ky, kz
         wave[3 * BLOCK + i], wave[4 * BLOCK + i], wave[5 * BLOCK + i] = ex, ey, ez
         wave[6 * BLOCK + i], wave[7 * BLOCK + i], wave[8 * BLOCK + i] = 0.0, 0.0, 0.0
+    if antenna.is_directive:
+        for i in range(number):
+            own = element_gain(antenna, wave[i], wave[BLOCK + i], wave[2 * BLOCK + i])
+            for c in range(3, 6):
+                wave[c * BLOCK + i] *= own
 
 
 @bare
 def _receive(media: Media, wave: F64, gain: F64, number: int) -> None:
     """What antennas take of waves, to `gain` (2, number)."""
+    antenna = antenna_of(media.antennas[1])
     for i in range(number):
-        ex, ey, ez = antenna_field(media.receiver, -wave[i], -wave[BLOCK + i], -wave[2 * BLOCK + i], -1.0)
+        ex, ey, ez = antenna_field(antenna, -wave[i], -wave[BLOCK + i], -wave[2 * BLOCK + i])
         gain[0, i] = wave[3 * BLOCK + i] * ex + wave[4 * BLOCK + i] * ey + wave[5 * BLOCK + i] * ez
         gain[1, i] = wave[6 * BLOCK + i] * ex + wave[7 * BLOCK + i] * ey + wave[8 * BLOCK + i] * ez
+    if antenna.is_directive:
+        for i in range(number):
+            own = element_gain(antenna, -wave[i], -wave[BLOCK + i], -wave[2 * BLOCK + i])
+            gain[0, i] *= own
+            gain[1, i] *= own
 
 
 @bare
