@@ -124,8 +124,8 @@ def test_every_reflection_of_a_room_is_an_image_as_long_from_the_same_direction_
         length_m = traces.length_m[tx, at].numpy()
         np.testing.assert_allclose(length_m, paths.delay_s * SPEED_OF_LIGHT_M_S, rtol=0, atol=1e-9)
         np.testing.assert_allclose(traces.arrival[tx, at].numpy(), paths.arrival, atol=1e-6)  # float32
-        # both ends' horizontal vectors are turned by the azimuth, and oppose each other: one sign for all paths
-        sign = -1 if antenna[1] == "H" else 1
+        # both ends' unit vectors of the azimuth oppose each other: one sign for all paths
+        sign = -1 if antenna == ("iso", "H") else 1
         direct = SPEED_OF_LIGHT_M_S / CARRIER_HZ / (4 * np.pi * float(traces.direct_m[tx]))
         error = np.abs(sign * gain[tx, at].T * direct[:, None] - paths.gain)
         assert (error / direct[:, None]).max() < 3e-6  # float32; measured 6e-7
