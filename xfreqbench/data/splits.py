@@ -134,8 +134,8 @@ class Split:
         return cls(name, protocol, PROTOCOL_VERSION, train, test, num_without_path, shared, distance_m)
 
     def trained_band_hz(self, dataset: PasDataset) -> tuple[float, float]:
-        """The lowest and the highest carrier that is trained on."""
-        carrier_hz = dataset.carrier_hz[self.train]
+        """The lowest and the highest carrier that is trained on; other receivers train on all."""
+        carrier_hz = dataset.carrier_hz[self.train] if len(self.train) else dataset.carrier_hz
         return float(carrier_hz.min()), float(carrier_hz.max())
 
     def extrapolation(self, dataset: PasDataset) -> str | None:

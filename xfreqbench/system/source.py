@@ -203,6 +203,7 @@ _IDLE_BEGINNINGS = (
     "from typing ",
     "import lazy_loader",
     "import os",
+    "import sys",
     "import typing",
     "os.environ.setdefault(",  # how threads wait, and where is kept what was compiled, changes no result
     "from xfreqbench.system.caches ",
@@ -219,7 +220,8 @@ def _is_idle_statement(node: ast.stmt) -> bool:
         is_lazy = isinstance(value, ast.Call) and _dotted(value.func)[-1] in ("attach", "attach_stub")
         return is_lazy or ast.unparse(node.targets[0]).startswith("__")
     if isinstance(node, ast.If):
-        return _is_type_checking(node.test) and not node.orelse
+        refuses = all(isinstance(each, ast.Raise) for each in node.body)
+        return (refuses or _is_type_checking(node.test)) and not node.orelse
     return ast.unparse(node).startswith(_IDLE_BEGINNINGS)
 
 

@@ -159,7 +159,7 @@ def in_polygons(surfaces: Sequence[Surface], turn: np.ndarray) -> list[Surface]:
         replace(
             surfaces[which], name=f"facet {n}", min_m=None, max_m=None, vertices_m=tuple(map(tuple, corners_m @ turn.T))
         )
-        for n, (corners_m, which) in enumerate(facets)
+        for n, (corners_m, which, _) in enumerate(facets)
     ]
 
 
