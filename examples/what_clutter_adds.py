@@ -2,7 +2,7 @@
 
 `python examples/what_clutter_adds.py` takes 30 transmitters, spread over those in sight of the array, the same in every
 row. A row has medians at three carriers: delay spread and azimuth spread at the array of paths within 25 dB of the
-strongest, those of all paths in brackets, and K. Single diffuse paths are weaker than 25 dB; they count in brackets.
+strongest, those of all paths in brackets, and K.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ from xfreqbench.tracing.paths import RaggedPaths
 FREQS_GHZ = (2.4, 24.25, 77)
 SMOOTH = xb.TraceSettings(solver="image")
 FOUR = xb.TraceSettings(solver="image", interactions=("specular", "refraction"), max_depth=4)
-DIFFUSE = xb.TraceSettings(
-    solver="sionna", interactions=("specular", "refraction", "diffuse"), max_depth=4, rays=200_000
-)
+DIFFUSE = replace(FOUR, interactions=(*FOUR.interactions, "diffuse"))
 
 
 def made_of(scene: xb.Scene, material: str, thickness_m: float, *names: str) -> xb.Scene:
