@@ -6,7 +6,7 @@ import base64
 import errno
 import os
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -26,13 +26,13 @@ from pydantic import (
     Field,
     PlainSerializer,
     ValidationError,
-    model_serializer,
     model_validator,
 )
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.sealed import SealedModel
+from xfreqbench.system.arguments import only_given
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
 from xfreqbench.units import band_text
@@ -149,9 +149,7 @@ class Job:
     receiver: str | None = None
     polarization: str | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if value is not None}
+    _json = only_given
 
     def __post_init__(self) -> None:
         for text in (self.dataset, self.method, *self.overrides):

@@ -8,18 +8,18 @@ test compares it with Sionna's. Beside them stand materials of a scene's own, wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, model_serializer, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from xfreqbench.errors import MaterialBandError, UnknownNameError
-from xfreqbench.system.arguments import CarriersGhz, checked
+from xfreqbench.system.arguments import CarriersGhz, checked, only_given
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
@@ -228,9 +228,7 @@ class SceneMaterial:
     scattering: Scattering | None = None
     layers: Annotated[tuple[SceneLayer, ...], Field(min_length=1, max_length=MAX_LAYERS)] | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_stated(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if value is not None}
+    _json = only_given
 
     @model_validator(mode="after")
     def _is_one_material(self) -> SceneMaterial:

@@ -28,7 +28,7 @@ from xfreqbench.scene.array import (
 from xfreqbench.scene.imported import Slab, rough
 from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, material_named
 from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
-from xfreqbench.system.arguments import FilePath, checked
+from xfreqbench.system.arguments import FilePath, checked, only_given
 from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
@@ -88,9 +88,7 @@ class Surface:
     max_m: Point | None = None
     vertices_m: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if value is not None}
+    _json = only_given
 
     @model_validator(mode="after")
     def _has_an_area(self) -> Surface:
@@ -275,9 +273,7 @@ class TransmitterGrid:
     polarization: Polarization | None = None
     orientation_deg: Orientation | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if value is not None}
+    _json = only_given
 
     @model_validator(mode="after")
     def _is_not_empty(self) -> TransmitterGrid:

@@ -12,7 +12,16 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError, validate_call
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    model_serializer,
+    validate_call,
+)
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.types import FloatArray
@@ -47,6 +56,12 @@ def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
         return function(*arguments, **named)
 
     return call
+
+
+@model_serializer(mode="wrap")
+def only_given(self: Any, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+    """Serializer of a Pydantic class, as one of its attributes: the JSON leaves out the fields that are None."""
+    return {key: value for key, value in serialize(self).items() if value is not None}
 
 
 def _words(function: Callable[..., Any], error: ValidationError) -> str:
