@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 from numpy.polynomial import Legendre, Polynomial
 from pydantic import Field as Limits
 from torch import Tensor, nn
@@ -19,7 +19,7 @@ from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.network import Attributes
 from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, LearnedMethod
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
-from xfreqbench.methods.splatting.gaussians import RFGaussians
+from xfreqbench.methods.splatting.gaussians import RFGaussians, Seen
 
 _ATTENUATION = 0.1  # of each Gaussian at the start
 _COEFFICIENT = 0.1  # standard deviation of real and imaginary parts at the start
@@ -124,9 +124,7 @@ class GSRFField(GaussianField):
         self.gaussians = self.new_gaussians(len(position_m))
         self.gaussians.settle(position_m, spacing_m, generator)
 
-    def attributes(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
-    ) -> Attributes:
+    def attributes(self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Seen) -> Attributes:
         """Signal and attenuation of the Gaussians `seen`, the same at every carrier."""
         tx_m = self.scaling.in_frame(tx_position_m)
         direction = normalize(self.position_m[seen] - tx_m[:, None], dim=-1)

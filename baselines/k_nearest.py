@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import inner_carriers_hz
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.loss_kernels import similarities
 from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters, TransmitterLookup, WeightedRows
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
 _NUM_TX, _ALL = (1, 2, 3, 4, 6, 8), 2**31

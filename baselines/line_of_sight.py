@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.methods.lookup import TransmitterLookup
 from xfreqbench.scene.array import steering_vector
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 

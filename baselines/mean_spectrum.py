@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.lookup import TransmitterLookup
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 _BATCH = 256  # maps in memory
 

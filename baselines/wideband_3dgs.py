@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
@@ -19,7 +19,7 @@ from xfreqbench.methods.learning.encoding import Scaling, encoded_size, position
 from xfreqbench.methods.learning.network import Attributes, PairwiseMLP, Precision
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
-from xfreqbench.methods.splatting.gaussians import RFGaussians
+from xfreqbench.methods.splatting.gaussians import RFGaussians, Seen
 
 _HIGHEST_HZ = 94e9  # carrier that is scaled to 1 on a linear axis
 _NEAREST_M = 0.1  # smallest distance to the receiver by which signals are divided
@@ -108,9 +108,7 @@ class Wideband3DGSField(GaussianField):
         self.scaling.adapt(train)
         self.gaussians.scatter(self.scaling, math.radians(self.config.angular_size_deg), generator)
 
-    def attributes(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
-    ) -> Attributes:
+    def attributes(self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Seen) -> Attributes:
         """The network's outputs for the Gaussians `seen`, with their opacity and path loss."""
         position_m = self.gaussians.position_m.detach()[seen]
         opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from torch import Tensor
 from typing_extensions import Doc
 
@@ -23,7 +22,7 @@ from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.network import NetworkConfig
 from xfreqbench.methods.learning.targets import GridView, Targets, of_peak
 from xfreqbench.methods.learning.training import Count, LearnedMethod, Positive, Training, TrainingConfig
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 from ..xfreq_gs import XFreqGS, XFreqGSConfig
 from .config import SourceConfig

@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from xfreqbench.bench.tables import Bench
@@ -25,7 +24,7 @@ from xfreqbench.system.files import read_text
 from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, ProgressCallback
+from xfreqbench.types import FloatArray, NDArray, ProgressCallback
 from xfreqbench.units import format_ghz_list
 
 CELL_M = 0.5  # side of the blocks of space whose errors are drawn together, and over which local means are taken

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from xfreqbench.errors import DataError
@@ -29,7 +28,7 @@ from xfreqbench.system.files import atomic_path, require_own, sole_writer, stora
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import FloatArray, ProgressCallback
+from xfreqbench.types import FloatArray, NDArray, ProgressCallback
 
 REFERENCE_CARRIERS_HZ = (1e9, 10e9, 94e9)
 REFERENCE_TRANSMITTERS = 24

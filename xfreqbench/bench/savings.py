@@ -14,7 +14,6 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Complex, Float
 from numba import get_num_threads
-from numpy.typing import NDArray
 
 from xfreqbench.bench.tables import Bench
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -29,7 +28,7 @@ from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 NUM_TX = 48

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Complex
-from numpy.typing import NDArray
 
 from xfreqbench.bench.reference import REFERENCE_SETTINGS, Reference, read_reference
 from xfreqbench.bench.tables import Bench
@@ -33,6 +32,7 @@ from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, Interaction, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
+from xfreqbench.types import NDArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
 
 SOLVERS: tuple[SolverName, ...] = ("image", "sionna")

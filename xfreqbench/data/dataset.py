@@ -21,7 +21,6 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from numpy.typing import NDArray
 from pydantic import PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -73,7 +72,7 @@ from xfreqbench.system.files import require_own
 from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import format_ghz, format_ghz_list
 
 SAME_PLACE_M = 1e-3

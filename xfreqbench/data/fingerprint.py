@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.recipe import Recipe, micrometres
 from xfreqbench.errors import DataError
 from xfreqbench.system.array_files import read_arrays
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4

@@ -20,11 +20,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from xfreqbench.errors import DataError, StorageError, XFreqBenchError
 from xfreqbench.system.files import atomic_path, storage_errors
 from xfreqbench.system.remote import RemotePath
+from xfreqbench.types import NDArray
 
 _METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import Variable, read_array, text_attributes
 from xfreqbench.data.schema import CARRIER, POLARIZATION, DatasetHeader
@@ -25,7 +24,7 @@ from xfreqbench.tracing.paths import (
     directions,
     element_delays_s,
 )
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 GROUP = "paths"

@@ -12,7 +12,6 @@ from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from xfreqbench.data.recipe import job_of
@@ -43,7 +42,7 @@ from xfreqbench.system.source import package_sha256
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz_list
 
 BYTES_PER_TRIANGLE = 800  # at the peak, where solver `image` sorts them; measured in scene `lounge`

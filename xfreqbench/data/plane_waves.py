@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.schema import DatasetHeader
@@ -15,7 +14,7 @@ from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.maps.bartlett import BartlettBeam, cfr_of_plane_waves
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 RECEIVER = ReceiverArray(position_m=(4.0, 3.0, 2.6))

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Complex, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.paths import SamplePaths
@@ -19,7 +18,7 @@ from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene, shipped_folder
 from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, NDArray
 from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # a path that is a millimetre longer differs by 0.02 at 1 GHz

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from xfreqbench.types import NDArray
 
 Rows = slice | Sequence[int] | NDArray[Any]  # of numbers, or a mask
 

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import pydantic_core
 from jaxtyping import Float
-from numpy.typing import NDArray
 from pydantic import (
     BeforeValidator,
     ConfigDict,
@@ -30,7 +29,7 @@ from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import PolarizationPair, ReceiverArray, Scene
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 SCHEMA = "xfreqbench/pas/1"
 

@@ -49,7 +49,6 @@ from typing import Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from pydantic import InstanceOf
 from scipy.spatial import KDTree
 
@@ -64,7 +63,7 @@ from xfreqbench.data.validation import (
 )
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import band_text, format_ghz, format_ghz_list, ghz_to_hz
 
 PROTOCOL_VERSION = "1"

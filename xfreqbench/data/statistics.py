@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
@@ -33,7 +32,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.absorption import mean_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import format_ghz
 
 WINDOW_DB = 25.0

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
@@ -22,7 +21,7 @@ from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from types import TracebackType
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.hdf5 import create_sealed
 from xfreqbench.data.paths import GROUP, INTERACTION_OFFSET, OFFSET, RAGGED, PathTotals, path_variables
@@ -17,7 +16,7 @@ from xfreqbench.data.schema import UNKNOWN_NUM_PATHS, DatasetHeader, constants, 
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.tracing.paths import RaggedPaths
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 
 @dataclass(frozen=True, eq=False)

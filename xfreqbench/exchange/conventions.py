@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Shaped
-from numpy.typing import NDArray
 from pydantic import Field
 
 from xfreqbench.errors import DataError, UnknownNameError
@@ -21,7 +20,7 @@ from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import override
 from xfreqbench.scene.array import ArrayPlane
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Degrees = Annotated[float, Field(allow_inf_nan=False)]

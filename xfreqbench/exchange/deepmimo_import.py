@@ -16,7 +16,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
 from xfreqbench.data.dataset import holds_same_job
@@ -32,7 +31,7 @@ from xfreqbench.scene.model import FAR_M, ReceiverArray
 from xfreqbench.system.array_files import read_arrays
 from xfreqbench.system.files import read_bytes, require_text
 from xfreqbench.tracing.paths import RaggedPaths, directions, element_delays_s
-from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
+from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback, ignore_progress
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 Elevations = Literal["zenith", "horizon"]

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Shaped
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import RaggedPaths
-from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
+from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback, ignore_progress
 
 INVALID_SHAPE = 0xFFFFFFFF  # Sionna RT's mark for no object
 _NO_DELAY_S = -1.0  # Sionna RT's mark for no path

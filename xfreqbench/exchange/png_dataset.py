@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
 from xfreqbench.data.schema import DatasetHeader
@@ -42,7 +41,7 @@ from xfreqbench.exchange.png_folder import (
 )
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.system.files import atomic_folder, require_empty, require_text, storage_errors
-from xfreqbench.types import IntArray, ProgressCallback, ignore_progress
+from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
 _BATCH = 16  # transmitters, or maps to export, that are in memory at once
 _MAX_PIXELS = 30_000_000  # of the transmitters that are in memory at once

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 import yaml
 from jaxtyping import Float, Int, UInt8
-from numpy.typing import NDArray
 from PIL import Image
 from pydantic import ValidationError
 
@@ -36,7 +35,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.system.files import read_text, require_regular, storage_errors
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
 BRIGHTEST = 255

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from xfreqbench.data.dataset import PasDataset
@@ -17,6 +16,7 @@ from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Spl
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps
 from xfreqbench.runs.scoring import BATCH_SIZE
+from xfreqbench.types import NDArray
 
 PAS = "pas"
 _ADVICE = {

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, geometry
 from xfreqbench.data.hdf5 import SealedWriter, Variable, create_sealed, open_sealed, text_attributes, verify_sealed
@@ -31,7 +30,7 @@ from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError, ProtocolError
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.system.files import require_own
-from xfreqbench.types import ProgressCallback, ignore_progress
+from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
 
 SCHEMA = "xfreqbench/split/1"
 MAPS = "train_pas"

@@ -7,13 +7,12 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.errors import ArgumentError, UnknownNameError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import steering_vector
 from xfreqbench.system.machine import one_blas_thread
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 PasKind = Literal["power", "amplitude", "phase-only"]

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

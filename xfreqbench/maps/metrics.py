@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from skimage.metrics import structural_similarity as _untyped_structural_similarity
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE, PasKind, power_of
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.types import FloatArray, Maps
+from xfreqbench.types import FloatArray, Maps, NDArray
 
 METRICS_VERSION = "2"
 SSIM_WINDOW = 7  # scikit-image's default, uniform

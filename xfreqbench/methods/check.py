@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
@@ -24,7 +23,7 @@ from xfreqbench.methods.fitting import checked_findings, checked_num_parameters,
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, device_option, name_of
 from xfreqbench.system.arguments import Texts, checked
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, NDArray
 from xfreqbench.units import ghz_to_hz
 
 NUM_STEPS = 10  # of every fit; a broken contract shows in a few steps

@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial import KDTree
 
@@ -21,7 +20,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.system.files import read_bytes
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SAME_TRANSMITTER_M = 1e-6
 _MOST_MAPS = 512  # in memory at once: 66 MB

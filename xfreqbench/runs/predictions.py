@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Num
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import (
@@ -24,7 +23,7 @@ from xfreqbench.data.hdf5 import (
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
 from xfreqbench.system.files import require_own
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, NDArray
 
 SCHEMA = "xfreqbench/predictions/1"
 PEAK_TOLERANCE = 1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off

@@ -17,7 +17,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Int
-from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -35,6 +34,7 @@ from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.arguments import only_given
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, software
+from xfreqbench.types import NDArray
 from xfreqbench.units import band_text
 
 NUM_QUANTILES = 101

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Num
-from numpy.typing import NDArray
 from pydantic import InstanceOf, SkipValidation
 
 from xfreqbench.data.dataset import PasDataset
@@ -20,7 +19,7 @@ from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_prediction
 from xfreqbench.runs.records import NUM_QUANTILES, CurvePoint, External, Job, RunRecord, Summary, utc_now
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import checked
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 BATCH_SIZE = 32  # maps that are in memory at a time
 _SSIM_DECIMALS = 4

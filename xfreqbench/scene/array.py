@@ -6,9 +6,8 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 ArrayPlane = Literal["xy", "yz"]

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.patches import mirror_patches
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
 

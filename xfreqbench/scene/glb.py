@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, slab_of
 from xfreqbench.scene.materials import SceneMaterial
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}

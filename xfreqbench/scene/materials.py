@@ -14,12 +14,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from xfreqbench.errors import MaterialBandError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked, only_given
+from xfreqbench.types import NDArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, Slab, Triangles, bounded
@@ -23,7 +22,7 @@ from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
 from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
 from xfreqbench.scene.polygons import flat_polygon, is_flat
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
 PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.scene.model import NEAR_M
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 COPLANAR_M = 1e-4  # and radians: neighbours that differ by less lie in one plane, as in `scene.facets`
 MAX_ON_EDGE = 16

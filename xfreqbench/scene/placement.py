@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
@@ -15,7 +14,7 @@ from xfreqbench.scene.model import FAR_M, ReceiverArray, Scene
 from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz, format_point
 
 HIGHEST_ROOM_M, HIGHEST_SCENE_M = 60.0, 1000.0  # what is higher is asked for its unit

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xfreqbench.scene import visibility_kernels
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 
 def distance_to_surfaces(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Float[FloatArray, "N"]:

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from xfreqbench.types import NDArray
 
 Array = NDArray[np.float64]
 

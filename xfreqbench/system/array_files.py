@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 
 from xfreqbench.errors import DataError
 from xfreqbench.system.files import read_bytes
 from xfreqbench.system.machine import available_memory_mib
+from xfreqbench.types import NDArray
 
 _KINDS = {"real": "fiu", "text": "U"}
 _MATLAB_5, _MATRIX, _COMPRESSED = b"MATLAB 5.0 MAT-file", 14, 15

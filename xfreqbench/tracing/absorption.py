@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 _NODES = 256  # of the quadrature: two for a fringe of 20 cm of glass at 94 GHz

@@ -7,12 +7,11 @@ from typing import Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.paths import Paths, RaggedPaths
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 Interaction = Literal["specular", "refraction", "diffraction", "diffuse"]
 INTERACTIONS: tuple[Interaction, ...] = get_args(Interaction)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Complex
-from numpy.typing import NDArray
 
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import Paths, element_delays_s
+from xfreqbench.types import NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from xfreqbench.data.dataset import PasDataset
@@ -26,7 +25,7 @@ from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.placement import median_transmitter
 from xfreqbench.scene.visibility import sees
 from xfreqbench.tracing.absorption import slab_response
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 from ..room.surfaces import slab_reflection
 from ..search.planes import Vector

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, XFreqBenchError
@@ -30,7 +29,7 @@ from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
 from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.waves import spherical_waves
-from xfreqbench.types import FloatArray, IntArray, ProgressCallback
+from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback
 
 from ..search.planes import Vector
 from ..stored import FoundPlane, StoredFindings

@@ -17,12 +17,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.tracing.paths import SPECULAR, Paths
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 from ..search.cross_terms import ComplexArray, IsOver, LagAverages, Lags, never

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from xfreqbench.types import NDArray
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import complex_permittivity, materials_defined_at
 from xfreqbench.scene.meshes import SurfaceMesh
@@ -17,7 +16,7 @@ from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.placement import MIN_SEPARATION_M
 from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 from ..search.planes import Points, Vector

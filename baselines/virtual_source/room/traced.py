@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Complex, Float, Int, Shaped
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
@@ -22,7 +21,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
-from xfreqbench.types import FloatArray, IntArray, Maps
+from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 
 from ..search.cross_terms import IsOver, never, spherical_waves
 from .surfaces import RoomSurface, Surfaces

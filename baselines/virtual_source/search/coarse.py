@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 from .cross_terms import MIN_EXCESS_CYCLES, BoolArray, CrossTerms, phasor
 from .planes import Vector

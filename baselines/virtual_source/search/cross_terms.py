@@ -21,13 +21,12 @@ from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.methods.learning.targets import element_lags
 from xfreqbench.scene.array import steering_vector
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 from .planes import Vector, mirrored

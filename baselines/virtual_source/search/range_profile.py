@@ -16,12 +16,11 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 from .coarse import BEHIND_BOX_M
 from .cross_terms import Aligned, CrossTerms, Explained, IsOver, SearchOverError, aligned, never, until_over

@@ -12,14 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Material, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Candidates = Literal["exhaustive", "hybrid"]

@@ -9,7 +9,6 @@ from statistics import median
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.bench.peers.differt import has_differt, require_differt
 from xfreqbench.bench.peers.solvers import BATCH, CONVERGED, CONVERGED_RAYS, RAYS, SOLVERS, panel_room, transmitters
@@ -19,7 +18,7 @@ from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.system.workers import LocalProcesses, own_cores
 from xfreqbench.tracing.image.tracer import MAX_MIRRORS
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz
 
 CARRIERS_HZ = (24.25e9,)

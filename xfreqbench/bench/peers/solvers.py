@@ -8,7 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.bench.peers.differt import DiffeRTSolver
 from xfreqbench.errors import XFreqBenchError
@@ -17,7 +16,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.sionna import plain
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 RAYS = 1_000_000  # of solvers that shoot them

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xfreqbench.bench.stress.case import Area
 from xfreqbench.data.dataset import PasDataset
@@ -20,6 +19,7 @@ from xfreqbench.scene.materials import ITU_MATERIALS, Band, complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
+from xfreqbench.types import NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M, ghz_to_hz
 
 PHASE, MATERIALS = Area("phase"), Area("materials")

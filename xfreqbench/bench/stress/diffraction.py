@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import wofz
 
 from xfreqbench.bench.stress.case import Area
@@ -15,6 +14,7 @@ from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.scene.model import ReceiverArray, Surface
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.types import NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
 DIFFRACTION = Area("diffraction")

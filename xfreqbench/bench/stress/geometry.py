@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.bench.stress.case import Area, needing_two_threads
 from xfreqbench.bench.stress.channels import CARRIERS_GHZ, RECEIVER, free_space, friis, wave
@@ -22,7 +21,7 @@ from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
 GEOMETRY = Area("geometry")

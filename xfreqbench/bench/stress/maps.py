@@ -9,7 +9,6 @@ from itertools import product
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xfreqbench.bench.stress.case import Area
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
@@ -27,7 +26,7 @@ from xfreqbench.maps.metrics import (
     ssim_wrapped,
 )
 from xfreqbench.scene.array import planar_array
-from xfreqbench.types import Maps
+from xfreqbench.types import Maps, NDArray
 
 MAPS = Area("maps")
 # a beam is 16 products of float32, its power twice that, of a peak of 1: 16 · 2 · 6e-8, and the peak's

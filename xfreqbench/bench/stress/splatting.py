@@ -9,7 +9,6 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from xfreqbench.bench.stress.case import Area, needing_two_threads
@@ -19,6 +18,7 @@ from xfreqbench.methods.splatting.composite_kernels import use_threads
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
 from xfreqbench.methods.splatting.gaussians import covariance, rotation_matrix
 from xfreqbench.methods.splatting.projection import Projection, project, projection_jacobian
+from xfreqbench.types import NDArray
 
 COMPOSITE = Area("composite")
 Attenuations = Literal["clear", "opaque", "denormal", "turning", "reversing", "any"]

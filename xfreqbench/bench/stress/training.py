@@ -12,7 +12,6 @@ from typing import Concatenate, ParamSpec
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from xfreqbench.bench.stress.case import Area
@@ -36,7 +35,7 @@ from xfreqbench.methods.splatting.field import SplatConfig, SplatField
 from xfreqbench.scene.array import planar_array
 from xfreqbench.scene.model import load_scene
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
-from xfreqbench.types import Maps
+from xfreqbench.types import Maps, NDArray
 from xfreqbench.units import ghz_to_hz
 
 Arguments = ParamSpec("Arguments")

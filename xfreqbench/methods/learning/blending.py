@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
@@ -23,7 +22,7 @@ from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.mixing import STRIDE, WEIGHTS, Predict, mixed, similarities, similarities_by_weight
 from xfreqbench.methods.lookup import TrainingTransmitters
-from xfreqbench.types import FloatArray, IntArray, Maps
+from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 from xfreqbench.units import format_ghz
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen

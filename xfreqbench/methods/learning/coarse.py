@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.types import NDArray
 
 _AT_ONCE = 256  # maps of the fine grid in memory
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from xfreqbench.maps.metrics import SSIM_WINDOW
+from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
 FAST = {"nsz", "arcp", "contract", "reassoc"}  # not nnan: a loss that is not finite has to show

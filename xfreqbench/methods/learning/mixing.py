@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.methods.learning import loss_kernels
-from xfreqbench.types import FloatArray, Maps
+from xfreqbench.types import FloatArray, Maps, NDArray
 
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the learned maps; one of them is chosen
 STRIDE, _WINDOW = 3, 3  # of the SSIM that compares maps

@@ -69,7 +69,8 @@ class PairwiseMLP(nn.Module):
         self, query: Float[Tensor, "B Q"], gaussian: Float[Tensor, "V G"], pair: Float[Tensor, "B V P"]
     ) -> Float[Tensor, "B V O"]:
         """Outputs for every pair, float32."""
-        size = max(1, _CHUNK_PAIRS // max(1, len(gaussian)))
+        on_cpu = query.device.type == "cpu"
+        size = max(1, _CHUNK_PAIRS // max(1, len(gaussian)) if on_cpu else len(query))
         chunks = zip(self.of_query(query).split(size), pair.split(size), strict=True)
         return torch.cat([self._outputs(of_query, gaussian, part) for of_query, part in chunks])
 

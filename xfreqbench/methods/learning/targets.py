@@ -81,6 +81,8 @@ class Beams:
         self._num_lags = len(unique)
         self._in_view: dict[GridView, Tensor] = {}
         self._projections: dict[GridView, Tensor] = {}
+        self._angles: dict[GridView, tuple[Tensor, Tensor]] = {}
+        self.element = torch.as_tensor(element, device=device)  # positions in wavelengths
 
     def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power |a(d)ᴴ h|² / M² in view, summed over the leading axes of `cfr`: channels that do not interfere."""
@@ -124,6 +126,14 @@ class Beams:
         enough = _DIRECTIONS_PER_LAG * len(self._waves)
         return GridView(next((n for n in range(stride, 1, -1) if -(-rows // n) * -(-columns // n) >= enough), 1))
 
+    def angles_in(self, view: GridView) -> tuple[Float[Tensor, "A"], Float[Tensor, "E"]]:
+        """Azimuths and elevations in view, rad, on the device."""
+        if view not in self._angles:
+            grid = view.of_grid(self.grid)
+            angles = torch.as_tensor(grid.azimuth_rad), torch.as_tensor(grid.elevation_rad)
+            self._angles[view] = angles[0].float().to(self.device), angles[1].float().to(self.device)
+        return self._angles[view]
+
     def _waves_in(self, view: GridView) -> Float[Tensor, "L E A"]:
         """The real functions of the lags in view."""
         if view not in self._in_view:
@@ -134,7 +144,7 @@ class Beams:
 class Targets:
     """Training maps in view, for the rows that have a path.
 
-    They are derived from the channels where the data set stores them, and read from disk otherwise or where
+    They are `derived` from the channels where the data set stores them, and read from disk otherwise or where
     `from_channels` is false.
     """
 
@@ -142,7 +152,7 @@ class Targets:
         self.rows = np.flatnonzero(train.has_path)
         self._train, self._beams = train, beams
         self._device = beams.device
-        self._derived = train.header.channels and from_channels
+        self.derived = train.header.channels and from_channels
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -172,7 +182,7 @@ class Targets:
 
     def maps(self, nth: Int[Tensor, "B"], view: GridView) -> Float[Tensor, "B E A"]:
         """Maps in view of the `nth` rows that have a path, scaled so that the peak of the whole map is 1."""
-        if not self._derived:
+        if not self.derived:
             maps = self._train.pas(self.rows[nth.numpy()])
             return view.of_maps(torch.from_numpy(maps)).to(self._device)
         power = self._beams.power(self._unit_channels[nth.to(self._device)], view)

@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import torch
 from jaxtyping import Float
-from numpy.typing import NDArray
 from pydantic import Field as Limits
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -27,11 +26,12 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.blending import Blend, Holdout
+from xfreqbench.methods.learning.cuda_graph import StepGraph
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.stored import ADAM, SavedState, moments_of, named, require_moments, stored_state
 from xfreqbench.methods.learning.targets import Beams, GridView, Targets, in_kind, of_peak
 from xfreqbench.methods.lookup import TrainingTransmitters
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
 _PREDICT_BATCH = 16
@@ -78,7 +78,13 @@ class Adam(torch.optim.Adam):
 
 
 class ChannelField(nn.Module):
-    """A radiance field: it gives the received power from directions in view for any transmitter and carrier."""
+    """A radiance field: it gives the received power from directions in view for any transmitter and carrier.
+
+    `is_capturable` says that on a CUDA device its steps have fixed shapes and never wait for the host, so that they
+    may be replayed as a CUDA graph.
+    """
+
+    is_capturable: ClassVar[bool] = False
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
         """Prepare for training: take scales from the training rows, and random values from the generator."""
@@ -126,6 +132,7 @@ class Training:
     mean: AveragedModel | None = None  # of the field's weights over steps
     step: int = 0
     share: float = 0.0  # of the budget spent, as last told
+    graph: StepGraph | None = None  # of a step on a CUDA device, where the field is capturable
 
     @property
     def predictor(self) -> ChannelField:
@@ -299,9 +306,12 @@ class LearnedMethod:
 
     def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
         """Adam for the field's parameters, without any moments yet."""
-        optimizer = Adam(field.parameter_groups(self.config.learning_rate), fused=True)
+        on_cuda = self._device.type == "cuda"
+        optimizer = Adam(field.parameter_groups(self.config.learning_rate), fused=True, capturable=on_cuda)
         for group in optimizer.param_groups:
             group["initial_lr"] = group["lr"]
+            if on_cuda:
+                group["lr"] = torch.tensor(group["lr"], device=self._device)
         return optimizer
 
     def _new_training(self, beam: BartlettBeam, kind: PasKind, tensors: Mapping[str, Tensor]) -> Training:
@@ -323,38 +333,95 @@ class LearnedMethod:
 
     def batch_loss(self, training: Training, targets: Targets) -> Tensor:
         """Eq. 12 for random rows in a random view."""
-        config = self.config
-        nth = torch.randint(len(targets), (config.batch_size,), generator=training.generator)
-        view = GridView.draw(config.stride, training.generator)
-        position_m, carrier_hz = targets.queries(nth, config.carrier_blur, training.generator)
-        power = training.field.unit_power(position_m, carrier_hz, view, training.beams)
-        return self.loss_of(power, targets.maps(nth, view), training)
+        return self._loss_of_rows(training, targets, *self._random_rows(training, targets))
 
-    def loss_of(self, unit_power: Float[Tensor, "B E A"], truth: Float[Tensor, "B E A"], training: Training) -> Tensor:
+    def _random_rows(self, training: Training, targets: Targets) -> tuple[GridView, Tensor, Tensor, Tensor, float]:
+        """A view, rows, their transmitters and carriers, and the weight of SSIM."""
+        config, generator = self.config, training.generator
+        nth = torch.randint(len(targets), (config.batch_size,), generator=generator)
+        view = GridView.draw(config.stride, generator)
+        return view, nth, *targets.queries(nth, config.carrier_blur, generator), self._ssim_weight(training)
+
+    def _loss_of_rows(
+        self,
+        training: Training,
+        targets: Targets,
+        view: GridView,
+        nth: Tensor,
+        position_m: Tensor,
+        carrier_hz: Tensor,
+        ssim_weight: float | Tensor,
+    ) -> Tensor:
+        power = training.field.unit_power(position_m, carrier_hz, view, training.beams)
+        return self.loss_of(power, targets.maps(nth, view), training, ssim_weight)
+
+    def loss_of(
+        self,
+        unit_power: Float[Tensor, "B E A"],
+        truth: Float[Tensor, "B E A"],
+        training: Training,
+        ssim_weight: float | Tensor | None = None,
+    ) -> Tensor:
         """Eq. 12 for predicted power of peak 1; the weight of SSIM follows from the share of the budget spent."""
-        config, share = self.config, training.share
-        weight = config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0)
+        weight = self._ssim_weight(training) if ssim_weight is None else ssim_weight
         maps = in_kind(unit_power, training.kind)
-        return map_loss(maps, truth, weight, config.ssim_window, config.stride)
+        return map_loss(maps, truth, weight, self.config.ssim_window, self.config.stride)
+
+    def _ssim_weight(self, training: Training) -> float:
+        config, share = self.config, training.share
+        return float(config.ssim_weight * min(1.0, share / config.ssim_ramp if config.ssim_ramp else 1.0))
 
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
         share, before = training.share, list(training.field.parameters())
-        loss = self.batch_loss(training, targets)
-        training.field.zero_grad(set_to_none=True)
-        loss.backward()
-        training.step += 1
-        _require_finite(training, loss)
         rate = _MIN_RATE + (1 - _MIN_RATE) * (0.5 + 0.5 * math.cos(math.pi * min(share, 1.0)))
         for group in training.optimizer.param_groups:
-            group["lr"] = group["initial_lr"] * rate
-        training.optimizer.step()
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(group["initial_lr"] * rate)
+            else:
+                group["lr"] = group["initial_lr"] * rate
+        training.step += 1
+        loss = self._replayed(training, targets) if self._is_capturable(training, targets) else None
+        if loss is None:
+            loss = self.batch_loss(training, targets)
+            training.field.zero_grad(set_to_none=True)
+            loss.backward()
+            _require_finite(training, loss)
+            training.optimizer.step()
         training.field.after_step(training.optimizer, training.step, share)
+        now = list(training.field.parameters())
+        is_same = len(before) == len(now) and all(map(operator.is_, before, now))
+        if not is_same:
+            training.graph = None
         if self.config.averaging:
-            now = list(training.field.parameters())
-            is_same = len(before) == len(now) and all(map(operator.is_, before, now))
             training.mean = averaged(training.mean if is_same else None, training.field, self.config.averaging)
         return float(loss.detach())
+
+    def _is_capturable(self, training: Training, targets: Targets) -> bool:
+        """Whether a step may be replayed: on a CUDA device, in one view, with targets that are made there."""
+        on_cuda = self._device.type == "cuda"
+        return on_cuda and training.field.is_capturable and self.config.stride == 1 and targets.derived
+
+    def _replayed(self, training: Training, targets: Targets) -> Tensor:
+        """Loss, gradients and new weights of a step as a CUDA graph does them."""
+        view, nth, position_m, carrier_hz, ssim_weight = self._random_rows(training, targets)
+        if training.graph is None or training.graph.key is not targets:
+
+            def step(*inputs: Tensor) -> tuple[Tensor, Tensor]:
+                training.field.zero_grad(set_to_none=True)
+                loss = self._loss_of_rows(training, targets, view, *inputs)
+                loss.backward()
+                parameters = [each for each in training.field.parameters() if each.grad is not None]
+                norm = _total_norm(parameters)
+                nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
+                training.optimizer.step()
+                return loss.detach(), norm
+
+            training.graph = StepGraph(step, targets)
+        weight = torch.tensor(ssim_weight, dtype=torch.float32)
+        loss, norm = training.graph(nth, position_m, carrier_hz, weight.to(self._device), device=self._device)
+        _require_finite_norm(training, loss, norm)
+        return loss
 
 
 def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
@@ -378,9 +445,18 @@ def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> Avera
 def _require_finite(training: Training, loss: Tensor) -> None:
     """Limit the norm of the gradients; raise `DivergenceError` where the loss or a gradient is not finite."""
     parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
-    norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+    norm = _total_norm(parameters)
+    _require_finite_norm(training, loss, norm)
+    nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
+
+
+def _total_norm(parameters: Sequence[nn.Parameter]) -> Tensor:
+    """The norm of all gradients together."""
+    return nn.utils.get_total_norm([each.grad for each in parameters if each.grad is not None])
+
+
+def _require_finite_norm(training: Training, loss: Tensor, norm: Tensor) -> None:
     if bool(torch.isfinite(loss) & torch.isfinite(norm)):
-        nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
         return
     faults = [
         name

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numba import get_num_threads, njit, prange, set_num_threads
 from numba.core.config import NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-from numpy.typing import NDArray
+
+from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

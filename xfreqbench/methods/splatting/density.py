@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from jaxtyping import Bool, Complex, Int
+from jaxtyping import Complex, Int
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from typing_extensions import Doc
 
-from xfreqbench.methods.splatting.gaussians import RFGaussians
+from xfreqbench.methods.splatting.gaussians import RFGaussians, Seen
 
 _SHRINK = 0.5  # log of 1.65, by which the size of a divided Gaussian shrinks, as in 3-D Gaussian splatting
 
@@ -36,7 +36,7 @@ class DensityControl(nn.Module):
     def __init__(self, config: DensityConfig) -> None:
         super().__init__()
         self.config = config
-        self._watched: tuple[Tensor, Tensor] | None = None
+        self._watched: tuple[Seen, Tensor] | None = None
         self.register_buffer("contribution", torch.zeros(0))
         self.register_buffer("pull", torch.zeros(0))
 
@@ -45,7 +45,7 @@ class DensityControl(nn.Module):
         self.contribution = self.contribution.new_zeros(num_gaussians)
         self.pull = self.pull.new_zeros(num_gaussians)
 
-    def watch(self, seen: Bool[Tensor, "N"], signal: Complex[Tensor, "Q V B"]) -> None:
+    def watch(self, seen: Seen, signal: Complex[Tensor, "Q V B"]) -> None:
         """Remember the signals of the Gaussians `seen`, whose gradients are read after the step."""
         if signal.requires_grad and self.config.densify_every:
             signal.retain_grad()

@@ -25,7 +25,7 @@ from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, 
 from xfreqbench.methods.splatting.composite import PixelLists, composite
 from xfreqbench.methods.splatting.density import DensityConfig, DensityControl
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
-from xfreqbench.methods.splatting.gaussians import CODES, CodedGaussians, RFGaussians
+from xfreqbench.methods.splatting.gaussians import CODES, CodedGaussians, RFGaussians, Seen
 from xfreqbench.methods.splatting.projection import Projection, project
 
 SUPPORT = 9.0  # squared Mahalanobis distance at which a footprint ends: three deviations
@@ -128,9 +128,7 @@ class GaussianField(BandField):
         self._support = SUPPORT * max_spread
         self._standing: dict[GridView, tuple[PixelLists, Tensor]] = {}  # footprints of Gaussians that do not move
 
-    def attributes(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
-    ) -> Attributes:
+    def attributes(self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Seen) -> Attributes:
         """Signal, attenuation and spread of the Gaussians `seen`, for each transmitter and carrier."""
         raise NotImplementedError
 
@@ -144,7 +142,12 @@ class GaussianField(BandField):
     @property
     def position_m(self) -> Float[Tensor, "N 3"]:
         """Where the Gaussians are, which training can change only once they move."""
-        return self.gaussians.position_m if self.moves else self.gaussians.position_m.detach()
+        return self.gaussians.position_m if self._move else self.gaussians.position_m.detach()
+
+    @property
+    def _move(self) -> bool:
+        """Whether Gaussians move by now; the device is asked where it depends on the share of the budget alone."""
+        return self.config.move_from == 0 or (self.config.move_from < 1 and bool(self.moves))
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates: the network, and the Gaussians."""
@@ -156,29 +159,36 @@ class GaussianField(BandField):
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² of what is accumulated from each direction in view (Eq. 11)."""
-        lists, distance = self._footprints(view, beams)
-        seen = seen_of(lists)
+        on_cuda = tx_position_m.device.type == "cuda"
+        lists, distance = (None, None) if on_cuda else self._footprints(view, beams)
+        seen = slice(None) if lists is None else seen_of(lists)
         attributes = self.attributes(tx_position_m, carrier_hz, seen)
         self.density.watch(seen, attributes.signal)
         signal = self.signal_of(attributes, tx_position_m, beams, seen)
         spread, attenuation = attributes.inverse_spread, attributes.attenuation
-        response = composite(renumbered(lists, seen), distance, spread, signal, attenuation)
+        if lists is None or distance is None or isinstance(seen, slice):
+            from xfreqbench.methods.splatting.composite_triton import composite_on_cuda
+
+            geometry = self.projection(), *beams.angles_in(view), self._support
+            response = composite_on_cuda(*geometry, spread, signal, attenuation)
+        else:
+            response = composite(renumbered(lists, seen), distance, spread, signal, attenuation)
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *view.of_grid(beams.grid).shape)
 
     def signal_of(
-        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
+        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Seen
     ) -> Complex[Tensor, "V B"]:
         """The signals that are accumulated."""
         return attributes.signal[0]
 
     def _footprints(self, view: GridView, beams: Beams) -> tuple[PixelLists, Float[Tensor, "P"]]:
         """Which directions see which Gaussians, and their distances; computed once while no Gaussian moves."""
-        if not self.moves and view in self._standing:
+        if not self._move and view in self._standing:
             return self._standing[view]
         grid, projection = view.of_grid(beams.grid), self.projection()
         lists = self.lists(projection, grid)
         distance = squared_distance(projection, lists, grid)
-        if not self.moves:
+        if not self._move:
             distance = distance.detach()
             self._standing[view] = lists, distance
         return lists, distance
@@ -193,8 +203,9 @@ class GaussianField(BandField):
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
         """Divide and drop Gaussians, and let them move, when it is time; while they stand still none is divided."""
-        self.density.after_step(self.gaussians, optimizer, step, share if self.moves else math.inf)
-        self.moves.logical_or_(torch.tensor(share >= self.config.move_from and self.config.move_from < 1))
+        self.density.after_step(self.gaussians, optimizer, step, share if self._move else math.inf)
+        if self.config.move_from <= share and 0 < self.config.move_from < 1:
+            self.moves.fill_(True)
 
     def counts(self) -> dict[str, float]:
         """Number of Gaussians."""
@@ -226,6 +237,8 @@ class SplatConfig(GaussianConfig):
 class SplatField(GaussianField):
     """Gaussians whose attributes come from a network, after Eqs. 4–11."""
 
+    is_capturable = True
+
     config: SplatConfig
     network: WideFreqNetwork | LowRankNetwork
 
@@ -254,12 +267,10 @@ class SplatField(GaussianField):
         if self.config.footprint == "projected":
             return projection
         size = math.radians(self.config.angular_size_deg) ** 2
-        circle = size * torch.eye(2).to(projection.covariance)
+        circle = size * torch.eye(2, dtype=projection.covariance.dtype, device=projection.covariance.device)
         return replace(projection, covariance=circle.expand_as(projection.covariance))
 
-    def attributes(
-        self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Bool[Tensor, "N"]
-    ) -> Attributes:
+    def attributes(self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Seen) -> Attributes:
         """The network's outputs for the Gaussians `seen`."""
         query = self.scaling.in_frame(tx_position_m), carrier_hz, self.gaussians.position_m.detach()[seen]
         if isinstance(self.network, WideFreqNetwork):
@@ -272,7 +283,7 @@ class SplatField(GaussianField):
         return replace(attributes, attenuation=torch.ones_like(attributes.attenuation))
 
     def signal_of(
-        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]
+        self, attributes: Attributes, tx_position_m: Float[Tensor, "B 3"], beams: Beams, seen: Seen
     ) -> Complex[Tensor, "V B"]:
         """The signals, with the direct wave where the options say so."""
         signal = attributes.signal[0]
@@ -281,9 +292,9 @@ class SplatField(GaussianField):
         heard = self._direct_wave(self.scaling.in_frame(tx_position_m), beams, seen)
         return signal + (heard if attributes.direct is None else attributes.direct * heard)
 
-    def _direct_wave(self, tx_m: Float[Tensor, "B 3"], beams: Beams, seen: Bool[Tensor, "N"]) -> Complex[Tensor, "V B"]:
+    def _direct_wave(self, tx_m: Float[Tensor, "B 3"], beams: Beams, seen: Seen) -> Complex[Tensor, "V B"]:
         """What the array, steered at each Gaussian, hears of a plane wave from the transmitter: aᴴ(d_i) a(d_tx) / M."""
-        element = 2 * math.pi * torch.as_tensor(beams.element_position_wavelengths).to(tx_m)
+        element = 2 * math.pi * beams.element.to(tx_m)
         wave, beam = (
             normalize(point_m, dim=-1) @ element.T for point_m in (tx_m, self.gaussians.position_m.detach()[seen])
         )

@@ -13,6 +13,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.low_rank import NUM_SHAPES, Codes
 
+Seen = Bool[Tensor, "N"] | slice  # whether each Gaussian is seen, or the slice of all
 CODES = ("signal_code", "shape_code", "shape_start", "shape_trend")
 _GOLDEN_ANGLE_RAD = math.pi * (3 - math.sqrt(5))
 _SIGNAL_CODE = 0.5  # standard deviation of the codes of signals at the start
@@ -90,7 +91,7 @@ class CodedGaussians(RFGaussians):
         self.shape_start = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
         self.shape_trend = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
 
-    def codes(self, seen: Bool[Tensor, "N"]) -> Codes:
+    def codes(self, seen: Seen) -> Codes:
         """The codes of the Gaussians `seen`."""
-        every = bool(seen.all())
+        every = isinstance(seen, slice) or bool(seen.all())
         return Codes(*(getattr(self, name) if every else getattr(self, name)[seen] for name in CODES))

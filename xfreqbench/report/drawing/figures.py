@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-from numpy.typing import NDArray
 from PIL import Image
 
 from xfreqbench.errors import XFreqBenchError
@@ -23,7 +22,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 _MAX_DISCS = 5  # maps side by side
 FIGURE_KINDS = ("png", "svg", "pdf")

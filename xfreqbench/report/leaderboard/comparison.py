@@ -10,13 +10,12 @@ from math import nan
 
 import numpy as np
 from jaxtyping import Float, Integer
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
 from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.rows import BoardRow
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 MIN_SEEDS = 3  # a learned method with fewer is not ranked
 MANY_RESAMPLES = 16 * NUM_RESAMPLES  # where a bound is near zero

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
@@ -24,7 +23,7 @@ from xfreqbench.report.leaderboard.shown_maps import RANGE_DB, ShownMaps, chosen
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import RunRecord
-from xfreqbench.types import IntArray
+from xfreqbench.types import IntArray, NDArray
 
 SHOWN_CARRIER_HZ = SPARSE_TEST_HZ  # which both of the paper's protocols test
 LARGEST_ERROR = 0.3

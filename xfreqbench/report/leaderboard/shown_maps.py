@@ -13,7 +13,6 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from xfreqbench.data.dataset import PasDataset
@@ -25,7 +24,7 @@ from xfreqbench.runs.records import FiniteScore, RunRecord, fault_of_fields
 from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, require_own, write_text
-from xfreqbench.types import IntArray, Maps
+from xfreqbench.types import IntArray, Maps, NDArray
 
 NUM_SHOWN = 12  # samples of a split
 RANGE_DB = 30.0

@@ -14,7 +14,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from xfreqbench.maps.drawing import draw_disc
 from xfreqbench.maps.grid import AngularGrid
@@ -24,7 +23,7 @@ from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, Similarity
 from xfreqbench.scene.facets import planar_facets
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 _MARGIN_M = 0.25
 _OVERVIEW_MAPS = 6

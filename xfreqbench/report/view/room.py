@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 RAY_RANGE_DB = 30.0  # below the strongest ray; the range that pictures of maps have too
 MAX_RAYS = 40

@@ -7,12 +7,11 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.schema import UNKNOWN_NUM_PATHS
 from xfreqbench.maps.metrics import ssim
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 MAX_COMPARED_TX = 200
 MAX_COMPARED_CARRIERS = 16

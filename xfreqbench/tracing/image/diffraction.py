@@ -11,7 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import triangle_corners_m
@@ -22,7 +21,7 @@ from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, find_sides
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.kernels.wedges import Wedges
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 COSINES = 65  # at which reflection is tabulated
 

@@ -11,7 +11,6 @@ from copy import copy
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from scipy.special import binom
 
 from xfreqbench.scene.imported import Slab
@@ -31,7 +30,7 @@ from xfreqbench.tracing.image.kernels.diffuse import (
 )
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 LEAST_TILE_M = 0.02
 TILE_BEAMS = 0.3  # sides of a tile, seen from the array, times the array's diameter in wavelengths

@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry, PlanarFacet, group_by_plane, planar_facets
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.kernels.arrays import Facets
 from xfreqbench.tracing.image.kernels.tree import divide
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 
 class MirrorPlanes:

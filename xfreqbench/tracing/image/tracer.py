@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.array import frame_rotation
@@ -46,7 +45,7 @@ from xfreqbench.tracing.image.sequences import UNPRUNED_M, sequences_of, trie_of
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, facets_of
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import Channel, TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction", "diffuse"})

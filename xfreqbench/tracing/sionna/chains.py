@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -28,7 +27,7 @@ from xfreqbench.scene.visibility import fibonacci_sphere
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 REFLECTION_PROBABILITY = 0.5  # of a ray at a slab, whatever the carrier, because chains serve all carriers

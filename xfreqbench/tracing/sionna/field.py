@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.model import Antenna
 from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, orientation_rad, point3f, rt
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 FieldCalculator = rt.path_solvers.field_calculator.FieldCalculator

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.scene.model import Antenna, ReceiverArray
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
 from xfreqbench.tracing.tracer import MAX_DIFFUSE_PATHS, Channel, TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Generator = rt.path_solvers.sb_deterministic.SBDeterministicCandidateGenerator

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex, Float
-from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Antenna, Scene
 from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, mi, orientation_rad, rt
 from xfreqbench.tracing.tracer import Interaction
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 UPRIGHT = Antenna("iso", "V")
 

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.sionna.chains import Chains, Planes
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 NEAR = 6.0  # times the array's radius: nearer images are kept, for the disc is no longer a disc
 _SECOND_ORDER = 1 / (1 - 1 / NEAR)  # how much wider the disc may be than to first order

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from numpy.typing import NDArray
 
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import Antenna, ReceiverArray
@@ -24,7 +23,7 @@ from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_m
 from xfreqbench.tracing.sionna.reach import PlaneBoxes, Reach
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f, rt
 from xfreqbench.tracing.tracer import Channel, TraceSettings
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 PathsBuffer = rt.path_solvers.paths_buffer.PathsBuffer

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt
-from numpy.typing import NDArray
 
 from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
@@ -20,7 +19,7 @@ from xfreqbench.scene.model import Antenna
 from xfreqbench.scene.patches import mirror_patches
 from xfreqbench.system.signals import interrupted_afterwards
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 ensure_llvm()
 
