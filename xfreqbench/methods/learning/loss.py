@@ -83,7 +83,7 @@ def _box(maps: Float[Tensor, "B E A"], window: int) -> Float[Tensor, "B E2 A2"]:
 
     On a CPU they are two products with banded matrices, several times faster on small maps than pooling.
     """
-    if maps.is_cuda:
+    if maps.device.type != "cpu":
         return avg_pool2d(avg_pool2d(maps[:, None], (window, 1), stride=1), (1, window), stride=1)[:, 0]
     of_rows, of_columns = (
         maps.new_full((size - window + 1, size), 1 / window).triu().tril(window - 1)  # averages neighbours

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -79,7 +80,7 @@ class PairwiseMLP(nn.Module):
     ) -> Float[Tensor, "c V O"]:
         narrow = is_narrow(self.precision, of_query.device)
         kind = torch.bfloat16 if narrow else of_query.dtype
-        with torch.autocast(of_query.device.type, torch.bfloat16, enabled=narrow):
+        with torch.autocast(of_query.device.type, torch.bfloat16) if narrow else nullcontext():
             inputs = torch.cat([gaussian.to(kind).expand(len(pair), -1, -1), pair.to(kind)], dim=-1)
             weight = self.of_pair.weight.T.expand(len(pair), -1, -1)
             features = relu(torch.baddbmm(of_query[:, None], inputs, weight), inplace=True)

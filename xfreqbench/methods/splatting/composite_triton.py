@@ -26,11 +26,11 @@ from torch.autograd.function import once_differentiable
 from xfreqbench.methods.splatting.footprints import inverse
 from xfreqbench.methods.splatting.projection import Projection
 
-TILE_ROWS, TILE_COLUMNS = 4, 16
+TILE_ROWS, TILE_COLUMNS = 4, 8
 MAX_LANES = 16
 WARPS = 1  # a program's sums then need no barrier
 STRETCH = 32
-_LISTED_AT_ONCE = 128
+LISTED_AT_ONCE = 128
 _GEOMETRY = 5  # azimuth, elevation, and three entries of the inverse covariance
 _SLACK_RAD = 1e-4  # by which boxes are larger than footprints, for rounding
 _TURN = tl.constexpr(2 * math.pi)
@@ -85,7 +85,7 @@ class _Composite(torch.autograd.Function):
         shape = TILE_ROWS, TILE_COLUMNS
         _list_kernel[(tiles,)](
             boxes, order, azimuth_rad, elevation_rad, lists, counts, number, num_rows, num_columns, *shape,
-            _LISTED_AT_ONCE,
+            LISTED_AT_ONCE,
         )  # fmt: skip
         stretches = triton.cdiv(number, STRETCH)
         kept = rows.new_empty(programs[0] * programs[1], stretches, 2, TILE_ROWS * TILE_COLUMNS, lanes)

@@ -159,19 +159,19 @@ class GaussianField(BandField):
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² of what is accumulated from each direction in view (Eq. 11)."""
-        on_cuda = tx_position_m.device.type == "cuda"
-        lists, distance = (None, None) if on_cuda else self._footprints(view, beams)
-        seen = slice(None) if lists is None else seen_of(lists)
+        footprints = self._footprints(view, beams) if tx_position_m.device.type == "cpu" else None
+        seen = slice(None) if footprints is None else seen_of(footprints[0])
         attributes = self.attributes(tx_position_m, carrier_hz, seen)
         self.density.watch(seen, attributes.signal)
         signal = self.signal_of(attributes, tx_position_m, beams, seen)
         spread, attenuation = attributes.inverse_spread, attributes.attenuation
-        if lists is None or distance is None or isinstance(seen, slice):
+        if footprints is None or isinstance(seen, slice):
             from xfreqbench.methods.splatting.composite_triton import composite_on_cuda
 
             geometry = self.projection(), *beams.angles_in(view), self._support
             response = composite_on_cuda(*geometry, spread, signal, attenuation)
         else:
+            lists, distance = footprints
             response = composite(renumbered(lists, seen), distance, spread, signal, attenuation)
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *view.of_grid(beams.grid).shape)
 
