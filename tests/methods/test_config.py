@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 import pytest
 from pydantic import Field
 from typing_extensions import Doc
+from xfreqbench.baselines.xfreq_gs import XFreqGSConfig
 
 from xfreqbench.cli.runs import run
 from xfreqbench.errors import MethodError, UnknownNameError
@@ -92,6 +93,18 @@ def test_the_later_assignment_wins_and_the_original_stays() -> None:
     original = Config()
     assert override(original, ["hidden=1", "hidden=2"]).hidden == 2
     assert original == Config()
+
+
+def test_aided_sets_all_aids_that_a_method_has_and_no_others() -> None:
+    without = override(XFreqGSConfig(), ["aided=false"])
+    assert (without.direct_wave, without.tx_levels, without.band, without.blend) == (False, 0, False, "none")
+    assert override(without, ["aided=true"]) == XFreqGSConfig()
+    assert override(XFreqGSConfig(), ["aided=false", "band=true"]).band
+    assert [row.default for row in option_rows(XFreqGSConfig()) if row.name == "aided"] == ["true"]
+    with pytest.raises(MethodError, match="takes true or false, but 'all' was given"):
+        override(XFreqGSConfig(), ["aided=all"])
+    with pytest.raises(UnknownNameError, match="aided"):
+        override(Config(), ["aided=false"])
 
 
 def test_an_unknown_key_names_the_nearest() -> None:

@@ -215,7 +215,8 @@ def benchmark(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
             "carrier; clutter: one room full of things; paper: the paper's experiments, and paper-lofo, paper-sparse, "
-            "paper-ablation, paper-maps: one of them; paper-size: its method in its own sizes."
+            "paper-ablation, paper-maps: one of them; paper-size: its method as it is; equal-terms: its method and "
+            "its two reductions with and without aids."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),

@@ -15,19 +15,33 @@ from xfreqbench.methods.guard import plain_json, readable
 
 Config = TypeVar("Config")
 _KINDS = {"integer": "whole number", "boolean": "true, false", "string": "text", "array": "list", "null": "nothing"}
+AIDED = "aided"
+# what helps maps and is in no paper, each off and on; the option `aided` sets those that a method has
+AIDS: Mapping[str, tuple[Any, Any]] = {
+    "direct_wave": (False, True),
+    "tx_levels": (0, 4),
+    "band": (False, True),
+    "blend": ("none", "auto"),
+}
 _ENDS = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "to below", "maximum": "to"}
 
 
 def override(config: Config, assignments: Iterable[str]) -> Config:
     """A copy of a configuration, changed by assignments `key=value`; a later one replaces an earlier.
 
-    A value is read as the type of its field: `true`, `128`, `1e-3`, a word, or JSON for a tuple. Raises
-    `UnknownNameError` for a key that is not a field, and `MethodError` for a value of another type.
+    A value is read as the type of its field: `true`, `128`, `1e-3`, a word, or JSON for a tuple. `aided=true` and
+    `aided=false` set all `AIDS` that the configuration has. Raises `UnknownNameError` for a key that is not a field,
+    and `MethodError` for a value of another type.
     """
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
             raise MethodError(f"Option {assignment!r} has no value. Write key=value.")
+        if key.strip() == AIDED and (aids := _aids_of(config)):
+            if text.strip() not in ("true", "false"):
+                raise MethodError(f"Option 'aided' takes true or false, but {text.strip()!r} was given.")
+            config = replace(config, **{name: AIDS[name][text.strip() == "true"] for name in aids})  # type: ignore[type-var]
+            continue
         config = replace(config, **{key.strip(): _typed(config, key.strip(), text.strip())})  # type: ignore[type-var]
     return config
 
@@ -55,10 +69,13 @@ class OptionRow(NamedTuple):
 def option_rows(config: Any) -> list[OptionRow]:
     """Every field of a configuration. Its meaning is the `Doc` of its annotation, or that of the class it overrides.
 
-    A description of a Pydantic `Field` does too; a field without either has an empty meaning.
+    A description of a Pydantic `Field` does too; a field without either has an empty meaning. `aided` is last, where
+    the configuration has aids.
     """
     kinds = _types(config)
-    return [
+    aids = _aids_of(config)
+    are_on = {getattr(config, name) == AIDS[name][1] for name in aids}
+    rows = [
         OptionRow(
             field.name,
             json.dumps(value) if isinstance(value := getattr(config, field.name), bool) else str(value),
@@ -67,6 +84,16 @@ def option_rows(config: Any) -> list[OptionRow]:
         )
         for field in fields(config)
     ]
+    if aids:
+        default = "in part" if len(are_on) > 1 else json.dumps(are_on.pop())
+        rows.append(OptionRow(AIDED, default, "true, false", f"sets what is in no paper: {', '.join(aids)}"))
+    return rows
+
+
+def _aids_of(config: Any) -> list[str]:
+    """The names of the aids that a configuration has, where it has several."""
+    names = [field.name for field in fields(config) if field.name in AIDS]
+    return names if len(names) > 1 else []
 
 
 def _meaning(config: Any, name: str) -> str:

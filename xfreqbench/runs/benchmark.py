@@ -62,7 +62,7 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "virtual-source": 1e-3,
     "swift-wrf": 1.2e-3,
     "wrf-gs-plus": 3.3e-3,
-    "xfreq-gs-paper": 0.1,
+    "xfreq-gs-paper": 0.018,
 }
 _USUAL_SECONDS_A_MAP = 4e-4
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets

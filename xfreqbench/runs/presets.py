@@ -242,14 +242,41 @@ PARTS_OF_PAPER = {
         ),
     )
 }
+_AT_PAPER_SIZE = Setting("xfreq-gs-paper")
 PAPER_SIZE = Preset(
-    description="xfreq-gs-paper, XFreq-GS in the sizes of its paper: width 256, six layers, one map a step, 200,000 "
-    "steps, which are the lane converged, on lofo at 24.25 GHz in the office; hours on a core, so better with a GPU",
+    description="xfreq-gs-paper, XFreq-GS with nothing that its paper does not have, 200,000 maps a fit, three seeds: "
+    "lofo and sparse in the office, and its ablations at 24.25 GHz; an hour of a core a fit, half a minute of a GPU",
     blocks=(
-        Block("office", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(24.25,)),
-        Block("office", "lofo", (Setting("xfreq-gs-paper"),), "converged", targets_ghz=(24.25,)),
+        *(Block("office", protocol, TRIVIAL_SETTINGS, None) for protocol in ("lofo", "sparse")),
+        *(Block("office", protocol, (_AT_PAPER_SIZE,), "converged", SEEDS) for protocol in ("lofo", "sparse")),
+        Block(
+            "office",
+            "lofo",
+            tuple(Setting("xfreq-gs-paper", each.overrides) for each in PAPER_ABLATIONS),
+            "converged",
+            SEEDS,
+            targets_ghz=(24.25,),
+        ),
     ),
-    left_out="every other method, carrier, protocol and seed",
+    left_out="every other method, scene and protocol, and one map a step",
+)
+_EQUAL = tuple(
+    Setting(method, (f"aided={aided}",))
+    for method in ("xfreq-gs", "fixed-frequency-gs", "frequency-embedded-gs")
+    for aided in ("true", "false")
+)
+EQUAL_TERMS = Preset(
+    description="xfreq-gs and its two reductions, each with and without the aids that no paper has, on lofo and sparse "
+    "in the office, in the lane quick, three seeds: what the paper's own idea adds",
+    blocks=tuple(
+        block
+        for protocol in ("lofo", "sparse")
+        for block in (
+            Block("office", protocol, TRIVIAL_SETTINGS, None),
+            Block("office", protocol, _EQUAL, "quick", SEEDS),
+        )
+    ),
+    left_out="every other method, scene and protocol",
 )
 CLUTTER = Preset(
     description="whether methods rank in a room full of things as in the bare ones: xfreq-gs and our two on every "
@@ -275,4 +302,5 @@ PRESETS: Mapping[str, Preset] = {
     "paper": PAPER,
     **PARTS_OF_PAPER,
     "paper-size": PAPER_SIZE,
+    "equal-terms": EQUAL_TERMS,
 }
