@@ -102,7 +102,7 @@ def plain_markup() -> Counter[tuple[str, str]]:
 CASES = st.fixed_dictionaries(dict.fromkeys(FIELDS, TEXTS))
 
 
-@settings(max_examples=4, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(texts=CASES)
 def test_no_text_of_a_record_is_markdown(texts: dict[str, str]) -> None:
     runs, benches = records_of(texts)
