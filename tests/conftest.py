@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -33,6 +34,7 @@ MODULES = {
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.fsync = lambda descriptor: None  # processes are killed here, but no machine, so that nothing need be on the disk
 jaxtyping.jaxtyped = check_first_calls
 jaxtyping.install_import_hook(sorted(MODULES), "tests.support.typechecking.typechecker")
 # no case is decided by a clock: the machine may be busy, and first calls compile and import
@@ -40,6 +42,11 @@ settings.register_profile("unhurried", deadline=None, suppress_health_check=[Hea
 settings.load_profile("unhurried")
 # a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()  # the collector does not look through all that was imported again and again
 
 
 def pytest_runtest_setup() -> None:

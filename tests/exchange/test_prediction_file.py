@@ -14,14 +14,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange import prediction_file as external_file
 from xfreqbench.exchange.score_file import score_file
-from xfreqbench.maps import metrics
 from xfreqbench.runs.predictions import fault_of_maps
-
-
-@pytest.fixture(autouse=True)
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Intervals of a single run take most of its scoring, and nothing here asks for them."""
-    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
 
 
 def spoil_maps(path: Path, values) -> None:

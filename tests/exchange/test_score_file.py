@@ -15,18 +15,11 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange import score_file as external
 from xfreqbench.exchange.score_file import score_file
-from xfreqbench.maps import metrics
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.runs.records import Job, RunRecord, read
-
-
-@pytest.fixture(autouse=True)
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Intervals of a single run take most of its scoring, and nothing here asks for them."""
-    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
 
 
 def stored(results: Path) -> tuple[RunRecord, ...]:

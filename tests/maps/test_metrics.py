@@ -6,7 +6,7 @@ import pytest
 from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.maps.metrics import METRICS, bootstrap_interval, quantiles, score_all, skill
+from xfreqbench.maps.metrics import METRICS, quantiles, score_all, skill
 from xfreqbench.scene.array import planar_array
 
 GRID = AngularGrid.hemisphere()
@@ -126,32 +126,6 @@ def test_skill_is_the_share_closed_of_what_the_trivial_leaves_open() -> None:
     assert skill(1.0, 0.9) == 1
     assert skill(0.8, 0.9) == pytest.approx(-1)
     assert np.isnan(skill(1.0, 1.0))
-
-
-def test_the_bootstrap_interval_of_a_mean_is_that_of_the_normal_law() -> None:
-    values = np.random.default_rng(0).normal(size=2000)
-    low, high = bootstrap_interval(values, np.arange(2000), np.mean, seed=1)
-    half_width = 1.96 * values.std() / np.sqrt(2000)
-    assert (low, high) == pytest.approx((values.mean() - half_width, values.mean() + half_width), abs=0.005)
-
-
-def test_the_bootstrap_resamples_transmitters_not_samples() -> None:
-    per_transmitter = np.random.default_rng(0).normal(size=100)
-    repeated, transmitter = np.tile(per_transmitter, 5), np.tile(np.arange(100), 5)
-    alone = bootstrap_interval(per_transmitter, np.arange(100), np.mean, seed=1)
-    assert bootstrap_interval(repeated, transmitter, np.mean, seed=1) == pytest.approx(alone)
-
-
-def test_the_bootstrap_takes_transmitters_of_unequal_numbers_of_samples() -> None:
-    values, transmitter = np.array([0.0, 1.0, 1.0, 1.0]), np.array([7, 3, 3, 3])
-    assert bootstrap_interval(values, transmitter, np.mean, seed=0) == (0.0, 1.0)
-    assert bootstrap_interval(values, transmitter, lambda drawn: float(len(drawn)), seed=0) == (2, 6)
-
-
-def test_the_bootstrap_depends_on_nothing_but_its_seed() -> None:
-    values = np.random.default_rng(0).random(50)
-    first, again, other = (bootstrap_interval(values, np.arange(50), np.median, seed) for seed in (1, 1, 2))
-    assert first == again != other
 
 
 def test_quantiles_of_infinite_scores_are_scores() -> None:

@@ -19,8 +19,8 @@ from xfreqbench.system.workers import exit_status
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
     blocks=(
-        Block("empty", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(77.0,)),
-        Block("empty", "lofo-unseen-tx", (*TRIVIAL_SETTINGS[:2],), None, targets_ghz=(24.25,)),
+        Block("empty", "lofo", TRIVIAL_SETTINGS[:2], None, targets_ghz=(77.0,)),
+        Block("empty", "lofo-unseen-tx", TRIVIAL_SETTINGS[:1], None, targets_ghz=(24.25,)),
         Block(
             "empty",
             "lofo",
@@ -33,7 +33,7 @@ SMALL = Preset(
     left_out="nearly everything",
     num_tx={"empty": 12},
 )
-NUM_RUNS = 6 + 2 + 2
+NUM_RUNS = 2 + 1 + 2
 
 
 @pytest.fixture(autouse=True)
@@ -111,10 +111,10 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     assert "What was run" in (folder / "results" / "BENCHMARK.md").read_text()
 
     lines = planned.results.records_path.read_text().splitlines(keepends=True)
-    planned.results.records_path.write_text("".join(lines[:5]))
+    planned.results.records_path.write_text("".join(lines[:3]))
     _run(folder)
     again = planned.results.stored
-    assert again.records[:5] == stored.records[:5]
+    assert again.records[:3] == stored.records[:3]
     assert {record.id for record in again.records} == {record.id for record in stored.records}
 
 

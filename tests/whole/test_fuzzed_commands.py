@@ -18,16 +18,9 @@ from tests.support.fuzzing.damages import damages, torn
 from tests.support.fuzzing.readers import READERS, files_of
 from tests.support.fuzzing.sound_files import sound_files
 from xfreqbench.cli.main import app
-from xfreqbench.maps import metrics
 
 SCENE_PARAMETERS = ("scene", "data_or_scene")  # names of shipped scenes, or paths
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
-
-
-@pytest.fixture(autouse=True)
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Intervals take most of a run's scoring, and nothing here asks for them."""
-    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
 
 
 def paths_taken(commands: App, prefix: str = "") -> dict[str, set[str]]:

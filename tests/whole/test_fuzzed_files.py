@@ -5,20 +5,12 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-import pytest
 from hypothesis import strategies as st
 
 from tests.support.fuzzing.common import NUM_INPUTS, check_clean, fuzz, refused, sentinel_folder, untouched, xfreqbench
 from tests.support.fuzzing.options import RUN_OPTIONS, option_texts
 from tests.support.fuzzing.png import PNG_FOLDER, png, png_folders
 from tests.support.fuzzing.sound_files import DATA, sound_files
-from xfreqbench.maps import metrics
-
-
-@pytest.fixture(autouse=True)
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Intervals take most of a run's scoring, and nothing here asks for them."""
-    monkeypatch.setattr(metrics, "NUM_RESAMPLES", 10)
 
 
 def run_refused(options: dict[str, str]) -> None:

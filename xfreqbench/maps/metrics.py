@@ -191,37 +191,9 @@ def skill(score: float, best_trivial: float) -> float:
     return 1 - (1 - score) / (1 - best_trivial) if best_trivial != 1 else float("nan")
 
 
-def bootstrap_interval(
-    values: Float[FloatArray, "N"],
-    transmitter: Int[NDArray[np.int64], "N"],
-    statistic: Callable[[FloatArray], float],
-    seed: int,
-) -> tuple[float, float]:
-    """95 % percentile interval (low, high) of a statistic of N values, from 1,000 bootstrap resamples.
-
-    Whole transmitters are resampled, because the samples of one transmitter are alike: `transmitter` (N,) says
-    which values belong together.
-    """
-    order = np.argsort(transmitter, kind="stable")
-    _, start, length = np.unique(transmitter[order], return_index=True, return_counts=True)
-    ordered, generator = values[order], np.random.default_rng(seed)
-    resampled = np.array([statistic(ordered[_draw(start, length, generator)]) for _ in range(NUM_RESAMPLES)])
-    low, high = quantiles(resampled, [0.025, 0.975])
-    return float(low), float(high)
-
-
 def quantiles(values: Float[FloatArray, "N"], levels: list[float]) -> Float[FloatArray, "L"]:
     """Quantiles of N values, each of them one of the values: interpolating with an infinite PSNR would give nan."""
     return np.quantile(values, levels, method="inverted_cdf")
-
-
-def _draw(
-    start: Int[NDArray[np.int64], "G"], length: Int[NDArray[np.int64], "G"], generator: np.random.Generator
-) -> Int[NDArray[np.int64], "n"]:
-    """Indices of a resample of G groups with replacement, each group with all its members."""
-    chosen = generator.integers(len(start), size=len(start))
-    ends = np.cumsum(length[chosen])
-    return np.arange(ends[-1]) + np.repeat(start[chosen] - ends + length[chosen], length[chosen])
 
 
 def _decibel(power: NDArray[np.floating]) -> FloatArray:

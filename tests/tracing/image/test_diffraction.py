@@ -256,16 +256,13 @@ def test_what_is_shared_and_skipped_hardly_changes_the_field_over_edges() -> Non
 @pytest.mark.parametrize("name", ["office", "two_rooms", "lounge"])
 def test_a_channel_does_not_depend_on_what_else_is_asked_for(name: str) -> None:
     """Neither on other carriers nor on other transmitters; 7e-3 at 2.4 GHz where the lowest carrier decided for all."""
-    scene = PreparedScene.of(load_scene(name))
-    tx_m = choose_transmitters(place_transmitters(scene.scene, scene.geometry.meshes), 6, seed=1)
-    whole = ImageTracer(scene, [1e9, 2.4e9, 24.25e9, 94e9], TraceSettings()).channel(tx_m)
-    for carriers_hz in ([2.4e9, 24.25e9], [94e9]):
-        some = ImageTracer(scene, carriers_hz, TraceSettings()).channel(tx_m[::-2])
-        at = np.searchsorted([1e9, 2.4e9, 24.25e9, 94e9], carriers_hz)
-        same = whole.cfr[::-2][:, at]
-        off = np.linalg.norm(some.cfr - same, axis=2) / np.linalg.norm(same, axis=2)
-        assert off.max() < 1e-6
-        np.testing.assert_array_equal(some.num_paths, whole.num_paths[::-2][:, at])
+    scene, settings = PreparedScene.of(load_scene(name)), TraceSettings(rays=50_000)
+    tx_m = choose_transmitters(place_transmitters(scene.scene, scene.geometry.meshes), 3, seed=1)
+    whole = ImageTracer(scene, [1e9, 2.4e9, 94e9], settings).channel(tx_m)
+    some = ImageTracer(scene, [2.4e9, 94e9], settings).channel(tx_m[::-2])
+    same = whole.cfr[::-2][:, 1:]
+    assert (np.linalg.norm(some.cfr - same, axis=2) / np.linalg.norm(same, axis=2)).max() < 1e-6
+    np.testing.assert_array_equal(some.num_paths, whole.num_paths[::-2][:, 1:])
 
 
 def test_an_edge_seen_end_on_and_an_end_on_its_line_diffract_nothing() -> None:

@@ -5,25 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.hdf5 import Variable, create_sealed
 from xfreqbench.data.splits import make_splits
-from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 
 _TRACE = "--rays 20000 --max-depth 3 -q"
 _LOFO = "--data inputs/data.h5 --protocol lofo --targets 24.25"
-_METHODS = Setting("nearest"), Setting("aperture-gs")
-_BLOCK = Block("two_rooms", "lofo", _METHODS, "3steps", targets_ghz=(24.25,))
-_PRESET = Preset("a disturbed benchmark", (_BLOCK,), "nearly everything", {"two_rooms": 12})
-
-
-def use_small_preset() -> None:
-    """Let this process know a preset of a few seconds, which `benchmark` is disturbed with."""
-    cast("dict[str, Preset]", PRESETS)["chaos"] = _PRESET
 
 
 @dataclass(frozen=True)
@@ -44,25 +34,18 @@ class Command:
         return self.line.split()
 
 
-def _generate(solver: str, freqs: str, num_tx: int) -> str:
-    return f"generate two_rooms --solver {solver} --freqs {freqs} --tx {num_tx} {_TRACE} -o out.h5"
-
-
-def _run(methods: str, more: str = "") -> str:
-    return f"run {_LOFO} --method {methods} --budget 6steps -q --results results {more}".strip()
+def _run(methods: str) -> str:
+    return f"run {_LOFO} --method {methods} --budget 6steps -q --results results"
 
 
 COMMANDS = (
-    Command("generate, image", _generate("image", "1,24.25", 80), ("out.h5",), _generate("image", "2.4,60", 80)),
-    Command("generate, sionna", _generate("sionna", "1,24.25", 40), ("out.h5",), _generate("sionna", "5,60", 40)),
-    Command("run", _run("nearest,aperture-gs"), ("results",), _run("mean-over-frequency")),
-    Command("run, two processes", _run("nearest,xfreq-gs", "--executor 2"), ("results",), _run("nearest")),
     Command(
-        "benchmark",
-        "benchmark --preset chaos --data data --results results --executor 2 -q",
-        ("data", "results"),
-        "benchmark --preset chaos --data data --results others --executor 2 -q",
+        "generate, image",
+        f"generate two_rooms --solver image --freqs 1,24.25 --tx 80 {_TRACE} -o out.h5",
+        ("out.h5",),
+        f"generate two_rooms --solver image --freqs 2.4,60 --tx 80 {_TRACE} -o out.h5",
     ),
+    Command("run", _run("nearest,aperture-gs"), ("results",), _run("mean-over-frequency")),
     Command(
         "report",
         "report inputs/results -o board.md --html board.html -q",

@@ -16,7 +16,6 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import (
     aoa_error,
     beam_loss,
-    bootstrap_interval,
     power_error,
     psnr,
     quantiles,
@@ -267,17 +266,6 @@ def _skill() -> float:
     assert math.isnan(skill(0.5, 1.0)), "skill where the trivial score is perfect"
     found = [skill(0.9, 0.9), skill(1.0, 0.9), skill(1.0, 1 - 1e-15), skill(0.8, 0.9)]
     return float(np.abs(np.subtract(found, [0, 1, 1, -1])).max())
-
-
-@SCORES.case("bootstrap of a constant and of infinity", limit=0, unit="absolute")
-def _bootstrap() -> float:
-    """For constant scores, infinite PSNR and a single transmitter, the interval is the value itself."""
-    owner = np.arange(20) % 5
-    constant = bootstrap_interval(np.full(20, 0.3), owner, lambda x: float(np.median(x)), 0)
-    endless = bootstrap_interval(np.full(20, np.inf), owner, lambda x: float(np.median(x)), 0)
-    alone = bootstrap_interval(np.arange(3.0), np.zeros(3, np.int64), lambda x: float(np.median(x)), 0)
-    assert endless == (math.inf, math.inf), f"interval of infinite values is {endless}"
-    return float(np.abs(np.subtract([*constant, *alone], [0.3, 0.3, 1.0, 1.0])).max())
 
 
 @SCORES.case("quantiles beside infinite values", limit=0, unit="values")

@@ -264,6 +264,7 @@ def media_of(
     thickness_m = np.array([layer.thickness_m for layer in layers])
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
+    lanes = np.ascontiguousarray(lanes)  # of one carrier too: kernels are compiled for each order of axes
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
     specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
     transmitter, receiver = (_antenna(each) for each in (scene.transmitter_antenna, scene.receiver.antenna))
