@@ -274,7 +274,10 @@ def info(
     if glints < 0:
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     if file.is_dir():
-        print(open_collection(file).description)
+        collection = open_collection(file)
+        print(collection.description)
+        collection.verify()
+        print("every hash holds")
         return
     print(describe(file))
     verify(file)

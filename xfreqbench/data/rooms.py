@@ -223,9 +223,10 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
     found = open_collection(folder).record
     asked = {"family": plan.family.sha256, "carriers": str(plan.carrier_hz), **plan.options}
     holds = {"family": found.family_sha256, "carriers": str(found.carrier_hz), **found.options}
-    if differing := differences(*({name: str(value) for name, value in each.items()} for each in (holds, asked))):
+    texts = [{name: str(value) for name, value in each.items()} for each in (asked, holds)]
+    if differing := differences(*texts):
         raise OutputExistsError(
-            f"{folder} exists and holds other rooms; asked for are {differing}. Choose another folder with -o."
+            f"{folder} exists and holds other rooms, with {differing}. Choose another folder with -o, or delete it."
         )
     return found.rooms
 
