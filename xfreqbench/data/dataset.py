@@ -35,6 +35,7 @@ from xfreqbench.data.hdf5 import (
     require_layout,
     sealed_sha256,
     text_attributes,
+    unpacked,
     values_sha256,
     verify_sealed,
 )
@@ -349,7 +350,7 @@ class PasDataset:
             stored = file["pas"]
             for index, row in enumerate(asked):
                 tx, carrier = divmod(row, self.num_carriers)
-                maps[index] = stored[(tx, *_at(self.file_header, self.link), carrier)]
+                maps[index] = unpacked(stored[(tx, *_at(self.file_header, self.link), carrier)])
         return maps
 
     def to_xarray(self) -> Any:
