@@ -464,11 +464,9 @@ class PasDataset:
     def torch(self) -> Any:
         """The samples as a `torch.utils.data.Dataset`: each is (map, tx_position_m, carrier_hz, cfr), as tensors.
 
-        A `DataLoader` takes it, with forked or spawned workers too. Reading a map takes a tenth of a millisecond of a
-        core, and handing it over from a worker as much again: workers relieve a busy training loop of half of it, and
-        slow an idle one down. It is `TensorSamples` of
-        `xfreqbench.methods.learning.samples`, found by its entry point: this floor knows no PyTorch. Raises
-        `DataError` where the installation lacks the entry point.
+        A `DataLoader` takes it, best with a `BatchSampler` for whole batches, and without workers, though forked and
+        spawned ones may read too. It is `TensorSamples` of `xfreqbench.methods.learning.samples`, found by its entry
+        point: this floor knows no PyTorch. Raises `DataError` where the installation lacks the entry point.
         """
         for offered in entry_points(group=TENSORS, name="torch"):
             return offered.load()(self)

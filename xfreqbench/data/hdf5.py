@@ -48,7 +48,7 @@ def packed(maps: NDArray[np.floating]) -> NDArray[np.uint16]:
     """Numbers from 0 to 1 as multiples of 1/65280, as files hold them, at most 7.7e-6 off; raises `DataError`."""
     low, high = (maps.min(), maps.max()) if maps.size else (0, 1)
     if not (low >= -RANGE_TOLERANCE and high <= 1 + RANGE_TOLERANCE):  # nan is not
-        raise DataError(f"Maps are numbers from 0 to 1, but go from {low:g} to {high:g}. Divide each by its own maximum.")
+        raise DataError(f"Maps are numbers from 0 to 1, but got {low:g} to {high:g}. Divide each by its maximum.")
     return np.rint(np.clip(maps, 0, 1) * np.float32(_ONE)).astype(PACKED)
 
 
