@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy.typing import NDArray
-from pydantic import PositiveFloat, PositiveInt, TypeAdapter, ValidationError
+from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -317,6 +317,22 @@ class PasDataset:
         It is −inf where no path arrives. Raises as `cfr` does.
         """
         return _in_db(np.mean(np.abs(self.cfr.astype(np.complex128)) ** 2, axis=1))
+
+    @checked
+    def received_power_dbm(self, transmit_power_dbm: FiniteFloat | None = None) -> Float[FloatArray, "N"]:
+        """Received power of each sample in dBm: `power_db` and the power that each transmitter has.
+
+        Without a number it is `power_dbm` in the `[transmitters]` of the scene. Raises `DataError` where the scene
+        states none, and as `power_db` does.
+        """
+        if transmit_power_dbm is None and (transmitters := self.scene.transmitters):
+            transmit_power_dbm = transmitters.power_dbm
+        if transmit_power_dbm is None:
+            raise DataError(
+                f"The scene of {self.path} states no transmit power. Give it, as in received_power_dbm(20.0), or "
+                "write power_dbm = 20.0 into the [transmitters] of the scene."
+            )
+        return self.power_db + transmit_power_dbm
 
     @checked
     def local_mean_db(self, radius_wavelengths: PositiveFloat = 1.0) -> Float[FloatArray, "N"]:
