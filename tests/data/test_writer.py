@@ -4,14 +4,16 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.places import ROOT
-from tests.support.synthetic import append_all, make_header, write_dataset
+from tests.support.synthetic import append_all, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.writer import PasWriter
+from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, StorageError
 
 
@@ -41,6 +43,16 @@ def test_missing_transmitters_leave_no_file(tmp_path: Path) -> None:
 def test_too_many_transmitters_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="do not fit"), PasWriter(tmp_path / "data.h5", make_header(num_tx=2)) as writer:
         append_all(writer, make_header(num_tx=3))
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.2, np.nan, np.inf])
+def test_maps_that_are_not_from_0_to_1_are_refused(tmp_path: Path, wrong: float) -> None:
+    header = replace(make_header(1, (1.0,)), channels=False)
+    maps = np.full((1, 1, 90, 360), 0.5, np.float32)
+    maps[0, 0, 3, 4] = wrong
+    with pytest.raises(DataError, match="numbers from 0 to 1"), PasWriter(tmp_path / "data.h5", header) as writer:
+        writer.append(transmitters(1), np.array([True]), SampleBlock.of_maps(maps))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_exception_leaves_the_former_file_and_no_other(tmp_path: Path) -> None:

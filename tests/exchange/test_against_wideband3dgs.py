@@ -51,7 +51,7 @@ def test_published_maps_are_those_of_the_array_on_the_grid_to_the_rounding_of_th
     grid = published.grid
     elevation, azimuth = grid.elevation_rad, grid.azimuth_rad
     assert grid.shape == (90, 360)
-    assert misfit(published, grid) < 1.03  # 1.003, and 2 % for float16
+    assert misfit(published, grid) < 1.03  # 1.003, and 2 % to spare
     others = {
         "zenith left out": AngularGrid(np.radians(np.arange(90.0)), azimuth),
         "equator left out": AngularGrid(np.radians(np.arange(1.0, 91.0)), azimuth),
@@ -110,7 +110,7 @@ def test_the_mean_over_frequency_scores_on_published_maps_what_others_measured(
     published: PasDataset, tmp_path: Path, target: str, of_the_mean: float, with_peak_1: float
 ) -> None:
     """Others scored the bare mean; a method here divides it by its peak, which costs it a little."""
-    tolerance = 0.002  # three digits are known; float16 moves a score by 2e-5
+    tolerance = 0.002  # three digits are known
     record = run_job(Job(str(published.path), "mean-over-frequency", "lofo", f"lofo-{target}"), tmp_path)
     assert record.scores["ssim"].median == pytest.approx(with_peak_1, abs=tolerance)
     maps = published.pas().reshape(-1, published.num_carriers, *published.grid.shape)

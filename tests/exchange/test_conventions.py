@@ -89,7 +89,7 @@ def test_lone_waves_at_a_turned_receiver_are_seen_where_their_transmitters_are(
     method = build_method("line-of-sight")
     fit_within(method, dataset, Budget(), seed=0)
     predicted = method.predict(dataset.tx_position_m, dataset.carrier_hz)
-    # less than a level is cut off, and float16 rounds; a pixel, or an array 2 % wider, is 0.04 and more
+    # less than a level is cut off; a pixel, or an array 2 % wider, is 0.04 and more
     np.testing.assert_allclose(dataset.pas(), predicted, atol=1.1 / 255)
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
+from xfreqbench.errors import DataError
 from xfreqbench.exchange.deepmimo import export_deepmimo
 from xfreqbench.exchange.path_arrays import export_sionna_npz
 from xfreqbench.scene.meshes import surface_meshes
@@ -156,12 +158,71 @@ def test_the_arrays_are_those_of_sionna_rt(data: PasDataset, tmp_path: Path) -> 
     assert objects[:, 0, 0, 1].tolist() == ["pane, between", "wall"]
 
 
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_table_has_powers_and_spreads_of_every_link(tmp_path: Path, suffix: str) -> None:
+    """Of three transmitters at two carriers, each polarization sent and heard: pandas reads what Python has."""
+    scene = replace(SCENE, transmitters=replace(GRID, power_dbm=23.0))
+    how: dict[str, Any] = {"tx_positions": TX_M, "interactions": ["specular", "refraction"], "max_depth": 2}
+    both = generate(scene, tmp_path / "d.h5", CARRIERS_GHZ, polarization=["V", "H"], maps=False, paths=True, **how)
+    words = () if suffix == "csv" else ("--power-dbm", "10")
+    output = tmp_path / f"links.{suffix}"
+    assert xfreqbench("export", both.path, "-o", output, "--to", "table", *words, "-q").code == 0
+    table = pandas.read_csv(output) if suffix == "csv" else pandas.read_parquet(output)
+    assert list(table.polarization) == [pair for pair in ("VV", "VH", "HV", "HH") for _ in range(6)]
+    for pair, rows in table.groupby("polarization"):
+        link = both.at(polarization=str(pair))
+        np.testing.assert_array_equal(rows["sample"], np.arange(6))
+        np.testing.assert_array_equal(np.stack([rows.tx, rows.carrier]), np.divmod(np.arange(6), 2))
+        np.testing.assert_allclose(rows[["x_m", "y_m", "z_m"]], link.tx_position_m)
+        np.testing.assert_allclose(np.stack([rows.carrier_hz, 1e9 * rows.carrier_ghz]), [link.carrier_hz] * 2)
+        np.testing.assert_array_equal(rows.in_sight.astype(bool), link.line_of_sight)
+        sent_dbm = 23.0 if suffix == "csv" else 10.0
+        np.testing.assert_allclose(rows.received_power_dbm, link.received_power_dbm(None if suffix == "csv" else 10.0))
+        np.testing.assert_allclose(rows.received_power_dbm, rows.gain_db + sent_dbm)
+        np.testing.assert_allclose(rows.local_mean_db, link.local_mean_db())
+        known = link.statistics().links
+        np.testing.assert_allclose(rows.distance_m, np.repeat(known.distance_m, 2))
+        for name in ("num_paths", "k_factor_db", "departure_zenith_spread_deg", "arrival_azimuth_spread_deg"):
+            np.testing.assert_allclose(rows[name], getattr(known, name).ravel(), err_msg=name)
+        np.testing.assert_allclose(rows.delay_spread_ns, 1e9 * known.delay_spread_s.ravel())
+    seen = table[(table.polarization == "VV") & (table.tx == 2)]
+    friis_db = 20 * np.log10(SPEED_OF_LIGHT_M_S / (4 * np.pi * seen.carrier_hz * seen.distance_m))
+    assert (abs(seen.local_mean_db - friis_db) < 1.5).all()  # in sight, beside a wall
+    if suffix == "csv":
+        by_numpy = np.genfromtxt(output, delimiter=",", names=True)
+        np.testing.assert_array_equal(by_numpy["gain_db"], table.gain_db)
+
+
+def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, tmp_path: Path) -> None:
+    plain = generate(SCENE, tmp_path / "plain.h5", [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False)
+    with pytest.raises(DataError, match=r"states no transmit power\. Give it, as in received_power_dbm"):
+        plain.received_power_dbm()
+    told = xfreqbench("export", plain.path, "-o", tmp_path / "t.csv", "--to", "table")
+    assert told.code == 0 and "holds no paths, of which local means" in told.stdout
+    table = pandas.read_csv(tmp_path / "t.csv")
+    assert table.columns[table.isna().all()].tolist() == [
+        "receiver",
+        "received_power_dbm",
+        "local_mean_db",
+        "num_paths",
+        "k_factor_db",
+        "delay_spread_ns",
+        "arrival_azimuth_spread_deg",
+        "arrival_zenith_spread_deg",
+        "departure_azimuth_spread_deg",
+        "departure_zenith_spread_deg",
+    ]
+    again = xfreqbench("export", data.path, "-o", tmp_path / "t.csv", "--to", "table")
+    assert again.code == 2 and "t.csv exists and is not written over" in again.stderr
+
+
 def test_the_command_says_what_it_needs(data: PasDataset, tmp_path: Path) -> None:
     told = xfreqbench("export", data.path, "-o", tmp_path / "out", "--to", "deepmimo", "-q")
     assert told.code == 0
     for words, refusal in (
         (("--to", "sionna-npz", "--convention", "nerf2"), "leave out --convention"),
         (("--to", "sionna-npz", "--set", "plane=yz"), "--set changes a convention of maps"),
+        (("--to", "deepmimo", "--power-dbm", "20"), "--power-dbm is about a table"),
         ((), "give --convention"),
     ):
         outcome = xfreqbench("export", data.path, "-o", tmp_path / "other", *words)

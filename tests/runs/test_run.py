@@ -320,7 +320,7 @@ def test_a_learning_curve_has_a_point_at_each_share_of_the_budget_and_at_the_end
     assert [point.step for point in record.curve] == [1, 2, 4, 8, 16, 32]  # it ends itself at 1/2
     ssim = [point.ssim for point in record.curve]
     assert ssim == sorted(ssim)
-    assert ssim[-1] == pytest.approx(record.scores["ssim"].median, abs=1e-3)  # stored maps are float16
+    assert ssim[-1] == pytest.approx(record.scores["ssim"].median, abs=1e-3)  # stored maps are packed
     assert [point.loss for point in record.curve][1:] == [1 - step / 32 for step in (2, 4, 8, 16, 32)]
     assert records.read(tmp_path / "records.jsonl").records[0].curve[1:] == record.curve[1:]
 

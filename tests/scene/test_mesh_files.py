@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from xfreqbench.examples.make_blender_room import PATH, room
 
 from tests.support.mesh_scenes import (
     PLACES,
@@ -91,6 +92,21 @@ def test_a_room_that_lies_on_its_side_is_noticed(tmp_path: Path) -> None:
         meshes_of(tmp_path, "room.glb", content)
 
 
+def test_the_room_from_blender_is_what_its_script_makes(tmp_path: Path) -> None:
+    """Its planes are turned and scaled, its table hangs from an empty object, and none of it is aslant."""
+    content = PATH.read_bytes()
+    assert content == room() and len(content) < 60_000
+    toml = '[[material]]\nname = "Oak"\nitu = "wood"\n[[material]]\nname = "Plastic.001"\nitu = "wood"\n'
+    meshes = {mesh.name: mesh for mesh in meshes_of(tmp_path, "room.glb", content, toml)}
+    whole_m = np.concatenate([mesh.vertices_m for mesh in meshes.values()])
+    np.testing.assert_allclose([whole_m.min(0), whole_m.max(0)], [[0, 0, 0], [5, 4, 2.6]], atol=1e-6)
+    assert meshes["Window"].material == "glass" and meshes["Cabinet"].material == "metal"
+    np.testing.assert_allclose(bounds_m(meshes["Window"]), [[1.5, 4, 0.9], [3.5, 4, 2.1]], atol=1e-6)
+    np.testing.assert_allclose(meshes["Table leg.002"].vertices_m.mean(0)[2], 0.36, atol=1e-6)
+    area_m2 = trimesh.Trimesh(meshes["Wall with window"].vertices_m, meshes["Wall with window"].triangles).area
+    assert area_m2 == pytest.approx(5 * 2.6 - 2 * 1.2)
+
+
 def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> None:
     half = np.sqrt(0.5)
     nodes: list[dict[str, Any]] = [
@@ -99,7 +115,7 @@ def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> No
         {"mesh": 1, "name": "strip", "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 5, 0, 1]},
     ]
     flat, strip = (
-        (SQUARE_M, [0, 1, 2, 2, 1, 3], TRIANGLES, "itu_wood"),
+        (SQUARE_M, [0, 1, 2, 2, 1, 3], TRIANGLES, "Wood"),
         (SQUARE_M, [0, 1, 2, 3], STRIP, "mat-itu_metal.002"),
     )
     listed, stripped = meshes_of(tmp_path, "nodes.glb", glb_bytes(nodes, [flat, strip]))
@@ -264,7 +280,7 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),
-        ({"materials": [{"name": "Wood"}]}, r"node 'mesh 0': material 'Wood' is no ITU material"),
+        ({"materials": [{"name": "Oak"}]}, r"node 'mesh 0': material 'Oak' is no ITU material"),
     ],
 )  # fmt: skip
 def test_a_glb_that_is_not_sound_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:

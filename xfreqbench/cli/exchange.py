@@ -123,12 +123,15 @@ def card(
 def export(
     data: Path,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; for a table, a file.")
+    ],
     to: Annotated[
-        Literal["png", "deepmimo", "sionna-npz"],
+        Literal["png", "deepmimo", "sionna-npz", "table"],
         Parameter(
             help="png: maps, as --convention draws them; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: "
-            "paths, in arrays named as in Sionna RT."
+            "paths, in arrays named as in Sionna RT; table: powers, K and spreads of every sample, as CSV, or as "
+            "Parquet for a name in .parquet."
         ),
     ] = "png",
     convention: Annotated[
@@ -136,9 +139,13 @@ def export(
         Parameter(help="For PNG maps: whose angles and values, a name from `xfreqbench import --conventions`."),
     ] = None,
     set_: Changed = (),
+    power_dbm: Annotated[
+        float | None,
+        Parameter(help="For a table: transmit power in dBm, in place of power_dbm in the scene's [transmitters]."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a data set in a layout that others read: its maps as a folder of PNGs, or its paths.
+    """Write a data set in a layout that others read: its maps as a folder of PNGs, its paths, or a table of its links.
 
     Parameters
     ----------
@@ -149,10 +156,12 @@ def export(
         raise XFreqBenchError(
             "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench import --conventions`."
             if to == "png"
-            else f"--to {to} writes paths, which no convention of maps changes: leave out --convention."
+            else f"--to {to} writes no maps, so that no convention of maps changes it: leave out --convention."
         )
+    if power_dbm is not None and to != "table":
+        raise XFreqBenchError("--power-dbm is about a table of powers; give --to table too, or leave it out.")
     if to != "png":
-        _export_paths(data, output, to, set_, quiet)
+        _export_others(data, output, to, set_, power_dbm, quiet)
         return
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import export_png_folder
@@ -163,13 +172,23 @@ def export(
     say(f"wrote {output} ({len(dataset)} maps)", quiet)
 
 
-def _export_paths(data: Path, output: Path, to: str, changed: tuple[str, ...], quiet: bool) -> None:
+def _export_others(
+    data: Path, output: Path, to: str, changed: tuple[str, ...], power_dbm: float | None, quiet: bool
+) -> None:
     from xfreqbench.exchange.deepmimo import export_deepmimo
+    from xfreqbench.exchange.link_table import export_link_table
     from xfreqbench.exchange.path_arrays import export_sionna_npz
     from xfreqbench.system.bars import progress_bars
 
     if changed:
         raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
+    if to == "table":
+        with progress_bars("links", ["exporting"], quiet) as (progress,):
+            dataset = export_link_table(data, output, power_dbm, progress)
+        if not dataset.header.paths:
+            say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
+        say(f"wrote {output}", quiet)
+        return
     write = export_deepmimo if to == "deepmimo" else export_sionna_npz
     with progress_bars("carriers", ["exporting"], quiet) as (progress,):
         dataset = write(data, output, progress)

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from pydantic import PositiveFloat, PositiveInt, TypeAdapter, ValidationError
+from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -34,6 +34,7 @@ from xfreqbench.data.hdf5 import (
     require_layout,
     sealed_sha256,
     text_attributes,
+    unpacked,
     values_sha256,
     verify_sealed,
 )
@@ -317,6 +318,22 @@ class PasDataset:
         return _in_db(np.mean(np.abs(self.cfr.astype(np.complex128)) ** 2, axis=1))
 
     @checked
+    def received_power_dbm(self, transmit_power_dbm: FiniteFloat | None = None) -> Float[FloatArray, "N"]:
+        """Received power of each sample in dBm: `power_db` and the power that each transmitter has.
+
+        Without a number it is `power_dbm` in the `[transmitters]` of the scene. Raises `DataError` where the scene
+        states none, and as `power_db` does.
+        """
+        if transmit_power_dbm is None and (transmitters := self.scene.transmitters):
+            transmit_power_dbm = transmitters.power_dbm
+        if transmit_power_dbm is None:
+            raise DataError(
+                f"The scene of {self.path} states no transmit power. Give it, as in received_power_dbm(20.0), or "
+                "write power_dbm = 20.0 into the [transmitters] of the scene."
+            )
+        return self.power_db + transmit_power_dbm
+
+    @checked
     def local_mean_db(self, radius_wavelengths: PositiveFloat = 1.0) -> Float[FloatArray, "N"]:
         """The power at the array centre in dB, averaged over where a transmitter stands, of each sample.
 
@@ -348,7 +365,7 @@ class PasDataset:
             stored = file["pas"]
             for index, row in enumerate(asked):
                 tx, carrier = divmod(row, self.num_carriers)
-                maps[index] = stored[(tx, *_at(self.file_header, self.link), carrier)]
+                maps[index] = unpacked(stored[(tx, *_at(self.file_header, self.link), carrier)])
         return maps
 
     def to_xarray(self) -> Any:
@@ -462,11 +479,9 @@ class PasDataset:
     def torch(self) -> Any:
         """The samples as a `torch.utils.data.Dataset`: each is (map, tx_position_m, carrier_hz, cfr), as tensors.
 
-        A `DataLoader` takes it, with forked or spawned workers too. Reading a map takes a tenth of a millisecond of a
-        core, and handing it over from a worker as much again: workers relieve a busy training loop of half of it, and
-        slow an idle one down. It is `TensorSamples` of
-        `xfreqbench.methods.learning.samples`, found by its entry point: this floor knows no PyTorch. Raises
-        `DataError` where the installation lacks the entry point.
+        A `DataLoader` takes it, best with a `BatchSampler` for whole batches, and without workers, though forked and
+        spawned ones may read too. It is `TensorSamples` of `xfreqbench.methods.learning.samples`, found by its entry
+        point: this floor knows no PyTorch. Raises `DataError` where the installation lacks the entry point.
         """
         for offered in entry_points(group=TENSORS, name="torch"):
             return offered.load()(self)

@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 
 from xfreqbench.errors import DataError, StorageError, XFreqBenchError
+from xfreqbench.maps.bartlett import RANGE_TOLERANCE
 from xfreqbench.system.files import atomic_path, storage_errors
 from xfreqbench.system.remote import RemotePath
 from xfreqbench.types import NDArray
@@ -36,6 +37,24 @@ _TRAILER_BYTES = len(_TRAILER) + 64
 _LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 _MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: the limit of deflate
+_ONE = 65280  # as which 1 is packed: 255 · 256, so that 8-bit levels are exact; netCDF4 takes 65535 for a missing value
+_STEP = np.float32(1 / _ONE)
+
+
+PACKED = "<u2"
+
+
+def packed(maps: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Numbers from 0 to 1 as multiples of 1/65280, as files hold them, at most 7.7e-6 off; raises `DataError`."""
+    low, high = (maps.min(), maps.max()) if maps.size else (0, 1)
+    if not (low >= -RANGE_TOLERANCE and high <= 1 + RANGE_TOLERANCE):  # nan is not
+        raise DataError(f"Maps are numbers from 0 to 1, but got {low:g} to {high:g}. Divide each by its maximum.")
+    return np.rint(np.clip(maps, 0, 1) * np.float32(_ONE)).astype(PACKED)
+
+
+def unpacked(stored: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """The numbers that `packed` has packed; a peak of 1 is exactly 1."""
+    return stored * _STEP
 
 
 @dataclass(frozen=True)
@@ -45,7 +64,8 @@ class Variable:
     Chunks may be `compressed`, by shuffling bytes and deflate. A variable whose only axis has its own name is the
     coordinate of that axis. A name may begin with a group, as in `lofo-77GHz/train_row`; the names of axes in the
     group then begin with it too. `flags` are the values that a variable may have, with the word for each, and
-    `coordinates` the variables that say more of its rows; other programs read both, by the CF conventions.
+    `coordinates` the variables that say more of its rows; other programs read both, by the CF conventions. So they
+    do with `scale_factor`, by which they multiply the numbers of variables of type `PACKED` (see `packed`).
     """
 
     name: str
@@ -82,6 +102,8 @@ class SealedWriter:
     def append(self, name: str, rows: NDArray[Any]) -> None:
         """Write the next rows of a variable; raises `DataError` where they do not fit and `StorageError`."""
         variable, start = self._variables[name], self._num_rows[name]
+        if variable.dtype == PACKED:
+            rows = packed(rows)
         rows = np.ascontiguousarray(rows, dtype=variable.dtype)
         if rows.shape[1:] != variable.shape[1:] or start + len(rows) > variable.shape[0]:
             raise DataError(
@@ -347,6 +369,8 @@ def _create(file: Any, variable: Variable) -> None:
         **filters,
     )
     _set_texts(dataset, {"units": variable.units, "long_name": variable.long_name})
+    if variable.dtype == PACKED:
+        dataset.attrs.create("scale_factor", _STEP)
     if variable.flags:
         values, words = zip(*variable.flags, strict=True)
         dataset.attrs.create("flag_values", np.array(values, variable.dtype))

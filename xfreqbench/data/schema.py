@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
-from xfreqbench.data.hdf5 import Variable
+from xfreqbench.data.hdf5 import PACKED, Variable
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.maps.grid import AngularGrid
@@ -209,7 +209,7 @@ def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable
     num_paths = "paths that reach at least one element"
     pas = Variable(
         "pas",
-        "<f2",
+        PACKED,
         (T, *counts, F, *grid.shape),
         (*sample, *angles),
         "1",

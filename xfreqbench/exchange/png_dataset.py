@@ -3,7 +3,7 @@
 Nothing is lost on the way in and out: a folder that is exported with the convention with which it was imported has the
 same level at every pixel (and PNGs of the same bytes, if Pillow wrote them), and the same positions, carriers and
 receiver to the last bit. Only the samples are numbered anew, carrier by carrier, and numbers in text files may be
-written in another way. The levels are recovered from the float16 maps, which are exact enough to tell 256 levels
+written in another way. The levels are recovered from the packed maps, which are exact enough to tell 256 levels
 apart, and from `peak_power`, which gives the level of the brightest pixel.
 
 If a data set has channels, its maps are computed anew on the grid of the convention, and rounded to the nearest level.

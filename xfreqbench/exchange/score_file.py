@@ -34,6 +34,7 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
+from xfreqbench.data.hdf5 import PACKED, packed
 from xfreqbench.exchange.prediction_file import Part, read_parts, splits_or_none
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
@@ -42,8 +43,6 @@ from xfreqbench.runs.records import External, Job, RunRecord
 from xfreqbench.runs.scoring import FitOutcome, scored_record
 from xfreqbench.system.files import exclusive, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
-
-_STORED_DTYPE = np.dtype("<f2")  # of a map in a file of predictions
 
 Result = TypeVar("Result")
 
@@ -108,7 +107,7 @@ def score_file(
     require_fingerprint(dataset)
     folder = ResultsFolder(results_dir)
     num_maps = sum(len(part.split.test) for part in parts)
-    require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * _STORED_DTYPE.itemsize)
+    require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * np.dtype(PACKED).itemsize)
     maps_sha256, has_power = zip(*_each(parts, lambda part: _checked(part, dataset.grid.shape), checking), strict=True)
     submission = _Submission(dataset, data_name, parts, maps_sha256)
     scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
@@ -136,7 +135,7 @@ def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
     """Hash of the maps of a part as they will be stored, and whether any has power; reads and checks all of them."""
     digest, has_power = hashlib.sha256(), False
     for _, maps in part.batches(grid_shape):
-        digest.update(maps.astype(_STORED_DTYPE).tobytes())
+        digest.update(packed(maps).tobytes())
         has_power = has_power or bool(maps.any())
     return digest.hexdigest(), has_power
 

@@ -12,12 +12,14 @@ from jaxtyping import Float, Int, Num
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import (
+    PACKED,
     Variable,
     create_sealed,
     open_sealed,
     read_array,
     require_layout,
     text_attributes,
+    unpacked,
     verify_sealed,
 )
 from xfreqbench.errors import DataError
@@ -45,7 +47,7 @@ class Predictions:
         with open_sealed(self.path, SCHEMA) as file:
             for start in range(0, len(self.rows), size):
                 part = slice(start, start + size)
-                maps = file["pas"][part].astype(np.float32)
+                maps = unpacked(file["pas"][part])
                 if fault := fault_of_maps(maps):
                     raise DataError(f"{self.path}, map of row {self.rows[start + fault[0]]}: it {fault[1]} {_ADVICE}")
                 yield self.rows[part], maps
@@ -107,7 +109,7 @@ def write_predictions(
     dataset_sha256: str,
     split_sha256: str,
 ) -> None:
-    """Store batches of rows (n,) and maps (n, E, A), as float16; the file is written whole or not at all.
+    """Store batches of rows (n,) and maps (n, E, A), packed; the file is written whole or not at all.
 
     Raises `StorageError`, what `require_no_others` raises, and `DataError` if the batches do not hold `num_rows` rows
     together.
@@ -140,5 +142,5 @@ def _variables(num_rows: int, grid_shape: tuple[int, int]) -> list[Variable]:
         Variable("row", "<i8", (num_rows,), ("row",), "1", "row of the data set: tx · F + carrier"),
         Variable("elevation", "<i4", (E,), ("elevation",), "1", "index of the data set's elevation"),
         Variable("azimuth", "<i4", (A,), ("azimuth",), "1", "index of the data set's azimuth"),
-        Variable("pas", "<f2", (num_rows, E, A), axes, "1", "predicted map", chunk=(1, E, A)),
+        Variable("pas", PACKED, (num_rows, E, A), axes, "1", "predicted map", chunk=(1, E, A)),
     ]

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, Num
 from pydantic import InstanceOf, SkipValidation
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.hdf5 import packed, unpacked
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import ArgumentError, DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
@@ -99,7 +100,7 @@ def score(
     """Scores (N,) of maps that were predicted for the N test samples of a split, by the name of the metric.
 
     `maps` (N, E, A) are in the order of `split.test`, on the grid of `dataset`, the whole data set that was split:
-    numbers in [0, 1], peak 1. A map that is zero everywhere is scored as it is. Maps are rounded to half precision
+    numbers in [0, 1], peak 1. A map that is zero everywhere is scored as it is. Maps are rounded to 1/65280
     first, as those of `run` are stored, so that the scores are those that a run would have. Nothing is stored.
 
     Raises `ArgumentError` for maps of another shape, and for one that is no map.
@@ -122,9 +123,8 @@ def score(
     if fault := fault_of_maps(asked):
         raise ArgumentError(f"The map of row {rows[fault[0]]} (number {fault[0]}) {fault[1]}")
     starts = range(0, len(rows), BATCH_SIZE)
-    stored = ((rows[n : n + BATCH_SIZE], asked[n : n + BATCH_SIZE].astype(np.float16)) for n in starts)
-    batches = ((some, rounded.astype(np.float32)) for some, rounded in stored)
-    return _scores(dataset, batches)
+    parts = (slice(n, n + BATCH_SIZE) for n in starts)
+    return _scores(dataset, ((rows[part], unpacked(packed(asked[part]))) for part in parts))
 
 
 def median(values: Float[FloatArray, "N"]) -> float:

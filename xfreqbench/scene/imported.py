@@ -107,8 +107,8 @@ def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], s
 
     A shape without a material has the one of its own `name` in the scene's table. An entry of
     that table comes first: under the material's name as the file has it, under its plain name, or under that of the
-    P.2040 material that the file states. Else it is what the file states, or the P.2040 material of its plain name.
-    Raises `SceneError` where the name means nothing, or there is none.
+    P.2040 material that the file states. Else it is what the file states, or the P.2040 material of its plain name,
+    where `Glass` is glass. Raises `SceneError` where the name means nothing, or there is none.
     """
     if stated is None and name not in table:
         raise SceneError(
@@ -117,10 +117,11 @@ def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], s
         )
     stated = stated or StatedMaterial(name)
     plain = plain_name(stated.name)
-    names = [stated.name, plain, str(stated.material)]
+    names = [stated.name, plain, plain.lower(), str(stated.material)]
     own = next((table[name] for name in names if name in table), None)
     material = material_named(own.name, table) if own else stated.material
     if material is None:
+        plain = plain.lower()
         if plain not in ITU_MATERIALS and plain not in PRESETS:
             raise SceneError(
                 f"{source}: material {stated.name!r} is no ITU material. Name it like 'itu_concrete', or say what it "

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_serializer, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError, model_serializer, model_validator
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.errors import SceneError, UnknownNameError
@@ -265,6 +265,7 @@ class TransmitterGrid:
 
     `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's,
     but `iso` beside a receiver of pattern `tr38901`. `orientation_deg` turns their antennas (see `ReceiverArray`).
+    `power_dbm` is what each transmits, for `PasDataset.received_power_dbm`; no channel depends on it.
     """
 
     min_m: Point
@@ -274,6 +275,7 @@ class TransmitterGrid:
     pattern: Pattern | None = None
     polarization: Polarization | None = None
     orientation_deg: Orientation | None = None
+    power_dbm: FiniteFloat | None = None
 
     _json = only_given
 

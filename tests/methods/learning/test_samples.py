@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset, RandomSampler
+from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, SequentialSampler
 
 from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.data import dataset as module
@@ -48,9 +48,12 @@ def test_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
 @pytest.mark.parametrize("maps", [True, False])
 def test_a_loader_gives_batches(tmp_path: Path, maps: bool) -> None:
     dataset = write_dataset(tmp_path / "data.h5", maps=maps)
-    batches = list(DataLoader(dataset.torch(), batch_size=5))
-    for batch, start in zip(batches, (0, 5, 10), strict=True):
-        require_equal(batch, dataset, list(range(12))[start : start + 5])
+    samples = dataset.torch()
+    whole = BatchSampler(SequentialSampler(samples), batch_size=5, drop_last=False)
+    for loader in (DataLoader(samples, batch_size=None, sampler=whole), DataLoader(samples, batch_size=5)):
+        batches = list(loader)
+        for batch, start in zip(batches, (0, 5, 10), strict=True):
+            require_equal(batch, dataset, list(range(12))[start : start + 5])
     assert batches[0].map.dtype == torch.float32
     assert batches[0].cfr.dtype == torch.complex64
 

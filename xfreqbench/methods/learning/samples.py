@@ -16,7 +16,7 @@ from xfreqbench.data.rows import chosen_rows
 
 
 class TensorSample(NamedTuple):
-    """One sample as tensors; a `DataLoader` gives B of them, stacked along a new first axis.
+    """One sample as tensors, or B of them, stacked along a new first axis.
 
     `map` (E, A) is float32 with peak 1, `tx_position_m` (3,) and `carrier_hz` () are float64, and `cfr` (M,) is
     complex64: (0,) where the data set holds maps alone.
@@ -31,8 +31,10 @@ class TensorSample(NamedTuple):
 class TensorSamples(Dataset[TensorSample]):
     """The N samples of a data set, or of a subset, for `torch.utils.data.DataLoader`.
 
-    The file is opened anew for every sample, or by a `DataLoader` for every batch, and closed again, so that worker
-    processes, forked or spawned, share no handle. Raises `IndexError` and `DataError` as the data set does.
+    `samples[7]` is one sample, and `samples[[7, 2]]` are two, stacked as they are read: a `DataLoader` with a
+    `BatchSampler` as its `sampler`, and `batch_size=None`, asks for whole batches so. The file is opened anew whenever
+    samples are asked for, and closed again, so that worker processes, forked or spawned, share no handle. Raises
+    `IndexError` and `DataError` as the data set does.
     """
 
     def __init__(self, dataset: PasDataset) -> None:
@@ -41,15 +43,17 @@ class TensorSamples(Dataset[TensorSample]):
     def __len__(self) -> int:
         return len(self.dataset)
 
-    def __getitem__(self, number: int) -> TensorSample:
-        return self.__getitems__([number])[0]
-
-    def __getitems__(self, numbers: Sequence[int]) -> list[TensorSample]:
-        """Several samples, which the file is opened for once; a `DataLoader` asks for its batches so."""
+    def __getitem__(self, numbers: int | Sequence[int]) -> TensorSample:
+        if isinstance(numbers, int | np.integer):
+            return self.__getitems__([numbers])[0]
         asked = self.dataset[list(numbers)]
         cfr = asked.cfr if asked.header.channels else np.zeros((len(asked), 0), np.complex64)
         arrays = asked.pas(), asked.tx_position_m, asked.carrier_hz, cfr
-        return list(map(TensorSample, *map(torch.from_numpy, arrays)))
+        return TensorSample(*map(torch.from_numpy, arrays))
+
+    def __getitems__(self, numbers: Sequence[int]) -> list[TensorSample]:
+        """Several samples, one by one; a `DataLoader` with a `batch_size` asks so, and stacks them by a copy."""
+        return list(map(TensorSample, *self[numbers]))
 
 
 class RoomSample(NamedTuple):
