@@ -62,7 +62,7 @@ class Tables(HTMLParser):
     def rows(self, table: int = 1) -> dict[str, dict[str, tuple[str, str | None]]]:
         head, *rows = self.tables[table]
         names = [text for text, _ in head]
-        return {row[1][0].partition("|")[0].strip(): dict(zip(names, row, strict=True)) for row in rows}
+        return {row[0][0].partition("|")[0].strip(): dict(zip(names, row, strict=True)) for row in rows}
 
 
 @pytest.fixture(scope="module")

@@ -82,9 +82,9 @@ TABLE = (
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
 PAGE = (
-    *("rank", "method", "origin", "splits", "average", "p10", "skill", "seeds"),
+    *("method", "average", "skill", "rank", "splits", "p10", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
-    *("seconds", "milliseconds", "memory", "parameters"),
+    *("seconds", "milliseconds", "memory", "parameters", "origin"),
 )
 
 
