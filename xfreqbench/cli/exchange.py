@@ -125,10 +125,11 @@ def export(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
     to: Annotated[
-        Literal["png", "deepmimo", "sionna-npz"],
+        Literal["png", "deepmimo", "sionna-npz", "datasets", "webdataset"],
         Parameter(
             help="png: maps, as --convention draws them; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: "
-            "paths, in arrays named as in Sionna RT."
+            "paths, in arrays named as in Sionna RT; datasets: maps and channels as Parquet, which Hugging Face's "
+            "datasets reads; webdataset: both as tar shards."
         ),
     ] = "png",
     convention: Annotated[
@@ -138,7 +139,7 @@ def export(
     set_: Changed = (),
     quiet: Quiet = False,
 ) -> None:
-    """Write a data set in a layout that others read: its maps as a folder of PNGs, or its paths.
+    """Write a data set in a layout that others read: its maps as PNGs, Parquet or tar shards, or its paths.
 
     Parameters
     ----------
@@ -149,8 +150,18 @@ def export(
         raise XFreqBenchError(
             "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench import --conventions`."
             if to == "png"
-            else f"--to {to} writes paths, which no convention of maps changes: leave out --convention."
+            else f"--to {to} writes what no convention of maps changes: leave out --convention."
         )
+    if to == "datasets" or to == "webdataset":
+        from xfreqbench.exchange.shards import export_shards
+        from xfreqbench.system.bars import progress_bars
+
+        if set_:
+            raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
+        with progress_bars("maps", ["exporting"], quiet) as (progress,):
+            dataset = export_shards(data, output, to, progress)
+        say(f"wrote {output} ({len(dataset)} maps)", quiet)
+        return
     if to != "png":
         _export_paths(data, output, to, set_, quiet)
         return

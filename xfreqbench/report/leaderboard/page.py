@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.text import write_tables
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -36,6 +38,8 @@ _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
     """Write the page of `results`, results folders or files of records, and return the file written.
+
+    Its tables are written beside it, as `write_tables` does.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
@@ -50,14 +54,15 @@ def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
             f"{', '.join(str(folder.records_path) for folder in found.folders)} holds no runs. Run `xfreqbench run` "
             "first, or mend the path."
         )
-    write_text(output_html, _page(found))
-    return output_html
-
-
-def _page(found: RankedResults) -> str:
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
     comparisons = list(map(_comparisons, boards))
+    write_text(output_html, _page(found, boards, comparisons))
+    write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
+    return output_html
+
+
+def _page(found: RankedResults, boards: Sequence[Board], comparisons: Sequence[Sequence[Comparison]]) -> str:
     galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
         "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
