@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
+import tarfile
 import tempfile
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +26,7 @@ from tests.support.synthetic import RECEIVER, make_header, transmitters, write_d
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.exchange import shards
 from xfreqbench.exchange.conventions import CONVENTIONS, Convention, convention_named
 from xfreqbench.exchange.png_dataset import export_png_folder, import_png_folder
 from xfreqbench.exchange.png_folder import read_png_folder
@@ -340,3 +345,28 @@ def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
     assert all(name in table.stdout for name in [*CONVENTIONS, "spacing_wavelengths"])
     np.testing.assert_array_equal(levels_of(tmp_path / "out", 2), levels_of(tmp_path / "first", 2))
     assert (tmp_path / "out" / "freq.txt").read_text() == "0.915\n0.915\n"
+
+
+@pytest.mark.parametrize("to", ["webdataset", "datasets"])
+def test_shards_hold_every_map_for_whoever_has_not_this_toolkit(to, tmp_path, monkeypatch) -> None:
+    data = write_dataset(tmp_path / "data.h5", num_tx=3)
+    monkeypatch.setattr(shards, "MAPS_A_SHARD", 4)
+    shards.export_shards(data.path, tmp_path / "shards", to)
+    files = sorted((tmp_path / "shards").glob("train-*"))
+    assert len(files) == -(-len(data) // 4) and files[0].suffix in (tmp_path / "shards" / "README.md").read_text()
+    if to == "webdataset":
+        members = {}
+        for file in files:
+            with tarfile.open(file) as tar:
+                members |= {member.name: tar.extractfile(member).read() for member in tar}
+        keys = sorted({name.partition(".")[0] for name in members})
+        samples = [json.loads(members[f"{key}.json"]) for key in keys]
+        maps = [np.load(BytesIO(members[f"{key}.map.npy"])) for key in keys]
+    else:
+        samples = [row for file in files for row in pyarrow.parquet.read_table(file).to_pylist()]
+        maps = [np.reshape(row["map"], data.grid.shape) for row in samples]
+    np.testing.assert_allclose(maps, data.pas(), atol=2**-11)  # half precision
+    for name in ("tx_position_m", "carrier_hz", "peak_power"):
+        assert np.array_equal([row[name] for row in samples], getattr(data, name))
+    cfr = np.array([row["cfr_real"] for row in samples]) + 1j * np.array([row["cfr_imag"] for row in samples])
+    assert np.array_equal(cfr, data.cfr)

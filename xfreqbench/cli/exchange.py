@@ -127,11 +127,12 @@ def export(
         Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; for a table, a file.")
     ],
     to: Annotated[
-        Literal["png", "deepmimo", "sionna-npz", "table"],
+        Literal["png", "deepmimo", "sionna-npz", "table", "datasets", "webdataset"],
         Parameter(
             help="png: maps, as --convention draws them; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: "
             "paths, in arrays named as in Sionna RT; table: powers, K and spreads of every sample, as CSV, or as "
-            "Parquet for a name in .parquet."
+            "Parquet for a name in .parquet; datasets: maps and channels as Parquet, which Hugging Face's datasets "
+            "reads; webdataset: both as tar shards."
         ),
     ] = "png",
     convention: Annotated[
@@ -145,7 +146,7 @@ def export(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a data set in a layout that others read: its maps as a folder of PNGs, its paths, or a table of its links.
+    """Write a data set in a layout that others read: its maps as PNGs or shards, its paths, or a table of its links.
 
     Parameters
     ----------
@@ -156,10 +157,20 @@ def export(
         raise XFreqBenchError(
             "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench import --conventions`."
             if to == "png"
-            else f"--to {to} writes no maps, so that no convention of maps changes it: leave out --convention."
+            else f"--to {to} writes what no convention of maps changes: leave out --convention."
         )
     if power_dbm is not None and to != "table":
         raise XFreqBenchError("--power-dbm is about a table of powers; give --to table too, or leave it out.")
+    if to == "datasets" or to == "webdataset":
+        from xfreqbench.exchange.shards import export_shards
+        from xfreqbench.system.bars import progress_bars
+
+        if set_:
+            raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
+        with progress_bars("maps", ["exporting"], quiet) as (progress,):
+            dataset = export_shards(data, output, to, progress)
+        say(f"wrote {output} ({len(dataset)} maps)", quiet)
+        return
     if to != "png":
         _export_others(data, output, to, set_, power_dbm, quiet)
         return

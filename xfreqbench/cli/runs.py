@@ -263,7 +263,7 @@ def benchmark(
             benchmarks.record_contents(planned)
     folder = planned.results_dir
     pages = folder / "pages" if preset.startswith("paper") else None  # that of the paper's tables among them
-    report(folder, output=folder / "BENCHMARK.md", html=folder / "benchmark.html", details=pages, quiet=quiet)
+    report(str(folder), output=folder / "BENCHMARK.md", html=folder / "benchmark.html", details=pages, quiet=quiet)
     if failures:
         number = f"{len(failures)} of its parts failed; the same command tries them again."
         raise XFreqBenchError("\n".join([number, *failures]))
@@ -271,9 +271,15 @@ def benchmark(
 
 @app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))
 def report(
-    *results: Path,
+    *results: str,
     output: Output = Path("BENCHMARK.md"),
-    html: Annotated[Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")] = None,
+    html: Annotated[
+        Path | None,
+        Parameter(
+            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and, "
+            "where pyarrow is installed, as Parquet."
+        ),
+    ] = None,
     details: Annotated[
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
@@ -292,13 +298,16 @@ def report(
     Parameters
     ----------
     results
-        Results folder, or file of records; those of several are ranked together.
+        Results folder, file of records, its address (https), or a frozen version of the reference board (v1); those of
+        several are ranked together.
     """
     from xfreqbench.report.leaderboard.report import write_report
+    from xfreqbench.report.leaderboard.results import results_at
 
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
-    written = write_report(results, output, details)
+    found = list(map(results_at, results))
+    written = write_report(found, output, details)
     for path in written.paths:
         say(f"wrote {path}", quiet)
     if written.num_truncated:
@@ -306,17 +315,17 @@ def report(
     if maps is not None:
         from xfreqbench.report.leaderboard.paper import ship_maps
 
-        say(f"wrote {ship_maps(results, maps)}", quiet)
+        say(f"wrote {ship_maps(found, maps)}", quiet)
     if details is None:
         say("claims and tables of the paper, distributions and maps stand in the pages of --details FOLDER", quiet)
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
-        say(f"wrote {write_page(results, html)}", quiet)
+        say(f"wrote {write_page(found, html)} and, beside it, its tables", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))
-def compare(a: Path, b: Path) -> None:
+def compare(a: str, b: str) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
     Rows of the same method, options and budget are paired, then rows that are alone with their method in A and in B,
@@ -326,10 +335,12 @@ def compare(a: Path, b: Path) -> None:
     Parameters
     ----------
     a
-        Results folder, file of records, FOLDER/METHOD for those of one method, or FOLDER/ID for one record.
+        Results folder, file of records, FOLDER/METHOD for those of one method, FOLDER/ID for one record, the address of
+        a file (https), or a frozen version of the reference board (v1).
     b
         The same, to be compared with A.
     """
+    from xfreqbench.report.leaderboard.results import results_at
     from xfreqbench.report.leaderboard.side_by_side import compare_results
 
-    print(compare_results(a, b))
+    print(compare_results(results_at(a), results_at(b)))

@@ -311,7 +311,7 @@ class PasDataset:
 
     @cached_property
     def power_db(self) -> Float[FloatArray, "N"]:
-        """Received over transmitted power of each sample in dB: the mean of |h|² over the array's elements.
+        """Received over transmitted power of each sample in dB: the mean of `|h|²` over the array's elements.
 
         It is −inf where no path arrives. Raises as `cfr` does.
         """

@@ -78,7 +78,7 @@ def generate(
     with several of either holds a link for each receiver and pair, of which the first is opened; see `PasDataset.at`.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
-    what is raised. Mistakes are `XFreqBenchError`s, before the first ray where that is possible.
+    what is raised. A mistake is an `XFreqBenchError`, before the first ray where that is possible.
     """
     plan = plan_of(
         scene,

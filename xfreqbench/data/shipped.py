@@ -19,7 +19,6 @@ from xfreqbench.system.caches import data_folder
 from xfreqbench.system.files import sole_writer, storage_errors
 
 REGISTRY = "registry.txt"  # a line each: file, sha256 and, unless it ships, its address, as pooch reads them
-_ENDING = ".h5"
 _TIMEOUT_S = 30.0  # without a byte
 _BLOCK_BYTES = 1 << 16  # at most so much of a broken download is lost
 
@@ -34,12 +33,12 @@ class Registered(NamedTuple):
     url: str | None
 
 
-def registered() -> Mapping[str, Registered]:
-    """The data sets that have a name, by that name."""
+def registered(registry: Path | None = None, ending: str = ".h5") -> Mapping[str, Registered]:
+    """The files of a registry that have a name, by that name; without `registry`, the data sets."""
     book = _book({}, {})
-    book.load_registry(shipped_folder() / REGISTRY)
+    book.load_registry(registry or shipped_folder() / REGISTRY)
     return {
-        file.removesuffix(_ENDING): Registered(file, sha256, book.urls.get(file))
+        file.removesuffix(ending): Registered(file, sha256, book.urls.get(file))
         for file, sha256 in book.registry.items()
     }
 
@@ -87,10 +86,25 @@ def fetch(name_or_url: Word, sha256: Sha256 | None = None) -> PasDataset:
         if address is None:
             return load(name_or_url)
         url, sha256 = address, sha256 or registered_sha256
+    path = fetch_file(url, sha256, file)
+    try:
+        verify(path)
+        return open_dataset(path)
+    except DataError:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def fetch_file(url: str, sha256: str | None = None, file: str = "", fresh: bool = False) -> Path:
+    """Download what an address holds, once or, where `fresh`, each time, into the user's folder for caches.
+
+    Raises `DataError` where nothing answers, or what comes has another `sha256`, and `StorageError`.
+    """
     file = file or pooch.utils.unique_file_name(url)
-    folder = data_folder()
-    path, book = folder / file, _book({file: sha256 and sha256.lower()}, {file: url})
+    path, book = data_folder() / file, _book({file: sha256 and sha256.lower()}, {file: url})
     with sole_writer(path), storage_errors(path):
+        if fresh:
+            path.unlink(missing_ok=True)
         try:
             book.fetch(file, downloader=_go_on)
         except requests.RequestException as error:
@@ -99,12 +113,7 @@ def fetch(name_or_url: Word, sha256: Sha256 | None = None) -> PasDataset:
             ) from error
         except ValueError as error:  # pooch's word for another hash
             raise DataError(f"{url} is not the file that was asked for, and is not kept: {error}") from error
-    try:
-        verify(path)
-        return open_dataset(path)
-    except DataError:
-        path.unlink(missing_ok=True)
-        raise
+    return path
 
 
 def _book(registry: dict[str, Any], urls: dict[str, str]) -> Any:

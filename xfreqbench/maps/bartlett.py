@@ -65,8 +65,8 @@ class BartlettBeam:
     ) -> tuple[Float[NDArray[np.float32], "B E A"], Float[FloatArray, "B"]]:
         """Maps with peak 1 of B channels, and the peak power by which each was divided.
 
-        `power` is P/max P with P(d) = |a(d)ᴴ h|²/M² (Eqs. 2–3), and `amplitude` its square root; the peak power of
-        both is max P, as a share of the transmitted power. `phase-only` is the power map of h_n/|h_n|, and its
+        `power` is P/max P with P(d) = `|a(d)ᴴ h|²/M²` (Eqs. 2–3), and `amplitude` its square root; the peak power of
+        both is max P, as a share of the transmitted power. `phase-only` is the power map of `h_n/|h_n|`, and its
         peak a pure number. A channel of zeros gives a map of zeros with peak 0, never NaN. Raises `ArgumentError` for
         channels of another shape, and `UnknownNameError`.
         """

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import re
 from base64 import b64decode
@@ -8,18 +9,23 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pooch
+import pyarrow.parquet
 import pytest
 from PIL import Image
 
+import xfreqbench as xb
 from tests.support.page_results import HOSTILE, METHODS, SPLITS, store_results, stored
 from tests.support.stored_records import external, make_record
+from tests.support.web import served
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import map_png
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.report.leaderboard.results import VERSIONS, results_at
 from xfreqbench.report.leaderboard.rows import median_ssim
 from xfreqbench.runs.records import append
 
@@ -62,7 +68,7 @@ class Tables(HTMLParser):
     def rows(self, table: int = 1) -> dict[str, dict[str, tuple[str, str | None]]]:
         head, *rows = self.tables[table]
         names = [text for text, _ in head]
-        return {row[1][0].partition("|")[0].strip(): dict(zip(names, row, strict=True)) for row in rows}
+        return {row[0][0].partition("|")[0].strip(): dict(zip(names, row, strict=True)) for row in rows}
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +148,41 @@ def test_papers_and_programs_of_others_are_linked_and_not_loaded(tmp_path: Path)
     addressed = [(tag, value) for tag, told in parsed.tags for value in told.values() if "://" in str(value)]
     assert {tag for tag, _ in addressed} == {"a"}
     assert ("a", "https://github.com/nesl/GSRF") in addressed
+
+
+def test_the_tables_stand_beside_the_page_for_any_reader(html: str, results: Path) -> None:
+    path = results.parent / "page.csv"
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    frame = pyarrow.parquet.read_table(path.with_suffix(".parquet")).to_pylist()
+    shown = Tables(html).rows()
+    of_board = {row["method"]: row for row in rows if row["protocol"] == "lofo"}
+    assert {name: float(row["SSIM"]) for name, row in of_board.items()} == {
+        name: float(cells["average"][1]) for name, cells in shown.items()
+    }
+    assert [row["method"] for row in frame] == [row["method"] for row in rows]
+    assert frame[0]["SSIM"] == float(rows[0]["SSIM"]) and frame[0]["splits"] == " ".join(SPLITS)
+    assert all("tested transmitters" in row["trained on"] for row in of_board.values())
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputExistsError, match=r"page\.csv"):
+        write_page(results, results.parent / "page.html")
+
+
+def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    append(tmp_path / "records.jsonl", make_record("theirs"))
+    with served((tmp_path / "records.jsonl").read_bytes()) as server:
+        assert "theirs" in str(xb.leaderboard(server.url))
+        append(tmp_path / "records.jsonl", make_record("later"))
+        server.content = (tmp_path / "records.jsonl").read_bytes()
+        assert "later" in str(xb.leaderboard(server.url))  # a board grows: it is asked for anew
+    frozen = results_at("v1")
+    assert frozen.name == "v1.jsonl" and results_at(tmp_path / "v1") == tmp_path / "v1"
+    (tmp_path / VERSIONS).write_text(f"v1.jsonl {pooch.file_hash(frozen)}")
+    (tmp_path / "v1.jsonl").write_text("")
+    monkeypatch.setattr("xfreqbench.report.leaderboard.results.files", lambda package: tmp_path)
+    with pytest.raises(DataError, match="not the frozen version 'v1'"):
+        results_at("v1")
 
 
 def test_the_same_records_give_the_same_bytes(html: str, results: Path, tmp_path: Path) -> None:

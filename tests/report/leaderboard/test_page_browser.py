@@ -5,16 +5,23 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator
+from io import BytesIO
 from math import isnan
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
 from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from tests.support.leaderboard_records import with_job
 from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
 from tests.support.stored_records import external, make_record
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.report.drawing.figures import save_figure
+from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.runs.records import append
@@ -173,6 +180,45 @@ def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> Non
     set_screen(page, device, scheme)
     page.locator("#benches summary").click()
     check_screen(page, device, scheme)
+    boxes = page.locator(".scroll:visible")
+    told = boxes.evaluate_all("boxes => boxes.map(box => [box.scrollWidth > box.clientWidth, box.matches('.wide')])")
+    assert all(is_wide == says_so for is_wide, says_so in told)
+    assert told[0] == [False, False]  # the overview
+    right = max(head(page, title).bounding_box()["x"] + head(page, title).bounding_box()["width"] for title in FIRST)
+    assert right <= WIDTHS[device][0]
+
+
+FIRST = ("method", "average")
+
+
+def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser, tmp_path: Path) -> None:
+    """Trivial predictors on two splits, and two methods on one of them; one predictor is far below all others."""
+    here, there = {"processor": "here", "cores": "1"}, {"processor": "there", "cores": "1"}
+    for split in ("lofo-2.4GHz", "lofo-24.25GHz"):
+        for method, ssim in {**dict.fromkeys(EVERY_TRIVIAL, 0.8), "nearest": 0.82, "mean-spectrum": 0.1}.items():
+            append(tmp_path / "records.jsonl", make_record(method, ssim, split, id=method + split, hardware=here))
+    for method, ssim in (("ours", 0.9), ("theirs", 0.85), ("ours (a=1)", 0.95)):
+        record = make_record(method.partition(" ")[0], ssim, "lofo-24.25GHz", id=method, hardware=there)
+        overrides = ("a=1",) if "(" in method else ()
+        append(tmp_path / "records.jsonl", with_job(record, overrides=overrides))
+    with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
+        page.wait_for_load_state()
+        assert page.evaluate("scrollY") == 0 and "#" not in page.url
+        assert "ours: 24.25GHz 0.9000" in page.locator("#overview a").inner_text()
+        assert "best of 2 methods" in page.locator("#overview a").inner_text()
+        assert shown_labels(page)[:3] == ["ours (a=1)", "ours", "theirs"]
+        assert page.locator(".set:visible .badge").count() == 1
+        ticks = [float(text) for text in page.locator("#pareto .tick[text-anchor=end]").all_text_contents()]
+        assert min(ticks) > 0.7
+        assert "mean-spectrum (0.1000)" in page.locator("#off-scale").inner_text()
+        assert page.locator('#cdfs [data-row="mean-spectrum"]').count() == 0
+        assert page.locator('#pareto .point[data-row="mean-spectrum"]').count() == 1
+        paint = "rows => rows.map(row => [row.getAttribute('fill'), row.dataset.row])"
+        colour = {row: fill for fill, row in page.locator("#pareto .point").evaluate_all(paint)}
+        assert colour["ours"] == colour["ours (a=1)"] and len({*colour.values()}) == len(colour) - 1
+        assert {*colour.values()} <= {*COLOURS}
+        page.fill("#filter", "spectrum")
+        assert page.locator("#off-scale").inner_text() == "" and page.locator("#cdfs .curve").count() == 1
 
 
 def test_on_paper_every_board_has_its_whole_table_and_no_controls(page) -> None:
@@ -220,7 +266,8 @@ def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page)
     page.select_option("#cost", "parameters")
     page.select_option("#metric", "aoa_error")
     address, labels = page.url, shown_labels(page)
-    for said in ("board=", "hide=trivial", "filter=s", "sort=fit+s", "cost=parameters", "metric=aoa_error"):
+    assert address.partition("#")[2].startswith("board=")
+    for said in ("hide=trivial", "filter=s", "sort=fit+s", "cost=parameters", "metric=aoa_error"):
         assert said in address
     page.goto(address.partition("#")[0] + "#nothing")
     assert page.locator("#filter").input_value() == ""
@@ -287,3 +334,16 @@ def test_tables_and_charts_can_be_saved(page, tmp_path: Path) -> None:
     painted = [part.get("fill", "") for part in drawing.iter() if part.get("data-row")]
     assert painted and not any("var(" in fill for fill in painted)
     assert page.locator(".panels svg").count() == page.locator(".panels button.save").count()
+
+
+def test_a_drawn_figure_has_dark_paper_and_light_ink_where_the_reader_has(browser, tmp_path: Path) -> None:
+    figure = Figure(figsize=(2, 2))
+    figure.text(0.5, 0.5, "█", fontsize=60, ha="center", va="center")
+    save_figure(figure, tmp_path / "figure.svg", "svg")
+    for scheme, paper, ink in (("light", 255, 0), ("dark", 0x14, 0xE6)):
+        tab = browser.new_page(color_scheme=scheme)
+        (tmp_path / "page.html").write_text('<meta name="color-scheme" content="light dark"><img src="figure.svg">')
+        tab.goto((tmp_path / "page.html").as_uri())
+        drawn = np.asarray(Image.open(BytesIO(tab.locator("img").screenshot())).convert("RGB"))[..., 0]
+        tab.close()
+        assert (drawn[2, 2], drawn[len(drawn) // 2, len(drawn) // 2]) == (paper, ink)

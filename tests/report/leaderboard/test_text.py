@@ -52,7 +52,7 @@ def test_a_data_frame_has_the_columns_of_the_reports_as_numbers() -> None:
     frame = of(*make_records()).to_pandas()
     (comparison,) = comparisons_of(boards(make_records())[0])
     titles = {column.title for column in leaderboard_columns(comparison, TABLE)}
-    where = {"scene", "protocol", "maps", "data", "splits"}
+    where = {"scene", "protocol", "maps", "data", "budget", "splits"}
     assert titles <= set(frame.columns)
     assert set(frame.columns) - titles - where <= {f"{title} {end}" for title in titles for end in ("low", "high")}
     ours = frame.set_index("method").loc["ours"]

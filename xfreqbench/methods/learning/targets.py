@@ -85,7 +85,7 @@ class Beams:
         self.element = torch.as_tensor(element, device=device)  # positions in wavelengths
 
     def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
-        """Power |a(d)ᴴ h|² / M² in view, summed over the leading axes of `cfr`: channels that do not interfere."""
+        """Power `|a(d)ᴴ h|² / M²` in view, summed over the leading axes of `cfr`: channels that do not interfere."""
         channels = cfr.reshape(-1, *cfr.shape[-2:])
         covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
         lags = covariance.new_zeros(len(covariance), self._num_lags)

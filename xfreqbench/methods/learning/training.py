@@ -93,7 +93,7 @@ class ChannelField(nn.Module):
     def power(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
-        """Power |R_k|² from the directions in view, in any scale.
+        """Power `|R_k|²` from the directions in view, in any scale.
 
         Positions are world positions in metres.
         """

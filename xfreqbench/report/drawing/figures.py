@@ -31,6 +31,12 @@ _MAX_LETTERS = 80  # of a text in a figure
 # warnings; whoever shows an SVG may know the letters
 _UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
 _MAX_PIXELS = 10**7  # of a picture that is read
+# How an SVG looks where the reader's colours are dark: paper, ink and greys change, the colours of lines stay.
+_DARK = "".join(
+    f'[style*="{part}: {light}"] {{{part}: {dark} !important}}'
+    for part in ("fill", "stroke")
+    for light, dark in (("#ffffff", "#14171b"), ("#000000", "#e6e9ed"), ("#333333", "#c6cbd1"), ("#666666", "#a3adb8"))
+)
 _NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
 
 
@@ -183,3 +189,7 @@ def save_figure(figure: Figure, path: Path, kind: str) -> None:
     fixed: Any = {"svg.hashsalt": "xfreqbench", "svg.fonttype": "none", "pdf.fonttype": 42}
     with mpl.rc_context(fixed), any_letters(), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)
+        if kind == "svg":
+            dark = f"@media (prefers-color-scheme: dark) {{text {{fill: #e6e9ed}}{_DARK}}}"
+            text = temporary.read_text("utf-8").replace("</style>", f"{dark}</style>", 1)
+            temporary.write_text(text, "utf-8")

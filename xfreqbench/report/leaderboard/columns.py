@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from math import isinf, isnan, nan
 from typing import Literal
 
+from xfreqbench.data.recipe import recipe_name
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
 from xfreqbench.report.leaderboard.boards import or_nan, short_name
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_cell
 from xfreqbench.report.leaderboard.rows import BoardRow, Quantity, median_ssim
+from xfreqbench.units import band_text
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,13 @@ ONE_SPLIT = (
 )
 TABLE = (
     *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
-    *("skill", "seed spread", "seeds", *COSTS, "published"),
+    *("skill", "seed spread", "seeds", *COSTS, "published", "trained on"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
 PAGE = (
-    *("rank", "method", "origin", "splits", "average", "p10", "skill", "seeds"),
+    *("method", "average", "skill", "rank", "splits", "p10", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
-    *("seconds", "milliseconds", "memory", "parameters"),
+    *("seconds", "milliseconds", "memory", "parameters", "origin", "trained on"),
 )
 
 
@@ -137,6 +139,7 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         of_row = {origins[comparison.board.origin(record)] for record in row.records}
         return " ".join(label for label in origins.values() if label in of_row)
 
+    trained = LeaderboardColumn("trained on", "data, carriers and transmitters", lambda row: trained_on(row, splits))
     origin = LeaderboardColumn("origin", "machine, code and data, told below the table", origin_text)
     return {
         "rank": [rank],
@@ -146,6 +149,7 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         "seeds": [seeds],
         "origin": [origin] if origins else [],
         "published": known,
+        "trained on": [trained],
     }
 
 
@@ -268,6 +272,16 @@ def _number(value: float, form: str) -> str:
     if isnan(value):
         return ABSENT
     return ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}"
+
+
+def trained_on(row: BoardRow, splits: Sequence[str]) -> str:
+    """Data, band and transmitters of a row's training: `office@2-3f9c2ab1, 1–94 GHz, tested transmitters too`."""
+    records = [record for split in splits for record in row.by_split[split]]
+    bands = [record.trained_band_hz for record in records if record.trained_band_hz]
+    band = band_text(min(low for low, _ in bands), max(high for _, high in bands)) if bands else ""
+    shared = any(record.shares_transmitters for record in records)
+    transmitters = "tested transmitters at other carriers or samples" if shared else "other transmitters"
+    return ", ".join(filter(None, [recipe_name(records[0].scene, records[0].recipe), band, transmitters]))
 
 
 def span(numbers: tuple[int, int]) -> str:

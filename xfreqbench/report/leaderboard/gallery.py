@@ -88,7 +88,7 @@ def gallery(board: Board, folders: Sequence[ResultsFolder], shipped: Mapping[str
 def shown_records(board: Board, split: str) -> dict[str, RunRecord]:
     """The records whose maps are shown, by the labels of their rows: the first seed of all rows but ablations."""
     rows = [row for row in board.rows if split in row.by_split and row.family != "ablation"]
-    return {row.label: row.by_split[split][0] for row in rows}
+    return {row.short_label: row.by_split[split][0] for row in rows}
 
 
 def dozen_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]) -> ShownMaps | None:

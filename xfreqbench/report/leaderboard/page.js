@@ -5,7 +5,6 @@
 const content = JSON.parse(document.getElementById("content").textContent);
 const SVG = "http://www.w3.org/2000/svg";
 const DASHES = ["", "7 3", "2 3", "9 3 2 3"];
-const NUM_COLOURS = 7;
 const find = (selector, root = document) => root.querySelector(selector);
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 
@@ -44,6 +43,19 @@ function shownRows() {
   const shown = new Set(all("tbody tr:not([hidden])", table()).map((row) => row.dataset.label));
   return Object.keys(splitSet().rows).filter((name) => shown.has(name));
 }
+
+// Rows that would squeeze the others on a chart's axis: their error is more than twice that of the best trivial
+// predictor and that of the best method. Where no other row is shown, there are none.
+function offScale() {
+  const rows = Object.entries(splitSet().rows);
+  const least = (isTrivial) => Math.min(...rows.filter(([name]) => (familyOf(name) === "trivial") === isTrivial).map(([, row]) => 1 - row.ssim));
+  const limit = 2 * Math.max(...[least(true), least(false)].filter(Number.isFinite));
+  const far = shownRows().filter((name) => 1 - splitSet().rows[name].ssim > limit);
+  return far.length < shownRows().length ? far : [];
+}
+
+const familyOf = (name) => board().rows[name].family;
+const chartedRows = () => { const far = offScale(); return shownRows().filter((name) => !far.includes(name)); };
 
 function isShown(row) {
   const wanted = find("#filter").value.trim().toLowerCase();
@@ -184,11 +196,12 @@ const yTick = (at, box, text) => [
   line(box.left, at, box.right, at, "grid"), label(box.left - 5, at + 4, text, "end", "tick")];
 const path = (points) => points.map(([x, y], index) => `${index ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
-// Colour, dashes and marker of a method, by its place among all of the page: they repeat after 28, never one alone.
-const style = (index) => ({
-  colour: `var(--c${index % NUM_COLOURS})`, dash: DASHES[Math.floor(index / NUM_COLOURS) % DASHES.length] });
-const indexOf = (name) => content.labels.indexOf(name);
-const styleOf = (name) => style(indexOf(name));
+// Colour, dashes and marker: of a row of the page, or of a series of a measurement by its place.
+const style = (place, variant) => ({
+  colour: content.colours[place % content.colours.length], dash: DASHES[variant % DASHES.length],
+  shape: MARKERS[(place + variant) % MARKERS.length] });
+const styleOf = (name) => style(...content.styles[name]);
+const seriesStyle = (place) => style(place, Math.floor(place / content.colours.length));
 
 function curve(plot, name, points, { colour, dash }, text) {
   const places = points.filter(([, y]) => y !== null).map(([x, y]) => [plot.x(x), plot.y(y)]);
@@ -200,13 +213,13 @@ function curve(plot, name, points, { colour, dash }, text) {
 
 const MARKERS = ["M-4 0A4 4 0 1 0 4 0A4 4 0 1 0-4 0Z", "M-4-4H4V4H-4Z", "M0-5L5 4H-5Z", "M0-5L5 0L0 5L-5 0Z", "M0 5L5-4H-5Z"];
 
-function marker(x, y, index, name, small) {
+function marker(x, y, name, small, { colour, shape } = styleOf(name)) {
   const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)})${small ? " scale(.7)" : ""}`;
-  return drawn("path", { d: MARKERS[index % MARKERS.length], transform, fill: style(index).colour, "data-row": name });
+  return drawn("path", { d: shape, transform, fill: colour, "data-row": name });
 }
 
 function withMarkers(plot, name, places) {
-  plot.svg.append(...places.map(([x, y]) => marker(x, y, indexOf(name), name, true)));
+  plot.svg.append(...places.map(([x, y]) => marker(x, y, name, true)));
 }
 
 function empty(host, text) {
@@ -229,12 +242,16 @@ function drawPareto(host) {
   const [low, high] = extent(dear.map((point) => point.cost), { log: true });
   const beyond = (share) => low * (low / high) ** share;
   const place = (point) => (point.cost < least ? beyond(0.09) : point.cost);
+  const far = offScale();
+  const near = points.filter((point) => !far.includes(point.name));
+  const [bottom, top] = extent(near.map((point) => point.ssim), { margin: 0.12 });
+  for (const point of points) point.height = Math.max(point.ssim, bottom);
   const plot = chart(host, "", host.clientWidth < 500 ? 340 : 400,
     { label: cost.selectedOptions[0].textContent, domain: [hasEdge ? beyond(0.12) : low, high], log: true, from: low },
-    { label: "average median SSIM", values: points.map((point) => point.ssim), margin: 0.12 });
+    { label: "average median SSIM", domain: [bottom, top] });
   if (hasEdge) plot.svg.append(...xTick(plot.x(beyond(0.09)), plot.box, `< ${least}`));
-  drawFront(plot, points, place);
-  const taken = points.map((point) => around(plot.x(place(point)), plot.y(point.ssim)));
+  if (near.length) drawFront(plot, near, place);
+  const taken = points.map((point) => around(plot.x(place(point)), plot.y(point.height)));
   for (const point of points) plot.svg.append(pointOf(plot, point, place(point)));
   for (const point of points) nameBeside(plot, point, place(point), taken);
 }
@@ -249,7 +266,7 @@ function drawFront(plot, points, place) {
 }
 
 function pointOf(plot, point, x) {
-  const made = marker(plot.x(x), plot.y(point.ssim), indexOf(point.name), point.name);
+  const made = marker(plot.x(x), plot.y(point.height), point.name);
   filled(made, { tabindex: 0, role: "button", class: "point" }, []);
   explain(made, summary(point));
   made.addEventListener("click", () => showMapsOf(point.name));
@@ -273,8 +290,8 @@ const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bott
 // A name goes to the first free place near its point, farther ones with a line to it; where there is none, it
 // stays away and the tip says it.
 function nameBeside(plot, point, at, taken) {
-  const [x, y] = [plot.x(at), plot.y(point.ssim)];
-  const text = label(0, 0, point.name);
+  const [x, y] = [plot.x(at), plot.y(point.height)];
+  const text = label(0, 0, point.height > point.ssim ? `${point.name} ↓ ${point.ssim.toFixed(3)}` : point.name);
   plot.svg.append(text);
   const width = text.getComputedTextLength();
   for (const [dx, dy] of [4, -8, 16, -20, 28, -32, 40].flatMap((dy) => [[9, dy], [-9 - width, dy], [-width / 2, dy]])) {
@@ -291,7 +308,7 @@ function nameBeside(plot, point, at, taken) {
 function drawCurves(host) {
   host.replaceChildren();
   for (const split of splitSet().splits) {
-    const followed = shownRows().filter((name) => splitOf(name, split).curve.length);
+    const followed = chartedRows().filter((name) => splitOf(name, split).curve.length);
     if (!followed.length) continue;
     const errors = Object.fromEntries(followed.map((name) => [name, errorsOf(name, split)]));
     const points = Object.values(errors).flat();
@@ -320,7 +337,7 @@ function drawCarriers(host) {
 }
 
 function drawCarrierPanel(host, splits) {
-  const points = Object.fromEntries(shownRows().map((name) => [name, splits.flatMap((split) => splitOf(name, split).carriers)]));
+  const points = Object.fromEntries(chartedRows().map((name) => [name, splits.flatMap((split) => splitOf(name, split).carriers)]));
   const carriers = new Set(Object.values(points).flat().map(([x]) => x));
   if (carriers.size < 2) return;
   const plot = chart(host, splits.length === 1 ? board().splits[splits[0]].name : "", 260,
@@ -336,7 +353,7 @@ function drawDistributions(host) {
   host.replaceChildren();
   const metric = find("#metric");
   for (const split of splitSet().splits) {
-    const quantiles = Object.fromEntries(shownRows().map((name) => [name, splitOf(name, split).cdf[metric.value]]));
+    const quantiles = Object.fromEntries(chartedRows().map((name) => [name, splitOf(name, split).cdf[metric.value]]));
     const plot = chart(host, board().splits[split].name, 260,
       { label: metric.selectedOptions[0].textContent, values: Object.values(quantiles).flat(), margin: 0 },
       { label: "share of maps", domain: [0, 1] });
@@ -363,9 +380,9 @@ function drawMeasurements() {
 
 function drawSeries(plot, figure, series, index) {
   const points = figure.points.filter((point) => point.series === series);
-  const places = curve(plot, series, points.map(({ x, y }) => [x, y]), style(index), series);
+  const places = curve(plot, series, points.map(({ x, y }) => [x, y]), seriesStyle(index), series);
   points.forEach((point, place) => {
-    const made = marker(...places[place], index, series);
+    const made = marker(...places[place], series, false, seriesStyle(index));
     explain(made, `${series}, ${point.label}\n${figure.x_label} ${readable(point.x)}\n${figure.y_label} ${readable(point.y)}`);
     plot.svg.append(made);
   });
@@ -376,13 +393,16 @@ function drawLegend() {
   const items = shownRows().map((name) => {
     const { colour, dash } = styleOf(name);
     const swatch = drawn("svg", { width: 30, height: 12, "aria-hidden": "true" });
-    swatch.append(drawn("path", { d: "M0 6H30", class: "curve", stroke: colour, "stroke-dasharray": dash }), marker(15, 6, indexOf(name), name, true));
+    swatch.append(drawn("path", { d: "M0 6H30", class: "curve", stroke: colour, "stroke-dasharray": dash }), marker(15, 6, name, true));
     const item = element("li", {}, swatch, name);
     item.addEventListener("pointerenter", () => highlight(name));
     item.addEventListener("pointerleave", () => highlight(null));
     return item;
   });
   find("#legend").replaceChildren(...items);
+  const far = offScale().map((name) => `${name} (${splitSet().rows[name].ssim.toFixed(4)})`);
+  find("#off-scale").textContent = far.length
+    ? `Off the scale of the charts, with more than twice the error of the best trivial predictor: ${far.join(", ")}.` : "";
 }
 
 function highlight(name) {
@@ -470,6 +490,10 @@ function whenWidthChanges(action) {
   addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; action(); } });
 }
 
+function tellWidth(box) {
+  box.classList.toggle("wide", box.scrollWidth > box.clientWidth);
+}
+
 function start() {
   document.documentElement.classList.add("js");
   all(".leaderboard thead th").forEach(makeSortable);
@@ -486,6 +510,8 @@ function start() {
   find("#benches")?.addEventListener("toggle", draw);
   addEventListener("beforeprint", () => find("#benches")?.setAttribute("open", ""));
   offerTables();
+  const watched = new ResizeObserver((boxes) => { for (const { target } of boxes) tellWidth(target); });
+  for (const box of all(".scroll")) watched.observe(box);
   whenWidthChanges(draw);
   addEventListener("hashchange", readAddress);
   readAddress();

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.drawing.templates import COLOURS, render
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
 from xfreqbench.report.leaderboard.columns import COSTS, PAGE, LeaderboardColumn, leaderboard_columns, metric_title
@@ -24,6 +25,7 @@ from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.text import write_tables
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -31,10 +33,13 @@ _TITLE = "xfreqbench results"  # a page with this title was written by us, and m
 Content = dict[str, Any]
 CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
 _DIGITS = 4
+_PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 
 def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
     """Write the page of `results`, results folders or files of records, and return the file written.
+
+    Its tables are written beside it, as `write_tables` does.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
@@ -49,18 +54,20 @@ def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
             f"{', '.join(str(folder.records_path) for folder in found.folders)} holds no runs. Run `xfreqbench run` "
             "first, or mend the path."
         )
-    write_text(output_html, _page(found))
+    main = main_scene(found.boards)
+    boards = sorted(found.boards, key=lambda board: board.scene != main)
+    comparisons = list(map(_comparisons, boards))
+    write_text(output_html, _page(found, boards, comparisons))
+    write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
     return output_html
 
 
-def _page(found: RankedResults) -> str:
-    main = main_scene(found.boards)
-    boards = sorted(found.boards, key=lambda board: board.scene != main)
-    comparisons = [comparisons_of(board) for board in boards]
+def _page(found: RankedResults, boards: Sequence[Board], comparisons: Sequence[Sequence[Comparison]]) -> str:
     galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
         "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
-        "labels": ordered_labels(boards),
+        "styles": styles(boards),
+        "colours": COLOURS,
         "benches": [figure_content(bench) for bench in found.benches],
         "scales": scales(),
     }
@@ -77,6 +84,15 @@ def _page(found: RankedResults) -> str:
         machine_name=machine_name,
         content=_finite(content),
     )
+
+
+def _comparisons(board: Board) -> list[Comparison]:
+    """The comparisons of a board: those first in which methods compete, and not trivial predictors alone."""
+    return sorted(comparisons_of(board), key=lambda comparison: not any(map(_competes, comparison.rows)))
+
+
+def _competes(row: BoardRow) -> bool:
+    return row.family not in ("trivial", "ablation")
 
 
 def _finite(content: Any) -> Any:
@@ -132,7 +148,7 @@ def overview_protocols(ranked: Sequence[Board]) -> list[str]:
 
 
 def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
-    """Links to the boards, by scene and then by protocol; `compared` holds the first comparison of every board."""
+    """Links to the boards, by scene and then by protocol; `compared` holds one comparison of every board."""
     protocols = overview_protocols([comparison.board for comparison in compared])
     scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
@@ -150,13 +166,17 @@ def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLi
 
 def _link(comparison: Comparison) -> BoardLink:
     board = comparison.board
-    best = next((row for row in comparison.rows if not row.is_trivial and row.family != "ablation"), None)
-    standing = "trivial predictors alone"
-    if best is not None:
+    competing = list(filter(_competes, comparison.rows))
+    if competing:
+        best = competing[0]
         skill = best.average(comparison.splits, board.skill)
-        ssim = f"average {best.average(comparison.splits, median_ssim):.4f}"
-        scores = ", ".join([ssim, *([f"skill {skill:.3f}"] if isfinite(skill) else [])])
-        standing = f"{best.short_label}: {scores.replace('-', '−')}"
+        only = short_name(comparison.splits[0]) if len(comparison.splits) == 1 else board.protocol
+        ssim = f"{'average' if only == board.protocol else only} {best.average(comparison.splits, median_ssim):.4f}"
+        scores = ", ".join([ssim, *([f"skill {skill:.3f}".replace("-", "−")] if isfinite(skill) else [])])
+        among = f"; best of {len(competing)} methods" if len(competing) > 1 else ""
+        standing = f"{best.short_label}: {scores}{among}"
+    else:
+        standing = f"{' and '.join(dict.fromkeys(_PLURALS[row.family] for row in comparison.rows))} alone"
     return BoardLink(board.slug, board.lane_title or "without budget", standing)
 
 
@@ -195,7 +215,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
             split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)} for split in board.splits
         },
         "rows": {
-            row.label: {
+            row.short_label: {
                 "family": row.family,
                 "splits": {split: _curves(records) for split, records in row.by_split.items()},
             }
@@ -204,7 +224,7 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
         "sets": [
             {
                 "splits": list(comparison.splits),
-                "rows": {row.label: _standing(comparison, row) for row in comparison.rows},
+                "rows": {row.short_label: _standing(comparison, row) for row in comparison.rows},
             }
             for comparison in comparisons
         ],
@@ -213,10 +233,20 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
     }
 
 
-def ordered_labels(boards: Sequence[Board]) -> list[str]:
-    """The labels of all rows, ablations last. The place of a label gives its method the same colour on every board."""
-    rows = {row.label: row for board in boards for row in board.rows}
-    return sorted(rows, key=lambda label: (rows[label].family == "ablation", label))
+def styles(boards: Sequence[Board]) -> dict[str, tuple[int, int]]:
+    """Places of the colour and of the dashes of each row, the same on every board.
+
+    A method has one colour; its plain row is a whole line, and its variants are dashed. With more methods than
+    colours, the second that has a colour is dashed too.
+    """
+    rows = {row.short_label: row for board in boards for row in board.rows}
+    methods = sorted({row.job.method for row in rows.values()})
+    places = {}
+    for colour, method in enumerate(methods):
+        labels = sorted(label for label, row in rows.items() if row.job.method == method)
+        for variant, label in enumerate(sorted(labels, key=lambda label: rows[label].family == "ablation")):
+            places[label] = colour % len(COLOURS), colour // len(COLOURS) + variant
+    return places
 
 
 def figure_content(bench: BenchRecord) -> Content | None:

@@ -8,7 +8,7 @@ const headTitle = (head) => find("button", head).textContent;
 const orderOf = (of) => (sortedHead(of) ? `${headTitle(sortedHead(of))},${sortedHead(of).getAttribute("aria-sort")}` : "");
 
 function writeAddress() {
-  const address = new URLSearchParams({ board: find("#board").value });
+  const address = new URLSearchParams();
   for (const [name, selector] of Object.entries(CHOICES)) {
     const { value, options } = find(selector);
     if (value !== (options?.[0]?.value ?? "")) address.set(name, value);
@@ -16,13 +16,16 @@ function writeAddress() {
   const hidden = all("#families input:not(:checked)").map((box) => box.value);
   if (hidden.length) address.set("hide", hidden.join(","));
   if (orderOf(table()) !== table().dataset.order) address.set("sort", orderOf(table()));
-  history.replaceState(null, "", `#${address}`);
+  // The page as it opens has no address: a browser that finds one while it loads goes to the place it names.
+  const { value, options } = find("#board");
+  const said = address.size || value !== options[0].value ? `#${new URLSearchParams([["board", value], ...address])}` : "";
+  history.replaceState(null, "", location.pathname + location.search + said);
 }
 
 function readAddress() {
   const address = new URLSearchParams(location.hash.slice(1));
   isReading = true;
-  choose("#board", address.get("board"));
+  choose("#board", address.get("board") ?? find("#board").options[0].value);
   const hidden = (address.get("hide") ?? "").split(",");
   for (const box of all("#families input")) box.checked = !hidden.includes(box.value);
   find("#filter").value = address.get("filter") ?? "";

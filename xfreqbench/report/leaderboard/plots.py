@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from xfreqbench.report.drawing.figures import any_letters, label_decades, plain_style, save_figure, shown
+from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
 from xfreqbench.report.leaderboard.shown_maps import Levels
 from xfreqbench.runs.records import BenchFigure, BenchPoint
@@ -20,7 +21,6 @@ from xfreqbench.runs.records import BenchFigure, BenchPoint
 Curves = Mapping[str, Sequence[float]]
 
 _MAX_COLUMNS = 3
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
 _LINES = ("-", "--", ":", "-.")
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 _LABEL_GAPS_PX = (9, 16, 26, 40)
@@ -133,14 +133,14 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
 
 
 def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint]) -> None:
-    style = _LINES[index // len(_COLOURS) % len(_LINES)]
+    style = _LINES[index // len(COLOURS) % len(_LINES)]
     axis.plot(
         [point.x for point in points],
         [point.y for point in points],
         style,
         marker=_MARKERS[index % len(_MARKERS)],
         markersize=5,
-        color=_COLOURS[index % len(_COLOURS)],
+        color=COLOURS[index % len(COLOURS)],
         label=shown(series),
         linewidth=1.2,
     )
@@ -162,7 +162,7 @@ def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], serie
     named = {(point.label, point.x, point.y): point.series for point in reversed(points)}
     taken = [_around(*axis.transData.transform((x, y)).tolist()) for _, x, y in named]
     for (label, x, y), name in reversed(named.items()):
-        colour = _COLOURS[series.index(name) % len(_COLOURS)]
+        colour = COLOURS[series.index(name) % len(COLOURS)]
         tie = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
         place = {"xytext": (0, 0), "textcoords": "offset points", "arrowprops": tie}
         text = axis.annotate(shown(label), (x, y), **place, fontsize=7, color=colour)
@@ -249,7 +249,7 @@ def _labels(panels: Iterable[Mapping[str, Any]]) -> list[str]:
 
 def _style(index: int) -> dict[str, Any]:
     return {
-        "color": _COLOURS[index % len(_COLOURS)],
-        "linestyle": _LINES[index // len(_COLOURS) % len(_LINES)],
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": _LINES[index // len(COLOURS) % len(_LINES)],
         "linewidth": 1.4,
     }

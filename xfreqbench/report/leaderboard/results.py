@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.resources import files
 from pathlib import Path
 
+import pooch
+
+from xfreqbench.data.shipped import fetch_file, registered
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
@@ -14,6 +18,8 @@ from xfreqbench.report.leaderboard.origins import RecordKey, record_key
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
+
+VERSIONS, RECORDS_ENDING = "versions.txt", ".jsonl"  # a line each, beside our methods: file, sha256 and maybe address
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,28 @@ class RankedResults:
     def maps(self) -> dict[str, ShownMaps]:
         """The maps in the files beside the records, by the ids of records; raises `DataError`."""
         return {key: maps for folder in self.folders for key, maps in read_maps(folder.maps_path).items()}
+
+
+def results_at(name: str | Path) -> Path:
+    """Where results are that somebody names: by their path, their address (http, https), or as a frozen version, `v1`.
+
+    A file at an address is downloaded each time, as boards grow. A frozen version is a file of records whose hash
+    stands in `versions.txt`. Raises `DataError` where nothing answers, or a frozen version is no longer what it was.
+    """
+    text = str(name)
+    if text.startswith(("http://", "https://")):
+        return fetch_file(text, fresh=True)
+    folder = Path(str(files("xfreqbench.baselines")))
+    known = registered(folder / VERSIONS, RECORDS_ENDING)
+    if text not in known or Path(text).exists():
+        return Path(text)
+    file, sha256, url = known[text]
+    if url is not None:
+        return fetch_file(url, sha256)
+    path = folder / file
+    if not path.exists() or pooch.file_hash(path) != sha256:
+        raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
+    return path
 
 
 def read_results(results: Path | Sequence[Path]) -> RankedResults:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from math import isnan
 from pathlib import Path
 from typing import Any
@@ -11,16 +14,20 @@ from typing import Any
 from pydantic import InstanceOf
 
 from xfreqbench.errors import DataError, XFreqBenchError
-from xfreqbench.report.drawing.templates import render
+from xfreqbench.report.drawing.templates import SOFTWARE, render
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
 from xfreqbench.report.leaderboard.columns import BRIEF, TABLE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
-from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.results import read_results, results_at
 from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
+from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_text
+
+_FIRST = b"scene,protocol,maps,data,"  # a table with these columns was written by us, and may be replaced
+_PARQUET_MARK = f"{SOFTWARE} leaderboard"
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,8 +49,8 @@ class Leaderboard:
     def to_pandas(self) -> Any:
         """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.
 
-        The first columns say which table it is: scene, protocol, kind of maps, name of the data, and the splits as a
-        tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
+        The first columns say which table it is: scene, protocol, kind of maps, name of the data, budget, and the splits
+        as a tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
         interval of 95 % is known, its ends are in two more columns, `skill low` and `skill high`. Raises
         `XFreqBenchError` where pandas is not installed.
         """
@@ -53,7 +60,7 @@ class Leaderboard:
             raise XFreqBenchError(
                 'A data frame needs the extra "notebooks". Run: pip install "xfreqbench[notebooks]"'
             ) from error
-        return pandas.DataFrame([row for comparison in self._comparisons() for row in _rows(comparison)])
+        return pandas.DataFrame(table_rows(self._comparisons()))
 
     def _comparisons(self) -> list[Comparison]:
         return [comparison for board in boards(self.records) for comparison in comparisons_of(board)]
@@ -63,25 +70,56 @@ class Leaderboard:
 def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results") -> Leaderboard:
     """The leaderboard of results folders, of files of records, or of records that `run` returned, to be shown.
 
-    The records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be
-    read.
+    A file may be at an address (https), and may be a frozen version of the reference board by its name, `v1`. The
+    records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be read.
     """
     given = [results] if isinstance(results, str | Path) else results
     if not given:
         raise DataError("A leaderboard has records, but none are given.")
     records = [item for item in given if isinstance(item, RunRecord)]
-    paths = [Path(item) for item in given if not isinstance(item, RunRecord)]
+    paths = [results_at(item) for item in given if not isinstance(item, RunRecord)]
     return Leaderboard(tuple(records) or read_results(paths).records)
 
 
+def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> list[Path]:
+    """Write the table of `to_pandas` as CSV and, where pyarrow is installed, beside it as Parquet; return the files.
+
+    Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
+    """
+    rows = [row | {"splits": " ".join(row["splits"])} for row in table_rows(comparisons)]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    require_own(output_csv, lambda path: None if path.read_bytes().startswith(_FIRST) else "is no table of ours")
+    write_text(output_csv, text.getvalue())
+    if find_spec("pyarrow") is None:
+        return [output_csv]
+    import pyarrow
+    import pyarrow.parquet
+
+    output = output_csv.with_suffix(".parquet")
+    require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
+    table = pyarrow.Table.from_pylist([dict.fromkeys(names) | row for row in rows])
+    with atomic_path(output) as temporary, storage_errors(output):
+        pyarrow.parquet.write_table(table.replace_schema_metadata({_PARQUET_MARK: "1"}), temporary)
+    return [output_csv, output]
+
+
+def table_rows(comparisons: Iterable[Comparison]) -> list[dict[str, Any]]:
+    """The rows of comparisons, each with its cells by their titles."""
+    return [row for comparison in comparisons for row in _rows(comparison)]
+
+
 def _rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """The rows of a comparison, each with its cells by their titles."""
     board, columns = comparison.board, leaderboard_columns(comparison, TABLE)
     where = {
         "scene": board.scene,
         "protocol": board.protocol,
         "maps": board.pas_kind,
         "data": board.data_name,
+        "budget": board.lane_title,
         "splits": comparison.splits,
     }
     return [
