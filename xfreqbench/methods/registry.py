@@ -19,13 +19,24 @@ from xfreqbench.methods.contract import Method
 from xfreqbench.methods.guard import method_code, readable
 from xfreqbench.system.source import reachable_sha256
 
-ENTRY_POINT_GROUP = "xfreqbench.methods"
-_CONTRACT = ("fit", "predict", "save", "load")
+ENTRY_POINT_GROUP, ROOM_ENTRY_POINT_GROUP = "xfreqbench.methods", "xfreqbench.room_methods"
+_CONTRACT, ROOM_CONTRACT = ("fit", "predict", "save", "load"), ("fit", "adapt", "save", "load")
 
 
 def method_names() -> list[str]:
-    """Names of the installed methods, in alphabetical order."""
+    """Names of the installed methods that predict one room, in alphabetical order."""
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
+
+
+def room_method_names() -> list[str]:
+    """Names of the installed methods that learn across rooms, in alphabetical order."""
+    return sorted({entry.name for entry in entry_points(group=ROOM_ENTRY_POINT_GROUP)})
+
+
+def _entries() -> list[Any]:
+    """The entry points of all installed methods, by name."""
+    every = (*entry_points(group=ENTRY_POINT_GROUP), *entry_points(group=ROOM_ENTRY_POINT_GROUP))
+    return sorted(every, key=lambda entry: entry.name)
 
 
 def method_summaries() -> dict[str, str]:
@@ -33,8 +44,7 @@ def method_summaries() -> dict[str, str]:
 
     It is the first line of a built-in method's docstring; of a plug-in, it says which distribution it is from.
     """
-    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    return {entry.name: _summary(entry) for entry in entries}
+    return {entry.name: _summary(entry) for entry in _entries()}
 
 
 def _summary(entry: Any) -> str:
@@ -70,7 +80,7 @@ def name_of(method: str | type) -> str:
     name = f"{method.__module__}:{method.__qualname__}"
     if getattr(sys.modules.get(method.__module__), method.__qualname__, None) is not method:
         raise MethodError(f"Class {name!r} cannot be found by this name. Define it at the top level of a module.")
-    return next((entry.name for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.value == name), name)
+    return next((entry.name for entry in _entries() if entry.value == name), name)
 
 
 def resolve_method(name: str) -> Callable[..., Method]:
@@ -93,9 +103,9 @@ def resolve_method(name: str) -> Callable[..., Method]:
 
 def _entry_value(name: str) -> str:
     """The `package.module:Class` of an installed method; raises `MethodError` where two packages offer the name."""
-    values = sorted({entry.value for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.name == name})
+    values = sorted({entry.value for entry in _entries() if entry.name == name})
     if not values:
-        raise UnknownNameError("method", name, [*method_names(), "package.module:Class"])
+        raise UnknownNameError("method", name, [*method_names(), *room_method_names(), "package.module:Class"])
     if len(values) > 1:
         raise MethodError(f"Several packages offer a method {name!r}. Uninstall one, or name {' or '.join(values)}.")
     return values[0]
@@ -105,11 +115,13 @@ def _check_contract(name: str, method_class: Any) -> None:
     if not isinstance(method_class, type):
         raise MethodError(f"Method {name!r} is {method_class!r}; it must be a class.")
     declared = {key for base in method_class.__mro__ for key in (*vars(base), *vars(base).get("__annotations__", ()))}
+    if set(ROOM_CONTRACT) <= declared:
+        return
     missing = [part for part in _CONTRACT if part not in declared]
     if missing:
         raise MethodError(
-            f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}; "
-            "baselines/README.md shows one."
+            f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}, or `adapt` in place of "
+            "`predict` if it learns across rooms; baselines/README.md shows one."
         )
 
 
