@@ -23,6 +23,8 @@ PUBLIC = [
     "make_tracer",
     "generate",
     "open_dataset",
+    "open_collection",
+    "Collection",
     "load",
     "fetch",
     "PasDataset",

@@ -1,6 +1,8 @@
 import typing
 
 from . import errors as errors
+from .data.collection import Collection as Collection
+from .data.collection import open_collection as open_collection
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate

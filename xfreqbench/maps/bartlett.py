@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -58,11 +58,8 @@ class BartlettBeam:
     @cached_property
     def conjugate_steering(self) -> Complex[NDArray[np.complex64], "M EA"]:
         """a(d)* / M of every direction d; the directions are those of the grid, row by row."""
-        directions = self.grid.directions.reshape(-1, 3)
-        one_metre_wave = steering_vector(self.element_position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
-        return np.ascontiguousarray(one_metre_wave.conj().T / len(self.element_position_wavelengths)).astype(
-            np.complex64
-        )
+        told = (self.element_position_wavelengths, self.grid.elevation_rad, self.grid.azimuth_rad)
+        return _conjugate_steering(*(np.asarray(each, np.float64).tobytes() for each in told))
 
     def maps(
         self, cfr: Complex[NDArray[np.complexfloating], "B M"], kind: PasKind = "power"
@@ -99,6 +96,17 @@ class BartlettBeam:
             for channel, beam in zip(cfr, beams, strict=True):
                 np.matmul(channel, self.conjugate_steering, out=beam)
         return beams
+
+
+@lru_cache(maxsize=8)  # 4 MB each, which the data sets of many rooms share
+def _conjugate_steering(
+    element_position_wavelengths: bytes, elevation_rad: bytes, azimuth_rad: bytes
+) -> Complex[NDArray[np.complex64], "M EA"]:
+    """`BartlettBeam.conjugate_steering` of arrays of float64, by their bytes."""
+    position_wavelengths = np.frombuffer(element_position_wavelengths).reshape(-1, 3)
+    directions = AngularGrid(np.frombuffer(elevation_rad), np.frombuffer(azimuth_rad)).directions.reshape(-1, 3)
+    one_metre_wave = steering_vector(position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
+    return np.ascontiguousarray(one_metre_wave.conj().T / len(position_wavelengths)).astype(np.complex64)
 
 
 def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[NDArray[np.float32], "N E A"]:

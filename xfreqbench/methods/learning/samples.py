@@ -1,4 +1,4 @@
-"""Samples of a data set as PyTorch takes them: `PasDataset.torch()` comes here through an entry point."""
+"""Samples as PyTorch takes them: `PasDataset.torch()` and `Collection.torch()` come here through entry points."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.rows import chosen_rows
 
 
 class TensorSample(NamedTuple):
@@ -48,3 +50,42 @@ class TensorSamples(Dataset[TensorSample]):
         cfr = asked.cfr if asked.header.channels else np.zeros((len(asked), 0), np.complex64)
         arrays = asked.pas(), asked.tx_position_m, asked.carrier_hz, cfr
         return list(map(TensorSample, *map(torch.from_numpy, arrays)))
+
+
+class RoomSample(NamedTuple):
+    """A `TensorSample` of a collection, and the number of its room there, () int64."""
+
+    map: Tensor
+    tx_position_m: Tensor
+    carrier_hz: Tensor
+    cfr: Tensor
+    room: Tensor
+
+
+class RoomSamples(Dataset[RoomSample]):
+    """The samples of all rooms of a collection in turn, for `torch.utils.data.DataLoader`.
+
+    Files are opened when they are first asked for, by each worker process. Raises as the collection does.
+    """
+
+    def __init__(self, collection: Collection) -> None:
+        self.collection = collection
+
+    def __len__(self) -> int:
+        return self.collection.num_samples
+
+    def __getitem__(self, number: int) -> RoomSample:
+        return self.__getitems__([number])[0]
+
+    def __getitems__(self, numbers: Sequence[int]) -> list[RoomSample]:
+        """Several samples, of each room at once; a `DataLoader` asks for its batches so."""
+        first = self.collection.first_sample
+        asked = np.asarray(chosen_rows(list(numbers), len(self))) % len(self)
+        room_of = np.searchsorted(first, asked, side="right") - 1
+        found: list[RoomSample | None] = [None] * len(asked)
+        for room in np.unique(room_of).tolist():
+            places = np.flatnonzero(room_of == room)
+            samples = TensorSamples(self.collection[room]).__getitems__((asked[places] - first[room]).tolist())
+            for place, sample in zip(places.tolist(), samples, strict=True):
+                found[place] = RoomSample(*sample, torch.tensor(room))
+        return [sample for sample in found if sample]

@@ -1,0 +1,263 @@
+"""Collections: a folder of data sets, one for each of many rooms, and `collection.json`, which says what they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from importlib.metadata import entry_points
+from itertools import accumulate
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, overload
+
+import numpy as np
+from jaxtyping import Int
+from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass as record
+
+from xfreqbench.data.dataset import TENSORS, PasDataset, open_dataset, verify
+from xfreqbench.data.rows import Rows, chosen_rows
+from xfreqbench.errors import ArgumentError, DataError, UnknownNameError
+from xfreqbench.system.arguments import FilePath, Texts, checked
+from xfreqbench.system.files import read_bytes, write_text
+from xfreqbench.system.remote import RemotePath, located
+from xfreqbench.types import IntArray
+from xfreqbench.units import format_ghz_list
+
+FILE = "collection.json"
+Part = Literal["train", "validation", "test", "other-type"]
+PARTS: tuple[Part, ...] = get_args(Part)
+_TRAIN_PERCENT, _VALIDATION_PERCENT = 80, 10
+_MAX_OPEN = 4096  # rooms whose channels are kept in memory: about 200 kB each
+_STRICT = ConfigDict(extra="forbid")
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+@record(frozen=True, config=_STRICT)
+class Room:
+    """One room of a collection: its seed, its type, its data set with the hash of that, and its transmitters.
+
+    `file` is relative to the folder of the collection.
+    """
+
+    seed: Annotated[int, Field(ge=0)]
+    type: str
+    file: Annotated[str, Field(pattern=r"^\w[\w-]*(/\w[\w-]*)*\.h5$")]
+    sha256: _Sha256
+    num_tx: PositiveInt
+
+    @property
+    def percent(self) -> int:
+        """A number below 100 that follows from the seed alone."""
+        return int.from_bytes(hashlib.sha256(f"room {self.seed}".encode()).digest()[:8]) % 100
+
+
+@record(frozen=True, config=_STRICT)
+class CollectionRecord:
+    """What `collection.json` holds: the family that the rooms are drawn from, what was asked of the rays, the rooms.
+
+    `family` is the family's recipe and `family_sha256` its hash. `options` are those of the generation, with the names
+    of `generate`. Rooms of `held_out_types` are for the test alone.
+    """
+
+    name: str
+    family: dict[str, Any]
+    family_sha256: _Sha256
+    options: dict[str, Any]
+    carrier_hz: tuple[Annotated[float, Field(gt=0)], ...]
+    held_out_types: tuple[str, ...]
+    rooms: tuple[Room, ...]
+    schema: Literal["xfreqbench/rooms/1"] = "xfreqbench/rooms/1"
+
+    @model_validator(mode="after")
+    def _has_each_room_once(self) -> CollectionRecord:
+        for what in ("seed", "file", "sha256"):
+            if len({getattr(room, what) for room in self.rooms}) < len(self.rooms):
+                raise ValueError(f"two rooms have the same {what}")
+        return self
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Collection:
+    """The data sets of many rooms, all at the same carriers, or some of them.
+
+    `collection[3]` is the `PasDataset` of a room, and so is what iteration yields; a slice, whole numbers or a mask
+    give a `Collection` of these rooms. A data set is opened when it is asked for, and up to 4,096 stay open. Maps are
+    derived from the channels when they are read. A collection is pickled as its path and its rooms.
+    """
+
+    path: Path
+    record: CollectionRecord
+    rooms: tuple[Room, ...]
+
+    def __len__(self) -> int:
+        return len(self.rooms)
+
+    @overload
+    def __getitem__(self, rooms: int | np.integer) -> PasDataset: ...
+
+    @overload
+    def __getitem__(self, rooms: Rows) -> Collection: ...
+
+    def __getitem__(self, rooms: int | np.integer | Rows) -> PasDataset | Collection:
+        """The data set of a room by its number, or a collection of some rooms.
+
+        Raises `IndexError`, and `DataError` for a data set that is missing, damaged, or another than the collection's.
+        """
+        if isinstance(rooms, int | np.integer):
+            number = int(np.asarray(chosen_rows([int(rooms)], len(self)))[0])
+            return self._opened(self.rooms[number])
+        numbers = np.arange(len(self))[chosen_rows(rooms, len(self))]
+        return replace(self, rooms=tuple(self.rooms[number] for number in numbers))
+
+    def __iter__(self) -> Iterator[PasDataset]:
+        return map(self._opened, self.rooms)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{sum(room.type == name for room in self.rooms)} {name}" for name in self.types)
+        subset = "" if len(self) == len(self.record.rooms) else f" of {len(self.record.rooms)}"
+        return "\n".join(
+            (
+                f"Collection {str(self.path)!r}",
+                f"family    {self.record.name}, sha256 {self.record.family_sha256[:12]}",
+                f"rooms     {len(self)}{subset}: {counts or 'none'}",
+                f"samples   {self.num_samples:,}, at {format_ghz_list(self.record.carrier_hz)}",
+            )
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopened, (str(self.path), self.rooms)
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """The types of the rooms, in alphabetical order."""
+        return tuple(sorted({room.type for room in self.rooms}))
+
+    @property
+    def num_samples(self) -> int:
+        """Number of samples (transmitter, carrier) of all rooms."""
+        return int(self.first_sample[-1])
+
+    @cached_property
+    def first_sample(self) -> Int[IntArray, "offsets"]:
+        """Number of each room's first sample, where those of all R rooms are counted in turn, and their sum: (R + 1,)."""
+        counts = (room.num_tx * len(self.record.carrier_hz) for room in self.rooms)
+        return np.array([*accumulate(counts, initial=0)])
+
+    @checked
+    def part(self, name: Part) -> Collection:
+        """The rooms to train on, to choose settings by (`validation`), to test on, or those of types that are held out.
+
+        Of every hundred seeds about 80, 10 and 10 are of the first three parts. The part of a room follows from its
+        seed and type alone: it stays the same in a collection with more rooms. Raises `ArgumentError`.
+        """
+        return replace(self, rooms=tuple(room for room in self.rooms if self.part_of(room) == name))
+
+    def part_of(self, room: Room) -> Part:
+        """The part that a room is of."""
+        if room.type in self.record.held_out_types:
+            return "other-type"
+        if room.percent < _TRAIN_PERCENT:
+            return "train"
+        return "validation" if room.percent < _TRAIN_PERCENT + _VALIDATION_PERCENT else "test"
+
+    @checked
+    def select(self, types: Texts | None = None, num_rooms: PositiveInt | None = None) -> Collection:
+        """The rooms of some types, and of these the first `num_rooms`.
+
+        Raises `UnknownNameError` for a type that no room is of, and `ArgumentError` where there are fewer rooms.
+        """
+        for name in types or ():
+            if name not in self.types:
+                raise UnknownNameError("type of room", name, self.types)
+        rooms = tuple(room for room in self.rooms if types is None or room.type in types)
+        if num_rooms is not None and num_rooms > len(rooms):
+            raise ArgumentError(f"{num_rooms} rooms are asked for, but there are {len(rooms)}. Generate more of them.")
+        return replace(self, rooms=rooms[:num_rooms])
+
+    def torch(self) -> Any:
+        """All samples of all rooms, in turn, as a `torch.utils.data.Dataset` that a `DataLoader` takes.
+
+        Each is (map, tx_position_m, carrier_hz, cfr, room), as tensors; `room` is the room's number in this collection.
+        """
+        for offered in entry_points(group=TENSORS, name="torch-rooms"):
+            return offered.load()(self)
+        raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
+
+    def faults(self) -> Iterator[tuple[Room, str]]:
+        """Every room whose data set is missing, damaged or another, with what is wrong; every byte is read."""
+        for room in self.rooms:
+            try:
+                verify(self.path / room.file)
+                _opened.__wrapped__(self.path / room.file, room.sha256)  # which may have been written since
+            except DataError as error:
+                yield room, str(error)
+
+    def _opened(self, room: Room) -> PasDataset:
+        return _opened(self.path / room.file, room.sha256)
+
+
+@checked
+def open_collection(path: FilePath) -> Collection:
+    """The collection of rooms in a folder, or at an address (http, https) of one; data sets are opened later.
+
+    Raises `DataError` where there is no collection, or a damaged one.
+    """
+    folder = located(path)
+    file = folder / FILE
+    try:
+        content = file.ranges().read() if isinstance(file, RemotePath) else read_bytes(file)
+        found = TypeAdapter(CollectionRecord).validate_json(content)
+    except OSError as error:
+        raise DataError(
+            f"{folder} holds no {FILE} that can be read ({error.strerror or error}). Give the folder of a whole "
+            "collection; if its generation was stopped, run the same command again."
+        ) from error
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = ".".join(map(str, fault["loc"])) or "the whole"
+        raise DataError(f"{file} describes no collection: {where}: {fault['msg']}. Generate it again.") from error
+    return Collection(folder.resolve(), found, found.rooms)
+
+
+def write_collection(
+    folder: Path,
+    rooms: Sequence[Room],
+    *,
+    name: str,
+    family: Mapping[str, Any],
+    options: Mapping[str, Any],
+    carrier_hz: Sequence[float],
+    held_out_types: Sequence[str] = (),
+) -> Collection:
+    """Describe the data sets of a folder as a collection, in `collection.json`, and open it; raises `StorageError`."""
+    told = CollectionRecord(
+        name, dict(family), json_sha256(family), dict(options), tuple(carrier_hz), tuple(held_out_types), tuple(rooms)
+    )
+    write_text(folder / FILE, TypeAdapter(CollectionRecord).dump_json(told, indent=1).decode() + "\n")
+    return open_collection(folder)
+
+
+def room_of(folder: Path, file: str, seed: int, kind: str) -> Room:
+    """The entry of a room whose data set is stored in a file of the folder; raises as `open_dataset` does."""
+    dataset = open_dataset(folder / file)
+    return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)
+
+
+def json_sha256(content: Mapping[str, Any]) -> str:
+    """Hash of what JSON can hold."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+@lru_cache(maxsize=_MAX_OPEN)
+def _opened(path: Path, sha256: str) -> PasDataset:
+    dataset = open_dataset(path)
+    if dataset.file_sha256 != sha256:
+        raise DataError(f"{path} is another data set than that of its collection. Run the same generation again.")
+    return dataset
+
+
+def _reopened(path: str, rooms: tuple[Room, ...]) -> Collection:
+    return replace(open_collection(path), rooms=rooms)
