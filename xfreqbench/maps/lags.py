@@ -29,8 +29,9 @@ class LagFunctions:
     """The lags of an array's pairs of elements, and the real functions of direction that belong to them.
 
     `lag` (U, 3) are the distinct lags in wavelengths, one of each and its opposite, whose sums are conjugates. `pairs`
-    are the numbers m·M + n of the pairs that have them, `of_pair` says which lag each has, and `weight` is what a lag's
-    sum counts in the power of a beam. Real parts of the U sums come first, then the imaginary ones: L = 2U numbers.
+    are the numbers m·M + n of the pairs that have them, and `of_pair` says which lag each has. `count` (U,) is the
+    number of pairs of a lag, and `weight` (U,) what its sum counts in the power of a beam. Real parts of the U sums
+    come first, then the imaginary ones: L = 2U numbers.
     """
 
     def __init__(self, beam: BartlettBeam) -> None:
@@ -43,6 +44,7 @@ class LagFunctions:
         self.lag, of_pair = np.unique(lag[self.pairs], axis=0, return_inverse=True)
         self.of_pair: Int[IntArray, "P"] = of_pair.reshape(-1)
         num_elements = len(beam.element_position_wavelengths)
+        self.count = np.bincount(self.of_pair)
         self.weight = np.where((self.lag == 0).all(axis=1), 1.0, 2.0) / num_elements**2
 
     @cached_property
@@ -56,11 +58,12 @@ class LagFunctions:
         waves = self.waves.reshape(len(self.waves), -1)
         gram = waves @ waves.T
         gram += _RIDGE * gram.diagonal().max() * np.eye(len(gram))
-        return np.linalg.solve(gram, waves).T
+        projection: FloatArray = np.linalg.solve(gram, waves).T
+        return projection
 
     def of_maps(self, maps: Float[Maps, "B E A"], kind: PasKind) -> Float[NDArray[np.float32], "B L"]:
         """The sums of the power map, of any that the array can give, that is nearest to each map by least squares."""
-        return (power_of(maps, kind).reshape(len(maps), -1) @ self._projection).astype(np.float32)
+        return (power_of(maps, kind).reshape(-1, len(self._projection)) @ self._projection).astype(np.float32)
 
     def maps(self, sums: Float[NDArray[np.float32], "B L"], kind: PasKind) -> Float[Maps, "B E A"]:
         """Maps with peak 1 of given sums; zero where no power is above zero."""

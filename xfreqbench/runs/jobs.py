@@ -43,8 +43,8 @@ class Task:
         task.__dict__.update(dataset=dataset, method=task.new_method())
         if isinstance(task.method, RoomMethod):
             raise MethodError(
-                f"Method {job.method!r} learns across rooms, and has no `predict` of its own. Run it on a collection of "
-                "rooms, with --protocol unseen-rooms."
+                f"Method {job.method!r} learns across rooms, and has no `predict` of its own. Run it on a collection "
+                "of rooms, with --protocol unseen-rooms."
             )
         takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
         if split.receivers and not takes_others:

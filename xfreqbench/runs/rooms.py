@@ -23,8 +23,15 @@ from numpy.typing import NDArray
 
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.hdf5 import Variable, create_sealed, open_sealed, read_array, require_layout, text_attributes
-from xfreqbench.data.hdf5 import verify_sealed
+from xfreqbench.data.hdf5 import (
+    Variable,
+    create_sealed,
+    open_sealed,
+    read_array,
+    require_layout,
+    text_attributes,
+    verify_sealed,
+)
 from xfreqbench.data.unseen_rooms import ROOM_PROTOCOL_VERSION, RoomQuestion, RoomSplit, room_splits
 from xfreqbench.errors import DataError, InUseError, MethodError
 from xfreqbench.maps.bartlett import BartlettBeam

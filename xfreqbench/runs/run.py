@@ -74,10 +74,10 @@ def run(
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
-    `data` is a whole data set or its path, and for protocol `unseen-rooms` a collection or its folder. `methods` is one name, several, or `all` for every installed method; a class
-    stands for its name. As a mapping it gives each its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or
-    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, by default the
-    paper's.
+    `data` is a whole data set or its path, and for protocol `unseen-rooms` a collection or its folder. `methods` is
+    one name, several, or `all` for every installed method; a class stands for its name. As a mapping it gives each its
+    options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts `["width=64"]`. `targets_ghz` are the
+    held-out carriers of `lofo` and `lofo-unseen-tx`, by default the paper's.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
@@ -129,9 +129,11 @@ def asked_tasks(
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
     if protocol in ROOM_PROTOCOLS:
         rooms = data if isinstance(data, Collection) else open_collection(data)
-        return [*room_tasks(str(data if isinstance(data, str | Path) else data.path), rooms, named, protocol, seeds, limit, on)]
+        return [*room_tasks(str(rooms.path), rooms, named, protocol, seeds, limit, on)]
     if isinstance(data, Collection):
-        raise XFreqBenchError(f"Protocol {protocol!r} splits one data set; a collection takes {', '.join(ROOM_PROTOCOLS)}.")
+        raise XFreqBenchError(
+            f"Protocol {protocol!r} splits one data set; a collection takes {', '.join(ROOM_PROTOCOLS)}."
+        )
     dataset = open_dataset(data, receiver, polarization)
     tested = [dataset]
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:

@@ -68,11 +68,15 @@ class Beams:
 
     def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power |a(d)ᴴ h|² / M² in view, summed over the leading axes of `cfr`: channels that do not interfere."""
+        return self.power_of_lags(self.lags_of_channels(cfr), view)
+
+    def lags_of_channels(self, cfr: Complex[Tensor, "... B M"]) -> Float[Tensor, "B L"]:
+        """Sums over lags of channels, real parts first, added up over the leading axes of `cfr`."""
         channels = cfr.reshape(-1, *cfr.shape[-2:])
         covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
         lags = covariance.new_zeros(len(covariance), self._num_lags)
         lags = lags.index_add(1, self._lag_of_pair, covariance.index_select(1, self._pairs))
-        return self.power_of_lags(torch.cat([lags.real, lags.imag], dim=1), view)
+        return torch.cat([lags.real, lags.imag], dim=1)
 
     def power_of_lags(self, lags: Float[Tensor, "B L"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power in view of maps that are given by their sums over lags, real parts first; never below 0."""
