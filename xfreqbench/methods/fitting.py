@@ -217,7 +217,7 @@ def predict_checked(
     return checked_maps(method, method.predict(tx_position_m, carrier_hz), (len(carrier_hz), *grid_shape))
 
 
-def checked_maps(method: Method, maps: Any, shape: tuple[int, int, int]) -> Float[Maps, "B E A"]:
+def checked_maps(method: object, maps: Any, shape: tuple[int, int, int]) -> Float[Maps, "B E A"]:
     """What `predict` returned, after checking that it is maps; raises `MethodError` that says what it is if not."""
     fault = _fault_of(maps, shape)
     if fault:
@@ -240,5 +240,5 @@ def _fault_of(maps: Any, shape: tuple[int, ...]) -> str | None:
     return None
 
 
-def _name(method: Method) -> str:
+def _name(method: object) -> str:
     return type(method).__name__

@@ -55,6 +55,7 @@ from xfreqbench.types import FloatArray, IntArray
 
 SCHEMA = "xfreqbench/room-predictions/1"
 ROOM_SECONDS = "seconds_a_room"  # among the counts of a record: to adapt to a room and predict what is asked, median
+ROOM_TYPES = "room_types"  # among the settings of a record: the type of every tested room, in turn
 _WAIT_S = 0.5
 
 
@@ -216,7 +217,7 @@ def _answer(task: RoomTask, method: RoomMethod, question: RoomQuestion, kept: Pa
         predictor = method.adapt(question.heard, task.job.budget)
     with _errors(task, question, "predict"), predicting:
         maps = predictor.predict(asked.tx_position_m, asked.carrier_hz)
-    maps = checked_maps(predictor, maps, (len(asked), *asked.grid.shape))  # type: ignore[arg-type]
+    maps = checked_maps(predictor, maps, (len(asked), *asked.grid.shape))
     if fault := fault_of_maps(maps):
         raise MethodError(
             f"Method {task.job.method!r} failed in predict in {asked.path.name}: the map of row "
@@ -324,7 +325,11 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
         recipe=f"data-{hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()}",
         scene=told.name,
         pas_kind=task.split.rooms[0].header.pas_kind,
-        settings={"rooms_trained_on": len(task.split.collection.part("train")), "rooms_tested": len(answers)},
+        settings={
+            "rooms_trained_on": len(task.split.collection.part("train")),
+            "rooms_tested": len(answers),
+            ROOM_TYPES: [each.type for each in task.split.rooms.rooms],
+        },
         split_sha256=task.split.sha256,
         protocol_version=ROOM_PROTOCOL_VERSION,
         metrics_version=METRICS_VERSION,

@@ -12,6 +12,7 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
 from xfreqbench.report.leaderboard.origins import RecordKey, record_key
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
+from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
@@ -55,8 +56,9 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
             records[record_key(record)] = record
             sources.setdefault(record_key(record), name)
     benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
+    benches += room_tables(records.values())
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
-    every = tuple(records.values())  # each once, though several folders may hold it
+    every = tuple(record for record in records.values() if not is_of_rooms(record))  # each once
     ranked = boards(every, sources if len(folders) > 1 else None)
     return RankedResults(folders, every, ranked, benches, num_truncated)
 
