@@ -249,7 +249,7 @@ class _TrainingRoom:
     def evidence(self) -> _Heard:
         """Of all transmitters at the carriers that a method hears; half a megabyte, made once."""
         if self._evidence is None:
-            columns = [int(np.argmin(np.abs(self.carrier_hz - ghz_to_hz(carrier)))) for carrier in HEARD_GHZ]
+            columns = [int((self.carrier_hz - ghz_to_hz(carrier)).abs().argmin()) for carrier in HEARD_GHZ]
             self._evidence = self.images.heard(self.position_m, self.sums[:, columns])
         return self._evidence
 

@@ -21,7 +21,7 @@ from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, RoomQuestion
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, Progress
+from xfreqbench.methods.contract import Budget, Method, Progress, RoomMethod, RoomPredictor
 from xfreqbench.methods.fitting import (
     checked_findings,
     checked_maps,
@@ -31,7 +31,6 @@ from xfreqbench.methods.fitting import (
 )
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, device_option, name_of
-from xfreqbench.methods.rooms import RoomMethod, RoomPredictor
 from xfreqbench.system.arguments import Texts, checked
 from xfreqbench.types import IntArray
 from xfreqbench.units import ghz_to_hz
@@ -143,7 +142,7 @@ class _Trial:
         return self.folder / "working"
 
     @cached_property
-    def built(self) -> Method:
+    def built(self) -> Any:
         return build_method(self.name, self.overrides)
 
     def new(self) -> Any:
@@ -443,7 +442,7 @@ class _RoomTrial:
     def fit(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
         method, rooms = self.trial.new(), self.rooms[list(_ROOM_SEEDS[:-1])]
         with chdir(self.trial.working_folder):
-            fit_within(method, rooms, _BUDGET, _SEED, observe=observe)  # type: ignore[arg-type]
+            fit_within(method, rooms, _BUDGET, _SEED, observe=observe)
         return method
 
     def maps(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:

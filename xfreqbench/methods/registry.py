@@ -15,7 +15,6 @@ from typing import Any, cast
 
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import OptionRow, option_rows, override
-from xfreqbench.methods.contract import Method
 from xfreqbench.methods.guard import method_code, readable
 from xfreqbench.system.source import reachable_sha256
 
@@ -83,7 +82,7 @@ def name_of(method: str | type) -> str:
     return next((entry.name for entry in _entries() if entry.value == name), name)
 
 
-def resolve_method(name: str) -> Callable[..., Method]:
+def resolve_method(name: str) -> Callable[..., Any]:
     """The class of a method, by the name of its entry point or as `package.module:Class`.
 
     Raises `UnknownNameError` for a name that is not installed, and `MethodError` for a method that cannot be
@@ -98,7 +97,7 @@ def resolve_method(name: str) -> Callable[..., Method]:
     with method_code(f"Method {name!r} cannot be imported:", advice, passed=()):
         method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)
-    return cast("Callable[..., Method]", method_class)
+    return cast("Callable[..., Any]", method_class)
 
 
 def _entry_value(name: str) -> str:
@@ -125,8 +124,8 @@ def _check_contract(name: str, method_class: Any) -> None:
         )
 
 
-def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
-    """An untrained method by name, with its default configuration changed by texts `key=value`.
+def build_method(name: str, overrides: Iterable[str] = ()) -> Any:
+    """An untrained `Method` or `RoomMethod` by name, with its default configuration changed by texts `key=value`.
 
     Raises what `resolve_method` and `override` raise, and `MethodError` for a method that cannot be constructed, or
     has no `config` or no `num_parameters`.
@@ -149,7 +148,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     return _constructed(name, method_class, config)
 
 
-def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
+def _constructed(name: str, method_class: Callable[..., Any], *config: Any) -> Any:
     given = f"with {config[0]!r}" if config else "without arguments"
     advice = "Its constructor takes one config, with a default."
     with method_code(f"Method {name!r} cannot be constructed {given}:", advice):
@@ -171,7 +170,7 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
     return (chosen,)
 
 
-def code_sha256(method: Method) -> str:
+def code_sha256(method: object) -> str:
     """Hash of the code that a method's `fit` and `predict` can reach; of a class in a notebook, its own text alone.
 
     It covers the modules of the method's class and of its bases, and all that they import, in whichever

@@ -1,4 +1,4 @@
-"""What a method that learns across rooms has to offer, and how a method of one room becomes one of them."""
+"""How a method of one room becomes one of those that are tried in many rooms: it is fitted anew in each."""
 
 from __future__ import annotations
 
@@ -6,69 +6,15 @@ import json
 from collections.abc import Iterator, Sequence
 from math import nan
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
-
-from jaxtyping import Float
 
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.methods.contract import Budget, Method, Progress
+from xfreqbench.methods.contract import Budget, Method, Progress, RoomMethod
 from xfreqbench.methods.fitting import fit_within
-from xfreqbench.methods.registry import ROOM_CONTRACT, build_method, resolve_method
-from xfreqbench.types import FloatArray, Maps
+from xfreqbench.methods.registry import build_method
 
 _METHOD_FILE = "method.json"
 _SEED = 0
-
-
-class RoomPredictor(Protocol):
-    """Predicts maps of one room; a fitted `Method` is one."""
-
-    def predict(
-        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> Float[Maps, "B E A"]:
-        """Maps (B, E, A), as `Method.predict` gives them."""
-        ...
-
-
-@runtime_checkable
-class RoomMethod(Protocol):
-    """A method that learns from many rooms, and then predicts maps of a room of which it has heard little or nothing.
-
-    It is constructed as a `Method` is, and its `config` and `num_parameters` are the same.
-    """
-
-    config: Any
-
-    @property
-    def num_parameters(self) -> int:
-        """How many numbers training across rooms sets; 0 if nothing is learned there."""
-        ...
-
-    def fit(self, rooms: Collection, budget: Budget, seed: int) -> Iterator[Progress]:
-        """Learn from rooms, of which all samples are given; the rules are those of `Method.fit`.
-
-        At every yield, `adapt` and `save` may be called and the generator be closed.
-        """
-        ...
-
-    def adapt(self, heard: PasDataset, budget: Budget) -> RoomPredictor:
-        """What predicts the maps of a new room, of which `heard` has the samples that are told.
-
-        They may be none: then `heard` has the array alone, as its header and its grid. Where the plan is told,
-        `heard.scene` is the room, its materials replaced; else it raises `DataError`. `budget` limits the fit of a
-        method that trains in each room. Adapting to one room changes nothing for the next.
-        """
-        ...
-
-    def save(self, directory: Path) -> None:
-        """Store in an existing folder all that `adapt` needs, and what `fit` needs to go on."""
-        ...
-
-    @classmethod
-    def load(cls, directory: Path) -> RoomMethod:
-        """The method as `save` stored it in that folder."""
-        ...
 
 
 class PerRoom:
@@ -82,7 +28,7 @@ class PerRoom:
     def __init__(self, method: str, overrides: Sequence[str] = ()) -> None:
         """Takes the method's name, and texts `key=value` for its options; raises as `build_method` does."""
         self._name, self._overrides = method, tuple(overrides)
-        self.built = build_method(method, overrides)
+        self.built: Method = build_method(method, overrides)
         self.config = self.built.config
 
     def fit(self, rooms: Collection, budget: Budget, seed: int) -> Iterator[Progress]:
@@ -91,7 +37,7 @@ class PerRoom:
 
     def adapt(self, heard: PasDataset, budget: Budget) -> Method:
         """The method, fitted to what is heard within the budget."""
-        method = build_method(self._name, self._overrides) if len(heard) else build_method("line-of-sight")
+        method: Method = build_method(self._name, self._overrides) if len(heard) else build_method("line-of-sight")
         fit_within(method, heard, budget, _SEED)
         return method
 
@@ -107,5 +53,5 @@ class PerRoom:
 
 def build_room_method(name: str, overrides: Sequence[str] = ()) -> RoomMethod:
     """An untrained room method by name: one that learns across rooms, or `PerRoom` of another; raises as PerRoom."""
-    learns_across = all(hasattr(resolve_method(name), part) for part in ROOM_CONTRACT)
-    return build_method(name, overrides) if learns_across else PerRoom(name, overrides)  # type: ignore[return-value]
+    method = build_method(name, overrides)
+    return method if isinstance(method, RoomMethod) else PerRoom(name, overrides)

@@ -17,10 +17,9 @@ from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, ReceiverMethod
+from xfreqbench.methods.contract import Budget, Method, ReceiverMethod, RoomMethod
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
-from xfreqbench.methods.rooms import RoomMethod
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import Job
 

@@ -38,10 +38,10 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.lags import LagFunctions
 from xfreqbench.maps.metrics import METRICS_VERSION, score_all
-from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.contract import Budget, RoomMethod
 from xfreqbench.methods.fitting import Fit, Stopwatch, checked_maps, checked_num_parameters, fit_within
 from xfreqbench.methods.registry import code_sha256
-from xfreqbench.methods.rooms import PerRoom, RoomMethod, build_room_method
+from xfreqbench.methods.rooms import PerRoom, build_room_method
 from xfreqbench.runs import checkpoints
 from xfreqbench.runs.fit import FitProgress
 from xfreqbench.runs.folder import ResultsFolder
@@ -76,7 +76,7 @@ class RoomTask(Task):
     @cached_property
     def code_sha256(self) -> str:
         """Hash of the code that the method's results depend on."""
-        return code_sha256(self.method.built if isinstance(self.method, PerRoom) else self.method)  # type: ignore[arg-type]
+        return code_sha256(self.method.built if isinstance(self.method, PerRoom) else self.method)
 
     @cached_property
     def id(self) -> str:
@@ -164,11 +164,11 @@ def _fitted(
                 if stored.read() is None:
                     method, fit = _fit(task, folder, fitting, require_claim)
                     with task.method_errors("save"):
-                        stored.write(method, fit, ())  # type: ignore[arg-type]
+                        stored.write(method, fit, ())
                     unfinished.remove()
         except InUseError:
             time.sleep(_WAIT_S)
-    return stored.load(task.method), done.fit  # type: ignore[arg-type,return-value]
+    return stored.load(task.method), done.fit
 
 
 def _fit(
@@ -176,7 +176,7 @@ def _fit(
 ) -> tuple[RoomMethod, Fit]:
     saved = folder.checkpoints(task.fit_id)
     earlier = saved.read()
-    method: Any = saved.load(task.method) if earlier else task.new_method()  # type: ignore[arg-type]
+    method: Any = saved.load(task.method) if earlier else task.new_method()
     saved_s = earlier.seconds if earlier else 0.0
 
     def observe(before: Fit | None, now: Fit) -> None:
@@ -289,7 +289,7 @@ def _read(path: Path, split: RoomSplit) -> tuple[list[_Answer], IntArray]:
         _Answer(row[room == number], sums[room == number], float(adapt_s[number]), float(predict_s[number]))
         for number in range(len(adapt_s))
     ]
-    return answers, room
+    return answers, room.astype(np.int64)
 
 
 def _fault_of_file(path: Path) -> str | None:
@@ -317,7 +317,7 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
     told = task.split.collection.record
     recipe = [told.family_sha256, told.options, [each.seed for each in task.split.collection.rooms]]
     with task.method_errors("num_parameters"):
-        parameters = checked_num_parameters(method)  # type: ignore[arg-type]
+        parameters = checked_num_parameters(method)
     return RunRecord(
         id=task.id,
         job=task.job,
