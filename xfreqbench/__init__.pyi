@@ -6,6 +6,7 @@ from .data.collection import open_collection as open_collection
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
+from .data.rooms import generate_rooms as generate_rooms
 from .data.shipped import fetch as fetch
 from .data.shipped import load as load
 from .data.splits import Split as Split
@@ -34,6 +35,8 @@ from .runs.records import RunRecord as RunRecord
 from .runs.run import run as run
 from .runs.scoring import score as score
 from .runs.training_log import training_log as training_log
+from .scene.families import draw_room as draw_room
+from .scene.families import load_family as load_family
 from .scene.materials import permittivity as permittivity
 from .scene.model import ReceiverArray as ReceiverArray
 from .scene.model import Scene as Scene

@@ -38,16 +38,20 @@ Solver = Annotated[
 def scenes(
     *,
     schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")] = False,
+    family_schema: Annotated[
+        bool, Parameter(negative="", help="Print the JSON Schema of files of families of rooms.")
+    ] = False,
 ) -> None:
-    """List the scenes that ship with the toolkit."""
+    """List the scenes, and the families of rooms, that ship with the toolkit."""
     import json
 
-    from xfreqbench.scene.model import scene_schema, shipped_scenes
+    from xfreqbench.scene import families
+    from xfreqbench.scene.model import scene_schema, shipped_families, shipped_scenes
 
-    if schema:
-        print(json.dumps(scene_schema(), indent=2))
+    if schema or family_schema:
+        print(json.dumps(families.family_schema() if family_schema else scene_schema(), indent=2))
         return
-    for name, description in shipped_scenes().items():
+    for name, description in (shipped_scenes() | shipped_families()).items():
         print(f"{name:12} {description}")
 
 
@@ -57,7 +61,13 @@ def generate(
     *,
     output: Output,
     freqs: Freqs = "paper",
-    tx: Annotated[int | None, Parameter(help="Number of transmitters, chosen by the seed; all if absent.")] = None,
+    rooms: Annotated[
+        int | None, Parameter(help="Of a family: how many rooms to draw, by seeds from --seed on; -o is a folder.")
+    ] = None,
+    tx: Annotated[
+        int | None,
+        Parameter(help="Number of transmitters, chosen by the seed; all of a scene, or 120 in a room, if absent."),
+    ] = None,
     tx_positions: Annotated[
         Path | None,
         Parameter(
@@ -67,16 +77,30 @@ def generate(
     ] = None,
     solver: Solver = "auto",
     interactions: Interactions = None,
-    rays: Annotated[int, Parameter(help="Rays that look for paths, 10,000,000 at most.")] = 500_000,
+    rays: Annotated[
+        int | None,
+        Parameter(
+            help="Rays that look for paths, 10,000,000 at most; if absent 500,000, or 50,000 in each room of a family."
+        ),
+    ] = None,
     max_depth: Annotated[
-        int, Parameter(help="Most interactions of a path, reflections and transmissions together; up to 16.")
-    ] = 6,
-    seed: Annotated[int, Parameter(help="Seed of the rays and of the choice of transmitters.")] = 1,
+        int | None,
+        Parameter(
+            help="Most interactions of a path, reflections and transmissions together; up to 16. If absent 6, or 4 in "
+            "each room of a family."
+        ),
+    ] = None,
+    seed: Annotated[
+        int, Parameter(help="Seed of the rays and of the choice of transmitters, or of the first room.")
+    ] = 1,
     pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
     materials: Annotated[
         Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
     ] = "error",
-    maps: Annotated[bool, Parameter(help="Store the maps beside the channels they derive from.")] = True,
+    maps: Annotated[
+        bool | None,
+        Parameter(help="Store the maps beside the channels they derive from. If absent: of a scene, not of rooms."),
+    ] = None,
     paths: Annotated[
         bool,
         Parameter(negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."),
@@ -101,12 +125,12 @@ def generate(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Trace a scene and write its channels and power angular spectra to an HDF5 file.
+    """Trace a scene and write its channels and power angular spectra to an HDF5 file, or those of many drawn rooms.
 
     Parameters
     ----------
     scene
-        A shipped scene's name, or the path of a scene TOML.
+        A shipped scene's name, or the path of a scene TOML; with --rooms, a family's name or path.
     """
     from xfreqbench.data import generate as generation
     from xfreqbench.data.fingerprint import compare_fingerprint
@@ -116,11 +140,38 @@ def generate(
 
     require_executor(executor)
     freqs_ghz, names = parse_carriers_ghz(freqs), parse_names(interactions)
+    if rooms is not None:
+        if tx_positions is not None or receiver is not None:
+            raise XFreqBenchError(
+                "With --rooms the family draws transmitters and array: leave out --tx-positions and --receiver."
+            )
+        _generate_rooms(
+            scene,
+            output,
+            freqs_ghz,
+            dry_run,
+            quiet,
+            executor,
+            rooms=rooms,
+            tx=tx or 120,
+            solver=solver,
+            interactions=names,
+            seed=seed,
+            pas_kind=pas_kind,
+            materials=materials,
+            maps=bool(maps),
+            paths=paths,
+            polarization=parse_names(polarization),
+            **({} if rays is None else {"rays": rays}),
+            **({} if max_depth is None else {"max_depth": max_depth}),
+        )
+        return
+    rays, max_depth = 500_000 if rays is None else rays, 6 if max_depth is None else max_depth
     chosen = {
         "tx": tx,
         "tx_positions": _read_positions(tx_positions),
         "pas_kind": pas_kind,
-        "maps": maps,
+        "maps": maps is not False,
         "paths": paths,
         "receiver": parse_names(receiver),
         "polarization": parse_names(polarization),
@@ -149,6 +200,27 @@ def generate(
     )
     say_written(output, is_new, quiet)
     say(compare_fingerprint(dataset).verdict, quiet)
+
+
+def _generate_rooms(
+    family: str, output: Path, freqs_ghz: list[float], dry_run: bool, quiet: bool, executor: str, **asked: Any
+) -> None:
+    """Make a collection of rooms, or say what it would take."""
+    from xfreqbench.data import rooms as generation
+
+    if not dry_run:
+        collection = generation.generate_rooms(
+            family, output, freqs_ghz, **asked, executor=executor, progress=not quiet, tell=partial(say, quiet=quiet)
+        )
+        say(f"{collection!r}\nwrote {output}", quiet)
+        return
+    plan = generation.plan_of_rooms(family, freqs_ghz, **asked)
+    seconds, num_bytes = generation.estimate_rooms(plan)
+    print(
+        f"{asked['rooms']:,} rooms of {plan.family.name!r} × {asked['tx']} transmitters × {len(freqs_ghz)} carriers, "
+        f"about {num_bytes / 1e6:,.0f} MB in as many files\nestimated time {seconds:,.0f} s of one core, "
+        f"{seconds / asked['rooms']:.2f} s a room; nothing was written"
+    )
 
 
 def _read_positions(path: Path | None) -> Any:
@@ -187,7 +259,11 @@ def info(
     ] = False,
     seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
 ) -> None:
-    """Print what a data set holds, verify every byte of it against its hashes, and compare it with a fingerprint."""
+    """Print what a data set, or a folder of rooms, holds, and verify every byte of it against its hashes.
+
+    A data set is compared with the fingerprint of its scene, too.
+    """
+    from xfreqbench.data.collection import open_collection
     from xfreqbench.data.dataset import open_dataset, verify
     from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.retrace import drawn_rows, require_origin
@@ -197,6 +273,9 @@ def info(
         raise XFreqBenchError(f"--retrace and --seed take 0 or more, but got {retrace} and {seed}.")
     if glints < 0:
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
+    if file.is_dir():
+        print(open_collection(file).description)
+        return
     print(describe(file))
     verify(file)
     print("every hash holds")

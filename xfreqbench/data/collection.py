@@ -127,6 +127,20 @@ class Collection:
             )
         )
 
+    @property
+    def description(self) -> str:
+        """What the collection holds, in lines: rooms by type and part, options, and every fault; all bytes are read."""
+        parts = {part: self.part(part) for part in PARTS}
+        lines = [repr(self), "", f"{'type':16}" + "".join(f"{part:>12}" for part in PARTS)]
+        for name in self.types:
+            counts = (sum(room.type == name for room in rooms.rooms) for rooms in parts.values())
+            lines.append(f"{name:16}" + "".join(f"{number:12}" for number in counts))
+        lines += ["", "options   " + ", ".join(f"{name} {value}" for name, value in self.record.options.items())]
+        faults = [f"room {room.seed}: {fault}" for room, fault in self.faults()]
+        unfinished = "no room is described: its generation was not finished. Run the same command again."
+        lines += faults or (["every hash holds"] if self.rooms else [unfinished])
+        return "\n".join(lines)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (str(self.path), self.rooms)
 
@@ -142,7 +156,7 @@ class Collection:
 
     @cached_property
     def first_sample(self) -> Int[IntArray, "offsets"]:
-        """Number of each room's first sample, where those of all R rooms are counted in turn, and their sum: (R + 1,)."""
+        """Number of each room's first sample among those of all R rooms in turn, then how many there are (R + 1,)."""
         counts = (room.num_tx * len(self.record.carrier_hz) for room in self.rooms)
         return np.array([*accumulate(counts, initial=0)])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -30,6 +31,7 @@ PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 _UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 FLAT = 0.01  # a scene is a single wall where its vertices lie within this share of its extent of one plane
 FLOOR_M = 0.3  # the most that a floor is thick, or a room off the middle where it is centred
+NONE_MIRRORS = PatchSize(math.inf, math.inf)
 SLIVER = 1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 
 
@@ -129,9 +131,14 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
 
     Raises `SceneError` for meshes that cannot be read.
     """
-    meshes = [_surface_mesh(surface.name, scene.slab_of(surface), _triangles(surface)) for surface in scene.surface]
+    meshes = [_mesh_of(surface, scene.slab_of(surface)) for surface in scene.surface]
     imported = [_imported_mesh(shape) for shape in _imported_shapes(scene)]
     return meshes + [replace(mesh, least_patch=scene.least_patch) for mesh in imported]
+
+
+def _mesh_of(surface: Surface, slab: Slab) -> SurfaceMesh:
+    mesh = _surface_mesh(surface.name, slab, _triangles(surface))
+    return mesh if surface.mirrors is None else replace(mesh, least_patch=NONE_MIRRORS)
 
 
 def _triangles(surface: Surface) -> Triangles:

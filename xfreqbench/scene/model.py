@@ -78,7 +78,8 @@ class Surface:
     From `min_m` to `max_m` it is a rectangle where they agree along one axis (a wall, a pane), else the six faces of a
     closed box (a cabinet). `vertices_m` in their place are the corners, in turn, of a polygon in any plane. It may be
     concave and touch itself, as with a slit to a hole, but not cross itself. Corners up to 1 mm off
-    its plane are moved into it. The JSON leaves out what is not given.
+    its plane are moved into it. With `mirrors = false` it blocks and transmits, and mirrors nothing, as small things
+    do. The JSON leaves out what is not given.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Surface:
     min_m: Point | None = None
     max_m: Point | None = None
     vertices_m: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
+    mirrors: Literal[False] | None = None
 
     _json = only_given
 
@@ -323,7 +325,7 @@ class Scene:
 
     `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
     `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
-    triangle, however small beside the wavelength. Surfaces always mirror.
+    triangle, however small beside the wavelength. Surfaces mirror, but for those that say `mirrors = false`.
     """
 
     name: str
@@ -470,7 +472,16 @@ class Scene:
 
 def shipped_scenes() -> dict[str, str]:
     """Names and descriptions of the scenes that ship with the toolkit."""
-    return {path.stem: tomllib.loads(read_text(path))["description"] for path in _shipped_files()}
+    return {name: content["description"] for name, content in _shipped_contents() if "type" not in content}
+
+
+def shipped_families() -> dict[str, str]:
+    """Names and descriptions of the families of rooms that ship with the toolkit."""
+    return {name: content["description"] for name, content in _shipped_contents() if "type" in content}
+
+
+def _shipped_contents() -> Iterator[tuple[str, dict[str, Any]]]:
+    return ((path.stem, tomllib.loads(read_text(path))) for path in _shipped_files())
 
 
 def shipped_folder() -> Path:
@@ -520,6 +531,11 @@ def parse_scene(text: str, folder: Path = Path()) -> Scene:
 
 
 def _validated(content: dict[str, Any], folder: Path) -> Scene:
+    if "type" in content:
+        raise SceneError(
+            "this describes a family of rooms, not a scene. Generate rooms of it with `xfreqbench generate FAMILY "
+            "--rooms 1000 --tx 120 -o rooms`, or draw one by its seed with `xfreqbench.draw_room(FAMILY, 1).scene`."
+        )
     if "folder" in content:
         raise SceneError("the scene has no valid form:\n  folder: no such key")
     if isinstance(content.get("receiver"), list):  # [[receiver]], once or several times
