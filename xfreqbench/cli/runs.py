@@ -214,7 +214,8 @@ def benchmark(
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
-            "carrier; clutter: one room full of things; paper: the paper's experiments, and paper-lofo, paper-sparse, "
+            "carrier; clutter: one room full of things; rooms: rooms that were never seen; paper: "
+            "the paper's experiments, and paper-lofo, paper-sparse, "
             "paper-ablation, paper-maps: one of them; paper-size: its method in its own sizes."
         ),
     ] = "standard",
@@ -249,10 +250,10 @@ def benchmark(
         return
     with planned.alone():
         with (
-            progress_bars("transmitters", planned.scenes, quiet) as tracing,
+            progress_bars("transmitters", named := [*planned.scenes, *planned.rooms_plans], quiet) as tracing,
             open_workers(executor or "serial") as workers,
         ):
-            by_scene = dict(zip(planned.scenes, tracing, strict=True))
+            by_scene = dict(zip(named, tracing, strict=True))
             benchmarks.generate_data(planned, by_scene, workers)
         with run_bars(quiet, shows_fit=False) as (ended, _):
             failures = benchmarks.run_benchmark(planned, ended, executor)

@@ -21,7 +21,7 @@ from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, RoomQuestion
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, Progress, RoomMethod, RoomPredictor
+from xfreqbench.methods.contract import Budget, Progress, RoomMethod, RoomPredictor
 from xfreqbench.methods.fitting import (
     checked_findings,
     checked_maps,
