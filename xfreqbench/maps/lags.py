@@ -58,8 +58,7 @@ class LagFunctions:
         waves = self.waves.reshape(len(self.waves), -1)
         gram = waves @ waves.T
         gram += _RIDGE * gram.diagonal().max() * np.eye(len(gram))
-        projection: FloatArray = np.linalg.solve(gram, waves).T
-        return projection
+        return np.asarray(np.linalg.solve(gram, waves).T, np.float64)
 
     def of_maps(self, maps: Float[Maps, "B E A"], kind: PasKind) -> Float[NDArray[np.float32], "B L"]:
         """The sums of the power map, of any that the array can give, that is nearest to each map by least squares."""

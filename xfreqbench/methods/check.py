@@ -147,7 +147,7 @@ class _Trial:
 
     def new(self) -> Any:
         """A new untrained method with the same configuration."""
-        return type(self.built)(self.built.config)  # type: ignore[call-arg]
+        return type(self.built)(self.built.config)
 
     @cached_property
     def dataset(self) -> PasDataset:
@@ -429,8 +429,9 @@ class _RoomTrial:
             channels = plane_waves(carrier_hz, NUM_ASKED + _HEARD, seed)
             stored_channels(folder / f"{seed}.h5", RECEIVER, carrier_hz, *channels, maps=False)
         rooms = [room_of(folder, f"{seed}.h5", seed, "plane waves") for seed in _ROOM_SEEDS]
-        told = {"name": "plane waves", "family": {}, "options": {}}
-        return write_collection(folder, rooms, carrier_hz=carrier_hz.tolist(), **told)
+        return write_collection(
+            folder, rooms, name="plane waves", family={}, options={}, carrier_hz=carrier_hz.tolist()
+        )
 
     def question(self, num_heard: int, room: int = _ROOM_SEEDS[-1]) -> RoomQuestion:
         return RoomQuestion(self.rooms[room], room, num_heard)

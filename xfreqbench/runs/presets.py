@@ -271,7 +271,7 @@ ROOMS = Preset(
     "anew to what is heard in each room, room-lags after an hour of learning across rooms, and without its parts after "
     "ten minutes, and a tracer that is told the plan but not the materials",
     blocks=(
-        Block("rooms", "unseen-rooms", tuple(map(Setting, ("line-of-sight", "nearest", "k-nearest"))), None),
+        Block("rooms", "unseen-rooms", TRIVIAL_SETTINGS, None),
         Block("rooms", "unseen-rooms", (Setting("room-lags"),), "1h"),
         Block(
             "rooms",
@@ -280,7 +280,8 @@ ROOMS = Preset(
             "10m",
         ),
         Block("rooms", "unseen-rooms", (Setting("aperture-gs"), Setting("xfreq-gs", ("blend=none",))), "4000maps"),
-        Block("rooms", "unseen-rooms-plan", (Setting("line-of-sight"), Setting("plan-tracer")), None),
+        Block("rooms", "unseen-rooms-plan", TRIVIAL_SETTINGS, None),
+        Block("rooms", "unseen-rooms-plan", (Setting("plan-tracer"),), None),
     ),
     left_out="virtual-source, which finds planes among more transmitters than are heard, other families and numbers of "
     "rooms, and longer fits",
