@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from xfreqbench.baselines.line_of_sight import LineOfSight
 
+from tests.support.places import ROOT
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.unseen_rooms import room_splits
@@ -90,8 +91,14 @@ def test_the_report_has_tables_by_number_heard_by_carrier_and_by_type(results: P
     assert {row[2] for row in by_type.rows} == {"box"}
 
 
-def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(rooms: Collection, tmp_path: Path) -> None:
+def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
+    rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert not [str(result) for result in check_method("room-lags", ["rooms=1", "queries=4"]) if result.fault]
+    example = (ROOT / "docs/unseen-rooms.md").read_text().partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "soft.py").write_text(example)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not [str(result) for result in check_method("soft:SoftDirectWave") if result.fault]
     with pytest.raises(MethodError, match="learns across rooms"):
         run(rooms[0], "room-lags", "held-out-tx", tmp_path)
     with pytest.raises(XFreqBenchError, match="takes unseen-rooms"):
