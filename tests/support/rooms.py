@@ -10,8 +10,9 @@ from xfreqbench.data.collection import Collection, Room, room_of, write_collecti
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.maps.bartlett import BartlettBeam, cfr_of_plane_waves
+from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.array import steering_vector
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
@@ -41,16 +42,13 @@ def write_room(path: Path, seed: int, num_tx: int = NUM_TX) -> None:
         rejected={},
     )
     element = receiver.element_position_wavelengths
-    cfr = np.empty((num_tx, len(CARRIER_HZ), len(element)), np.complex128)
-    for tx, place_m in enumerate(tx_position_m):
-        image_m = place_m * (-1, 1, 1) + (2 * wall_m, 0, 0)
-        offset_m = (np.array([place_m, image_m]) - receiver.position_m) @ receiver.rotation
-        length_m = np.linalg.norm(offset_m, axis=1)
-        gain = np.array([1, REFLECTION]) / length_m + 0j
-        for column, carrier_hz in enumerate(CARRIER_HZ):
-            wavelength_m = SPEED_OF_LIGHT_M_S / carrier_hz
-            waves = gain, length_m / SPEED_OF_LIGHT_M_S, offset_m / length_m[:, None], element * wavelength_m
-            cfr[tx, column] = cfr_of_plane_waves(*waves, carrier_hz)
+    source_m = np.stack([tx_position_m, tx_position_m * (-1, 1, 1) + (2 * wall_m, 0, 0)], axis=1)  # and its image
+    offset_m = (source_m - receiver.position_m) @ receiver.rotation
+    length_m = np.linalg.norm(offset_m, axis=2)
+    travel = np.exp(-2j * np.pi * length_m[:, None] * CARRIER_HZ[:, None] / SPEED_OF_LIGHT_M_S)
+    # positions in wavelengths are positions in metres at a wavelength of one metre
+    response = steering_vector(element, offset_m / length_m[..., None], SPEED_OF_LIGHT_M_S)
+    cfr = np.einsum("tp,tfp,tpm->tfm", np.array([1, REFLECTION]) / length_m, travel, response)
     beam = BartlettBeam(element, AngularGrid.hemisphere())
     with PasWriter(path, header) as writer:
         samples = SampleBlock.of_channels(cfr, np.full(cfr.shape[:2], 2), beam, "power")
