@@ -39,6 +39,8 @@ PUBLIC = [
     "PasWriter",
     "SampleBlock",
     "Method",
+    "RoomMethod",
+    "PerRoom",
     "Progress",
     "Budget",
     "check_method",

@@ -21,6 +21,7 @@ from .methods.check import check_method as check_method
 from .methods.contract import Budget as Budget
 from .methods.contract import Method as Method
 from .methods.contract import Progress as Progress
+from .methods.contract import RoomMethod as RoomMethod
 from .methods.learning.encoding import Scaling as Scaling
 from .methods.learning.encoding import positional_encoding as positional_encoding
 from .methods.learning.targets import Beams as Beams
@@ -28,6 +29,7 @@ from .methods.learning.targets import GridView as GridView
 from .methods.learning.training import ChannelField as ChannelField
 from .methods.learning.training import LearnedMethod as LearnedMethod
 from .methods.learning.training import TrainingConfig as TrainingConfig
+from .methods.rooms import PerRoom as PerRoom
 from .report.leaderboard.text import leaderboard as leaderboard
 from .runs.folder import load_method as load_method
 from .runs.folder import read_records as read_records

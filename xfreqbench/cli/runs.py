@@ -110,7 +110,7 @@ def new_method(
 )
 def run(
     *,
-    data: Annotated[Path, Parameter(help="Data set written by `generate`.")],
+    data: Annotated[Path, Parameter(help="Data set, or for unseen-rooms collection, written by `generate`.")],
     results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
         str,
@@ -125,7 +125,8 @@ def run(
             help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
             "transmitters; held-out-block: unseen regions of the room; lofo-unseen-tx: unseen carriers and "
             "transmitters; random-samples: a fifth of all samples, which leaks both; held-out-receiver: a receiver of "
-            "several, each in turn."
+            "several, each in turn; unseen-rooms: rooms of a collection that were never trained on, and "
+            "unseen-rooms-plan, which tells their plans."
         ),
     ] = "lofo",
     targets: Annotated[
@@ -165,13 +166,12 @@ def run(
 
     A killed run goes on where it stopped, in mid-fit too.
     """
-    from xfreqbench.methods.registry import method_names
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.runs.estimate import estimate_runs
-    from xfreqbench.runs.run import asked_tasks, run_shown
+    from xfreqbench.runs.run import asked_tasks, installed_for, run_shown
 
-    names = method_names() if method == "all" else [name.strip() for name in method.split(",")]
+    names = installed_for(protocol) if method == "all" else [name.strip() for name in method.split(",")]
     methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(names, set_)
     targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
@@ -214,9 +214,9 @@ def benchmark(
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
-            "carrier; clutter: one room full of things; paper: the paper's experiments, and paper-lofo, paper-sparse, "
-            "paper-ablation, paper-maps: one of them; paper-size: its method as it is; equal-terms: its method and "
-            "its two reductions with and without aids."
+            "carrier; clutter: one room full of things; rooms: rooms that were never seen; paper: the paper's "
+            "experiments, and paper-lofo, paper-sparse, paper-ablation, paper-maps: one of them; paper-size: its "
+            "method as it is; equal-terms: its method and its two reductions with and without aids."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
@@ -250,10 +250,10 @@ def benchmark(
         return
     with planned.alone():
         with (
-            progress_bars("transmitters", planned.scenes, quiet) as tracing,
+            progress_bars("transmitters", named := [*planned.scenes, *planned.rooms_plans], quiet) as tracing,
             open_workers(executor or "serial") as workers,
         ):
-            by_scene = dict(zip(planned.scenes, tracing, strict=True))
+            by_scene = dict(zip(named, tracing, strict=True))
             benchmarks.generate_data(planned, by_scene, workers)
         with run_bars(quiet, shows_fit=False) as (ended, _):
             failures = benchmarks.run_benchmark(planned, ended, executor)

@@ -28,10 +28,10 @@ def plane_wave_data(path: Path, carrier_hz: Float[FloatArray, "F"], num_tx: int)
 
 
 def plane_waves(
-    carrier_hz: Float[FloatArray, "F"], num_tx: int
+    carrier_hz: Float[FloatArray, "F"], num_tx: int, seed: int = 0
 ) -> tuple[Float[FloatArray, "T 3"], Complex[NDArray[np.complex128], "T F M"]]:
     """Positions of random transmitters in metres, and their channels."""
-    tx_position_m = np.random.default_rng(0).uniform((0.5, 0.5, 0.9), (7.5, 5.5, 1.7), size=(num_tx, 3))
+    tx_position_m = np.random.default_rng(seed).uniform((0.5, 0.5, 0.9), (7.5, 5.5, 1.7), size=(num_tx, 3))
     cfr = np.array([[_channel(place, float(carrier)) for carrier in carrier_hz] for place in tx_position_m])
     return tx_position_m, cfr
 

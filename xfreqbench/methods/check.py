@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,12 +14,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from xfreqbench.data.collection import Collection, room_of, write_collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
+from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, RoomQuestion
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, Progress
-from xfreqbench.methods.fitting import checked_findings, checked_num_parameters, fit_within, predict_checked
+from xfreqbench.methods.contract import Budget, Progress, RoomMethod, RoomPredictor
+from xfreqbench.methods.fitting import (
+    checked_findings,
+    checked_maps,
+    checked_num_parameters,
+    fit_within,
+    predict_checked,
+)
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, device_option, name_of
 from xfreqbench.system.arguments import Texts, checked
@@ -64,16 +72,20 @@ def check_method(method: str | type, overrides: Texts = ()) -> list[CheckResult]
     """Check a method, given by name, as `package.module:Class` or as a class; returns a result for each requirement.
 
     The checks construct, fit, predict and save, in this order, and end early for a method that cannot be
-    constructed or fitted, or does not predict maps. Raises `UnknownNameError` for an unknown name or option.
+    constructed or fitted, or does not predict maps. One that learns across rooms is fitted to some rooms, adapted to
+    another, and predicts there. Raises `UnknownNameError` for an unknown name or option.
     """
     with tempfile.TemporaryDirectory() as folder:
         trial = _Trial(name_of(method), tuple(overrides), Path(folder))
         trial.working_folder.mkdir()
-        return list(_results(trial))
+        with suppress(XFreqBenchError):
+            if isinstance(trial.built, RoomMethod):
+                return list(_results(_RoomTrial(trial), _ROOM_STAGES))
+        return list(_results(trial, _STAGES))
 
 
-def _results(trial: _Trial) -> Iterator[CheckResult]:
-    for gate, *checks in _STAGES:
+def _results(trial: Any, stages: Sequence[Sequence[_Check]]) -> Iterator[CheckResult]:
+    for gate, *checks in stages:
         result = _result(gate, trial)
         yield result
         if result.is_fault:
@@ -84,12 +96,12 @@ def _results(trial: _Trial) -> Iterator[CheckResult]:
 @dataclass(frozen=True)
 class _Check:
     requirement: str
-    fault_of: Callable[[_Trial], object]  # the fault as a text; whatever else is returned means that there is none
+    fault_of: Callable[[Any], object]  # the fault as a text; whatever else is returned means that there is none
     is_warning: bool = False
     compares_fits: bool = False  # which says something where equal seeds give equal maps
 
 
-def _result(check: _Check, trial: _Trial) -> CheckResult:
+def _result(check: _Check, trial: Any) -> CheckResult:
     if check.compares_fits and _seeds_differ(trial):
         return CheckResult(check.requirement, "not checked, because equal seeds give different maps", True)
     return CheckResult(check.requirement, _fault_or_exception(check, trial), check.is_warning)
@@ -103,7 +115,7 @@ def _seeds_differ(trial: _Trial) -> bool:
         return False  # whatever it raises, the check that follows raises and tells
 
 
-def _fault_or_exception(check: _Check, trial: _Trial) -> str | None:
+def _fault_or_exception(check: _Check, trial: Any) -> str | None:
     try:
         with method_code("it raised", ""):
             found = check.fault_of(trial)
@@ -129,12 +141,12 @@ class _Trial:
         return self.folder / "working"
 
     @cached_property
-    def built(self) -> Method:
+    def built(self) -> Any:
         return build_method(self.name, self.overrides)
 
     def new(self) -> Any:
         """A new untrained method with the same configuration."""
-        return type(self.built)(self.built.config)  # type: ignore[call-arg]
+        return type(self.built)(self.built.config)
 
     @cached_property
     def dataset(self) -> PasDataset:
@@ -397,3 +409,107 @@ def _write_dataset(path: Path, has_other_test_rows: bool = False) -> PasDataset:
         other = np.roll(cfr, 2, axis=0)
         cfr[_UNSEEN_TX], cfr[:, _UNSEEN_CARRIER] = other[_UNSEEN_TX], other[:, _UNSEEN_CARRIER]
     return stored_channels(path, RECEIVER, _CARRIER_HZ, tx_position_m, cfr, maps=True)
+
+
+_ROOM_SEEDS, _HEARD = (0, 1, 2), 4  # the rooms, of which the last is not trained on, and transmitters heard there
+
+
+@dataclass
+class _RoomTrial:
+    """A method that learns across rooms, with three rooms of plane waves, two of which it is fitted to."""
+
+    trial: _Trial
+    steps: list[int] = field(default_factory=list)
+
+    @cached_property
+    def rooms(self) -> Collection:
+        folder, carrier_hz = self.trial.folder / "rooms", np.array(sorted(map(ghz_to_hz, (*HEARD_GHZ, *ASKED_GHZ))))
+        for seed in _ROOM_SEEDS:
+            channels = plane_waves(carrier_hz, NUM_ASKED + _HEARD, seed)
+            stored_channels(folder / f"{seed}.h5", RECEIVER, carrier_hz, *channels, maps=False)
+        rooms = [room_of(folder, f"{seed}.h5", seed, "plane waves") for seed in _ROOM_SEEDS]
+        return write_collection(
+            folder, rooms, name="plane waves", family={}, options={}, carrier_hz=carrier_hz.tolist()
+        )
+
+    def question(self, num_heard: int, room: int = _ROOM_SEEDS[-1]) -> RoomQuestion:
+        return RoomQuestion(self.rooms[room], room, num_heard)
+
+    @cached_property
+    def fitted(self) -> Any:
+        return self.fit(lambda before, now: self.steps.append(now.step))
+
+    def fit(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
+        method, rooms = self.trial.new(), self.rooms[list(_ROOM_SEEDS[:-1])]
+        with chdir(self.trial.working_folder):
+            fit_within(method, rooms, _BUDGET, _SEED, observe=observe)
+        return method
+
+    def maps(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
+        """What the method predicts of the room that it was not trained on."""
+        question = self.question(num_heard)
+        with chdir(self.trial.working_folder):
+            return _asked_of(method.adapt(question.heard, _BUDGET), question.asked)
+
+    def own_row_fault(self) -> str | None:
+        question = self.question(_HEARD)
+        alone = _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked.subset([1]))
+        return _difference_fault(alone, self.maps(self.fitted)[[1]], _BATCH_TOLERANCE, _OWN_ROW)
+
+    def next_room_fault(self) -> str | None:
+        """Adapt to another room in between."""
+        before = self.maps(self.fitted)
+        question = self.question(_HEARD, room=0)
+        _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked)
+        advice = "Keep what is adapted in the predictor, and leave the method as it is."
+        return _difference_fault(self.maps(self.fitted), before, _REPEAT_TOLERANCE, advice)
+
+    def saved_fault(self) -> str | None:
+        folder = self.trial.folder / "saved"
+        folder.mkdir()
+        with chdir(self.trial.working_folder):
+            self.fitted.save(folder)
+            loaded = type(self.fitted).load(folder)
+        if loaded.config != self.fitted.config:
+            return f"the loaded method has {loaded.config!r}, the saved one {self.fitted.config!r}. Save it too."
+        advice = "Save everything that adapt uses."
+        return _difference_fault(self.maps(loaded), self.maps(self.fitted), _REPEAT_TOLERANCE, advice)
+
+    def peak_fault(self) -> str | None:
+        peaks = self.maps(self.fitted).max(axis=(1, 2))
+        low = float(peaks.min())
+        return None if low > 1 - _PEAK_TOLERANCE else f"a map has its maximum at {low:g}. Divide each map by its own."
+
+    def seed_fault(self) -> str | None:
+        advice = "Draw from the seed alone, and from nothing global."
+        return _difference_fault(self.maps(self.fit()), self.maps(self.fitted), _SEED_TOLERANCE, advice)
+
+
+def _asked_of(predictor: RoomPredictor, asked: PasDataset) -> Float[NDArray[np.float32], "B E A"]:
+    maps = predictor.predict(asked.tx_position_m.copy(), asked.carrier_hz.copy())
+    return checked_maps(predictor, maps, (len(asked), *asked.grid.shape))
+
+
+_ROOM_STAGES = (
+    (
+        _Check("it can be constructed, with and without its config", lambda room: room.trial.new()),
+        _Check("its config is a frozen dataclass that can be written as JSON", lambda room: _config_fault(room.trial)),
+    ),
+    (
+        _Check("fit is a generator that yields Progress, its steps ascending", lambda room: room.fitted),
+        _Check("num_parameters is an integer of 0 or more", lambda room: checked_num_parameters(room.fitted)),
+    ),
+    (
+        _Check(
+            "adapt returns what predicts float32 maps in [0, 1] of a room that it was not trained on",
+            lambda room: room.maps(room.fitted),
+        ),
+        _Check("adapt takes a room of which nothing is heard", lambda room: room.maps(room.fitted, num_heard=0)),
+        _Check("every map has peak 1", _RoomTrial.peak_fault),
+        _Check("a row that is asked for alone gets the same map", _RoomTrial.own_row_fault),
+        _Check("adapting to one room changes nothing for the next", _RoomTrial.next_room_fault),
+        _Check("a method that was saved and loaded predicts the same", _RoomTrial.saved_fault),
+        _Check("the same seed gives the same maps", _RoomTrial.seed_fault, is_warning=True),
+        _Check("nothing is written into the working folder", lambda room: _stray_file_fault(room.trial)),
+    ),
+)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 from jaxtyping import Float
 from pydantic import Field
 
+from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ArgumentError, MethodError
 from xfreqbench.types import FloatArray, Maps
@@ -173,4 +174,55 @@ class ExplainedMethod(Protocol):
 
     def findings(self) -> Mapping[str, Any]:
         """What the method has learned, as values that JSON can hold; called once after the fit, for the record."""
+        ...
+
+
+@runtime_checkable
+class RoomPredictor(Protocol):
+    """Predicts maps of one room; a fitted `Method` is one."""
+
+    def predict(
+        self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> Float[Maps, "B E A"]:
+        """Maps (B, E, A), as `Method.predict` gives them."""
+        ...
+
+
+@runtime_checkable
+class RoomMethod(Protocol):
+    """A method that learns from many rooms, and then predicts maps of a room of which it has heard little or nothing.
+
+    It is constructed as a `Method` is, and its `config` and `num_parameters` are the same.
+    """
+
+    config: Any
+
+    @property
+    def num_parameters(self) -> int:
+        """How many numbers training across rooms sets; 0 if nothing is learned there."""
+        ...
+
+    def fit(self, rooms: Collection, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Learn from rooms, of which all samples are given; the rules are those of `Method.fit`.
+
+        At every yield, `adapt` and `save` may be called and the generator be closed.
+        """
+        ...
+
+    def adapt(self, heard: PasDataset, budget: Budget) -> RoomPredictor:
+        """What predicts the maps of a new room, of which `heard` has the samples that are told.
+
+        They may be none: then `heard` has the array alone, as its header and its grid. Where the plan is told,
+        `heard.scene` is the room, its materials replaced; else it raises `DataError`. `budget` limits the fit of a
+        method that trains in each room. Adapting to one room changes nothing for the next.
+        """
+        ...
+
+    def save(self, directory: Path) -> None:
+        """Store in an existing folder all that `adapt` needs, and what `fit` needs to go on."""
+        ...
+
+    @classmethod
+    def load(cls, directory: Path) -> RoomMethod:
+        """The method as `save` stored it in that folder."""
         ...

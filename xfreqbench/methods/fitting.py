@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
-from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, Progress
+from xfreqbench.methods.contract import Budget, ExplainedMethod, Method, Progress, RoomMethod
 from xfreqbench.methods.guard import plain_json, readable
 from xfreqbench.types import FloatArray, Maps
 
@@ -65,8 +66,8 @@ class Stopwatch:
 
 
 def fit_within(
-    method: Method,
-    train: PasDataset,
+    method: Method | RoomMethod,
+    train: PasDataset | Collection,
     budget: Budget,
     seed: int,
     *,
@@ -74,6 +75,8 @@ def fit_within(
     observe: Observer | None = None,
 ) -> Fit:
     """Train a method until it ends or the budget is spent; returns how the fit stood at its end.
+
+    A `RoomMethod` is trained on a collection, and any other on a data set.
 
     The step that exceeds the budget is the last. Only the method's own time counts. Its generator is sent the
     spent share of the budget, and is closed in every case. `observe(before, now)` is called at each yield with
@@ -100,7 +103,7 @@ def fit_within(
 class _RunningFit:
     """The `fit` of a method, and a clock that runs only while the method's own code runs."""
 
-    def __init__(self, method: Method, train: PasDataset, budget: Budget, seed: int, spent: Fit | None) -> None:
+    def __init__(self, method: Method | RoomMethod, train: Any, budget: Budget, seed: int, spent: Fit | None) -> None:
         self._method, self._budget, self._spent = method, budget, spent
         self._last = spent
         self._clock = Stopwatch(*((spent.seconds, spent.processor_seconds) if spent else ()))
@@ -179,7 +182,7 @@ def _require_finite(before: Fit | None, now: Fit) -> None:
         raise DivergenceError(now.step, "loss")
 
 
-def _checked_progress(method: Method, progress: object) -> Progress:
+def _checked_progress(method: object, progress: object) -> Progress:
     if not isinstance(progress, Progress):
         raise MethodError(f"{_name(method)}.fit yielded {progress!r}; it must yield Progress(step, loss).")
     for name in progress.counts:
@@ -188,7 +191,7 @@ def _checked_progress(method: Method, progress: object) -> Progress:
     return progress
 
 
-def checked_num_parameters(method: Method) -> int:
+def checked_num_parameters(method: Method | RoomMethod) -> int:
     """How many numbers the training of a fitted method has set; raises `MethodError` for what is no such number."""
     count = method.num_parameters
     if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count < 2**63:
@@ -217,7 +220,7 @@ def predict_checked(
     return checked_maps(method, method.predict(tx_position_m, carrier_hz), (len(carrier_hz), *grid_shape))
 
 
-def checked_maps(method: Method, maps: Any, shape: tuple[int, int, int]) -> Float[Maps, "B E A"]:
+def checked_maps(method: object, maps: Any, shape: tuple[int, int, int]) -> Float[Maps, "B E A"]:
     """What `predict` returned, after checking that it is maps; raises `MethodError` that says what it is if not."""
     fault = _fault_of(maps, shape)
     if fault:
@@ -240,5 +243,5 @@ def _fault_of(maps: Any, shape: tuple[int, ...]) -> str | None:
     return None
 
 
-def _name(method: Method) -> str:
+def _name(method: object) -> str:
     return type(method).__name__

@@ -15,17 +15,27 @@ from typing import Any, cast
 
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import OptionRow, option_rows, override
-from xfreqbench.methods.contract import Method
 from xfreqbench.methods.guard import method_code, readable
 from xfreqbench.system.source import reachable_sha256
 
-ENTRY_POINT_GROUP = "xfreqbench.methods"
-_CONTRACT = ("fit", "predict", "save", "load")
+ENTRY_POINT_GROUP, ROOM_ENTRY_POINT_GROUP = "xfreqbench.methods", "xfreqbench.room_methods"
+_CONTRACT, ROOM_CONTRACT = ("fit", "predict", "save", "load"), ("fit", "adapt", "save", "load")
 
 
 def method_names() -> list[str]:
-    """Names of the installed methods, in alphabetical order."""
+    """Names of the installed methods that predict one room, in alphabetical order."""
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
+
+
+def room_method_names() -> list[str]:
+    """Names of the installed methods that learn across rooms, in alphabetical order."""
+    return sorted({entry.name for entry in entry_points(group=ROOM_ENTRY_POINT_GROUP)})
+
+
+def _entries() -> list[Any]:
+    """The entry points of all installed methods, by name."""
+    every = (*entry_points(group=ENTRY_POINT_GROUP), *entry_points(group=ROOM_ENTRY_POINT_GROUP))
+    return sorted(every, key=lambda entry: entry.name)
 
 
 def method_summaries() -> dict[str, str]:
@@ -33,8 +43,7 @@ def method_summaries() -> dict[str, str]:
 
     It is the first line of a built-in method's docstring; of a plug-in, it says which distribution it is from.
     """
-    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    return {entry.name: _summary(entry) for entry in entries}
+    return {entry.name: _summary(entry) for entry in _entries()}
 
 
 def _summary(entry: Any) -> str:
@@ -70,10 +79,10 @@ def name_of(method: str | type) -> str:
     name = f"{method.__module__}:{method.__qualname__}"
     if getattr(sys.modules.get(method.__module__), method.__qualname__, None) is not method:
         raise MethodError(f"Class {name!r} cannot be found by this name. Define it at the top level of a module.")
-    return next((entry.name for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.value == name), name)
+    return next((entry.name for entry in _entries() if entry.value == name), name)
 
 
-def resolve_method(name: str) -> Callable[..., Method]:
+def resolve_method(name: str) -> Callable[..., Any]:
     """The class of a method, by the name of its entry point or as `package.module:Class`.
 
     Raises `UnknownNameError` for a name that is not installed, and `MethodError` for a method that cannot be
@@ -88,14 +97,14 @@ def resolve_method(name: str) -> Callable[..., Method]:
     with method_code(f"Method {name!r} cannot be imported:", advice, passed=()):
         method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)
-    return cast("Callable[..., Method]", method_class)
+    return cast("Callable[..., Any]", method_class)
 
 
 def _entry_value(name: str) -> str:
     """The `package.module:Class` of an installed method; raises `MethodError` where two packages offer the name."""
-    values = sorted({entry.value for entry in entry_points(group=ENTRY_POINT_GROUP) if entry.name == name})
+    values = sorted({entry.value for entry in _entries() if entry.name == name})
     if not values:
-        raise UnknownNameError("method", name, [*method_names(), "package.module:Class"])
+        raise UnknownNameError("method", name, [*method_names(), *room_method_names(), "package.module:Class"])
     if len(values) > 1:
         raise MethodError(f"Several packages offer a method {name!r}. Uninstall one, or name {' or '.join(values)}.")
     return values[0]
@@ -105,16 +114,18 @@ def _check_contract(name: str, method_class: Any) -> None:
     if not isinstance(method_class, type):
         raise MethodError(f"Method {name!r} is {method_class!r}; it must be a class.")
     declared = {key for base in method_class.__mro__ for key in (*vars(base), *vars(base).get("__annotations__", ()))}
+    if set(ROOM_CONTRACT) <= declared:
+        return
     missing = [part for part in _CONTRACT if part not in declared]
     if missing:
         raise MethodError(
-            f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}; "
-            "baselines/README.md shows one."
+            f"Method {name!r} lacks {', '.join(missing)}. A method has {', '.join(_CONTRACT)}, or `adapt` in place of "
+            "`predict` if it learns across rooms; baselines/README.md shows one."
         )
 
 
-def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
-    """An untrained method by name, with its default configuration changed by texts `key=value`.
+def build_method(name: str, overrides: Iterable[str] = ()) -> Any:
+    """An untrained `Method` or `RoomMethod` by name, with its default configuration changed by texts `key=value`.
 
     Raises what `resolve_method` and `override` raise, and `MethodError` for a method that cannot be constructed, or
     has no `config` or no `num_parameters`.
@@ -137,7 +148,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Method:
     return _constructed(name, method_class, config)
 
 
-def _constructed(name: str, method_class: Callable[..., Method], *config: Any) -> Any:
+def _constructed(name: str, method_class: Callable[..., Any], *config: Any) -> Any:
     given = f"with {config[0]!r}" if config else "without arguments"
     advice = "Its constructor takes one config, with a default."
     with method_code(f"Method {name!r} cannot be constructed {given}:", advice):
@@ -159,7 +170,7 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
     return (chosen,)
 
 
-def code_sha256(method: Method) -> str:
+def code_sha256(method: object) -> str:
     """Hash of the code that a method's `fit` and `predict` can reach; of a class in a notebook, its own text alone.
 
     It covers the modules of the method's class and of its bases, and all that they import, in whichever

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,10 +12,13 @@ from pathlib import Path
 from runpy import run_module
 from types import MappingProxyType
 
+from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import estimate_seconds, generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.rooms import RoomsPlan, generate_planned_rooms, plan_of_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
+from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option
@@ -25,6 +28,7 @@ from xfreqbench.runs.jobs import Task, protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord
+from xfreqbench.runs.rooms import room_tasks
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text, sole_worker
@@ -38,6 +42,7 @@ from xfreqbench.system.workers import (
     open_workers,
     own_cores,
 )
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -65,6 +70,8 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "xfreq-gs-paper": 0.018,
 }
 _USUAL_SECONDS_A_MAP = 4e-4
+# to trace a room; to fit a method in a room, or to look maps up there, and score; and rooms tested of a thousand
+_ROOM_S, _ADAPTED_S, _LOOKED_UP_S, _TESTED_ROOMS = 2.0, 4.0, 0.5, 100
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
 
 
@@ -85,8 +92,18 @@ class Benchmark:
 
     @property
     def scenes(self) -> list[str]:
-        """Scenes of the blocks, each once."""
-        return list(dict.fromkeys(block.scene for block in self.preset.blocks))
+        """Scenes of the blocks, each once; families of rooms are not among them."""
+        named = dict.fromkeys(block.scene for block in self.preset.blocks)
+        return [scene for scene in named if scene not in self.preset.num_rooms]
+
+    @cached_property
+    def rooms_plans(self) -> dict[str, RoomsPlan]:
+        """The plan of every collection of rooms, by the name of the family."""
+        numbers = self.preset.num_rooms.items()
+        return {
+            family: plan_of_rooms(family, PAPER_CARRIERS_GHZ, rooms=number, interactions=WITHOUT_DIFFRACTION)
+            for family, number in numbers
+        }
 
     @cached_property
     def plans(self) -> dict[str, Plan]:
@@ -97,25 +114,35 @@ class Benchmark:
         }
 
     def data_path(self, scene: str) -> Path:
-        """The file of a scene's data set; if the preset limits its transmitters, their number is in the name."""
+        """The file of a scene's data set; if the preset limits its transmitters, their number is in the name.
+
+        Of a family it is the folder of its rooms.
+        """
+        if scene in self.preset.num_rooms:
+            return self.data_dir / f"{scene}-{self.preset.num_rooms[scene]}"
         number = self.preset.num_tx.get(scene)
         return self.data_dir / (f"{scene}-{number}.h5" if number else f"{scene}.h5")
 
     def tasks(self) -> list[Task]:
         """All jobs, each once, in the order of the blocks. The data sets must have been generated."""
-        datasets = {scene: open_dataset(self.data_path(scene)) for scene in self.scenes}
+        datasets: dict[str, PasDataset | Collection] = {
+            scene: open_dataset(self.data_path(scene)) for scene in self.scenes
+        }
+        datasets |= {family: open_collection(self.data_path(family)) for family in self.preset.num_rooms}
         by_job = {
             task.job: task for block in self.preset.blocks for task in self._tasks_of(block, datasets[block.scene])
         }
         return list(by_job.values())
 
-    def _tasks_of(self, block: Block, dataset: PasDataset) -> list[Task]:
+    def _tasks_of(self, block: Block, data: PasDataset | Collection) -> Sequence[Task]:
         methods = [
             (setting.method, (*setting.overrides, *device_option(setting.method, self.device)))
             for setting in block.settings
         ]
         path, budget = str(self.data_path(block.scene)), parse_budget(block.budget)
-        return protocol_tasks(path, dataset, methods, block.protocol, block.targets_ghz, block.seeds, budget)
+        if isinstance(data, Collection):
+            return room_tasks(path, data, methods, block.protocol, block.seeds, budget)
+        return protocol_tasks(path, data, methods, block.protocol, block.targets_ghz, block.seeds, budget)
 
     def missing_benches(self) -> list[str]:
         """The measurements that have no record yet."""
@@ -164,13 +191,20 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
     num_bytes = sum(  # if every split tests every transmitter once
-        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2 for block in preset.blocks
+        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2
+        for block in preset.blocks
+        if block.scene in benchmark.plans
     )
     return "\n".join(
         [
             f"preset {benchmark.name}: {preset.description}",
             f"left out: {preset.left_out}",
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
+            *(
+                f"{benchmark.data_path(family)}: {number:,} rooms, traced in about "
+                f"{in_hours(number * _ROOM_S / places)}, of which are used whichever are there already"
+                for family, number in preset.num_rooms.items()
+            ),
             f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
             f"{len(preset.benches)} measurements: about {in_hours(seconds_needed(benchmark, places))}; "
             f"{num_bytes / 1e9:.0f} GB of predictions",
@@ -192,6 +226,9 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     """Estimated seconds of one run on one core."""
     budget = parse_budget(block.budget)
     a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
+    if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
+        across = (budget.max_seconds or 0.0) / (2 * len(NUMS_HEARD))
+        return across + _TESTED_ROOMS * (_ADAPTED_S if budget.max_maps else _LOOKED_UP_S)
     overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
     maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
     return (budget.max_seconds or maps * a_map) + overhead
@@ -208,6 +245,8 @@ def generate_data(
     for scene, plan in benchmark.plans.items():
         callback = progress.get(scene, ignore_progress)
         generate_planned(plan, benchmark.data_path(scene), callback, workers=workers)
+    for family, rooms in benchmark.rooms_plans.items():
+        generate_planned_rooms(rooms, benchmark.data_path(family), workers, progress.get(family, ignore_progress))
 
 
 def run_benchmark(benchmark: Benchmark, progress: RunProgress | None = None, executor: str | None = None) -> list[str]:
@@ -269,7 +308,9 @@ def _contents(block: Block) -> tuple[str, ...]:
 
 
 def _num_splits(block: Block) -> int:
-    """Number of splits of a block's protocol on the paper's carriers."""
+    """Number of splits of a block's protocol on the paper's carriers; of rooms, with a held-out type."""
+    if block.protocol in ROOM_PROTOCOLS:
+        return 2 * len(NUMS_HEARD)
     if block.protocol not in ("lofo", "lofo-unseen-tx"):
         return len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1
     if block.targets_ghz == "all":

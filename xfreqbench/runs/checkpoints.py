@@ -10,19 +10,21 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 from uuid import uuid4
 
 from pydantic import ConfigDict, ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Method
+from xfreqbench.methods.contract import Method, RoomMethod
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.methods.guard import method_code
 from xfreqbench.runs.records import Amount, Count, CurvePoint, fault_of_fields
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.files import read_bytes, remove, storage_errors, sync
 
+Loaded = TypeVar("Loaded", Method, RoomMethod)
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
 _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partial"
 
@@ -61,7 +63,7 @@ class CheckpointFolder:
     what: str = "checkpoint"
     advice: str = "Delete that folder to fit anew."
 
-    def write(self, method: Method, fit: Fit, curve: tuple[CurvePoint, ...]) -> None:
+    def write(self, method: Method | RoomMethod, fit: Fit, curve: tuple[CurvePoint, ...]) -> None:
         """Save a method and how its fit stands, then remove the checkpoint before.
 
         A process that is killed at any moment leaves a whole checkpoint: this one, or the one before. Raises
@@ -125,7 +127,7 @@ class CheckpointFolder:
             raise self._refusal(f"is damaged: {', '.join(dict.fromkeys(names))} changed since it was written")
         return checkpoint
 
-    def load(self, method: Method) -> Method:
+    def load(self, method: Loaded) -> Loaded:
         """The method as the newest checkpoint holds it; its class and configuration are those of `method`.
 
         Raises `MethodError` if the method fails to load it, and `DataError` if it has another configuration.

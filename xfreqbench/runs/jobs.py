@@ -17,7 +17,7 @@ from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, ReceiverMethod
+from xfreqbench.methods.contract import Budget, Method, ReceiverMethod, RoomMethod
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.runs.folder import ResultsFolder
@@ -40,6 +40,11 @@ class Task:
         """The task of a job on an opened data set; raises what `build_method` raises, and `MethodError`."""
         task = cls(job, split, dataset.path)
         task.__dict__.update(dataset=dataset, method=task.new_method())
+        if isinstance(task.method, RoomMethod):
+            raise MethodError(
+                f"Method {job.method!r} learns across rooms, and has no `predict` of its own. Run it on a collection "
+                "of rooms, with --protocol unseen-rooms."
+            )
         takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
         if split.receivers and not takes_others:
             raise MethodError(
@@ -86,6 +91,21 @@ class Task:
             METRICS_VERSION,
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def warning(self) -> str | None:
+        """Words on the tested carriers outside of the training band; None without any."""
+        return self.split.extrapolation(self.dataset)
+
+    @property
+    def files(self) -> dict[Path, str]:
+        """The files that every worker has to find, with their hashes."""
+        return {self.dataset_path: self.dataset.file_sha256}
+
+    def require_data(self) -> None:
+        """Check every byte of the data set, and the fingerprints of its recipe; raises `XFreqBenchError`."""
+        verify(self.dataset_path)
+        require_fingerprint(self.dataset)
 
     def new_method(self) -> Method:
         """Another untrained method, to be fitted: what it learns is freed with it, while tasks live longer."""
@@ -143,6 +163,5 @@ def require_runnable(tasks: Sequence[Task], folder: ResultsFolder) -> None:
     for task in tasks:
         folder.checkpoints(task.id).read()
     folder.require_writable()
-    for path, dataset in {task.dataset_path: task.dataset for task in tasks}.items():
-        verify(path)
-        require_fingerprint(dataset)
+    for task in {task.dataset_path: task for task in tasks}.values():
+        task.require_data()

@@ -36,7 +36,8 @@ class Preset:
     """A benchmark: its blocks, in the order in which they run, and what it leaves out, in words.
 
     `num_tx` limits the number of transmitters of a scene's data set. `benches` are the measurements that follow the
-    runs, named as the keys of `xfreqbench.runs.benchmark.BENCH_COMMANDS`.
+    runs, named as the keys of `xfreqbench.runs.benchmark.BENCH_COMMANDS`. `num_rooms` has the number of rooms that are
+    drawn from each family of rooms; a block names the family as its scene.
     """
 
     description: str
@@ -44,6 +45,7 @@ class Preset:
     left_out: str
     num_tx: Mapping[str, int] = field(default_factory=dict)
     benches: tuple[str, ...] = ()
+    num_rooms: Mapping[str, int] = field(default_factory=dict)
 
 
 SEEDS = (0, 1, 2)
@@ -291,6 +293,27 @@ CLUTTER = Preset(
     ),
     left_out="every other scene, method and budget, random-samples, and the carriers that the paper does not test",
 )
+ROOMS = Preset(
+    description="unseen rooms: 1,000 rooms of the family rooms; trivial predictors, xfreq-gs and aperture-gs fitted "
+    "anew to what is heard in each room, room-lags after an hour of learning across rooms, and without its parts after "
+    "ten minutes, and a tracer that is told the plan but not the materials",
+    blocks=(
+        Block("rooms", "unseen-rooms", TRIVIAL_SETTINGS, None),
+        Block("rooms", "unseen-rooms", (Setting("room-lags"),), "1h"),
+        Block(
+            "rooms",
+            "unseen-rooms",
+            (Setting("room-lags"), Setting("room-lags", ("hears=false",)), Setting("room-lags", ("images=false",))),
+            "10m",
+        ),
+        Block("rooms", "unseen-rooms", (Setting("aperture-gs"), Setting("xfreq-gs", ("blend=none",))), "4000maps"),
+        Block("rooms", "unseen-rooms-plan", TRIVIAL_SETTINGS, None),
+        Block("rooms", "unseen-rooms-plan", (Setting("plan-tracer"),), None),
+    ),
+    left_out="virtual-source, which finds planes among more transmitters than are heard, other families and numbers of "
+    "rooms, and longer fits",
+    num_rooms={"rooms": 1000},
+)
 PRESETS: Mapping[str, Preset] = {
     "quick": QUICK,
     "standard": STANDARD,
@@ -299,6 +322,7 @@ PRESETS: Mapping[str, Preset] = {
     "full": FULL,
     "carrier": CARRIER,
     "clutter": CLUTTER,
+    "rooms": ROOMS,
     "paper": PAPER,
     **PARTS_OF_PAPER,
     "paper-size": PAPER_SIZE,

@@ -19,8 +19,10 @@ from uuid import uuid4
 
 from pydantic import BeforeValidator, InstanceOf
 
+from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, ScoredOn, TargetsGhz
+from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
 from xfreqbench.errors import (
     ClusterError,
     DataError,
@@ -32,7 +34,7 @@ from xfreqbench.errors import (
 )
 from xfreqbench.methods.contract import Budget, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_findings, checked_maps, checked_num_parameters
-from xfreqbench.methods.registry import device_option, method_names, name_of
+from xfreqbench.methods.registry import device_option, method_names, name_of, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
 from xfreqbench.runs.folder import ResultsFolder
@@ -40,6 +42,7 @@ from xfreqbench.runs.jobs import Task, protocol_tasks, require_importable, requi
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import RunRecord
+from xfreqbench.runs.rooms import RoomTask, room_tasks, run_in_rooms
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
@@ -54,7 +57,7 @@ Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str
 
 @checked
 def run(
-    data: FilePath | InstanceOf[PasDataset],
+    data: FilePath | InstanceOf[PasDataset] | InstanceOf[Collection],
     methods: Methods,
     protocol: str = "lofo",
     results: FilePath = "results",
@@ -71,10 +74,10 @@ def run(
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
-    `data` is a whole data set or its path. `methods` is one name, several, or `all` for every installed method; a class
-    stands for its name. As a mapping it gives each its options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or
-    as texts `["width=64"]`. `targets_ghz` are the held-out carriers of `lofo` and `lofo-unseen-tx`, by default the
-    paper's.
+    `data` is a whole data set or its path, and for protocol `unseen-rooms` a collection or its folder. `methods` is
+    one name, several, or `all` for every installed method; a class stands for its name. As a mapping it gives each its
+    options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts `["width=64"]`. `targets_ghz` are the
+    held-out carriers of `lofo` and `lofo-unseen-tx`, by default the paper's.
     `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
@@ -98,7 +101,7 @@ def run(
 
 
 def asked_tasks(
-    data: str | Path | PasDataset,
+    data: str | Path | PasDataset | Collection,
     methods: Methods,
     protocol: str,
     targets_ghz: TargetsGhz,
@@ -120,10 +123,17 @@ def asked_tasks(
         shown, data = data.link_names, data.path
         receiver, polarization = receiver or shown[0], polarization or shown[1]
     if not isinstance(methods, Mapping):
-        methods = dict.fromkeys(method_names() if list(methods) == ["all"] else methods, ())
+        methods = dict.fromkeys(installed_for(protocol) if list(methods) == ["all"] else methods, ())
     options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
+    if protocol in ROOM_PROTOCOLS:
+        rooms = data if isinstance(data, Collection) else open_collection(data)
+        return [*room_tasks(str(rooms.path), rooms, named, protocol, seeds, limit, on)]
+    if isinstance(data, Collection):
+        raise XFreqBenchError(
+            f"Protocol {protocol!r} splits one data set; a collection takes {', '.join(ROOM_PROTOCOLS)}."
+        )
     dataset = open_dataset(data, receiver, polarization)
     tested = [dataset]
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
@@ -132,10 +142,15 @@ def asked_tasks(
     return [task for each in tested for task in protocol_tasks(str(data), each, *asked)]
 
 
+def installed_for(protocol: str) -> list[str]:
+    """Names of the installed methods that run on a protocol: those that learn across rooms on that of rooms alone."""
+    return method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
+
+
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
     """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
     if progress:
-        for told in dict.fromkeys(filter(None, (task.split.extrapolation(task.dataset) for task in tasks))):
+        for told in dict.fromkeys(filter(None, (task.warning for task in tasks))):
             print(f"xfreqbench: {told}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
         if estimate.is_long:
@@ -208,7 +223,7 @@ def run_jobs(
     else:
         call = partial(_run_claimed, folder=ResultsFolder(folder.path))
         require_shared_folder(workers, folder.path)
-        require_shared_datasets(workers, {task.dataset_path: task.dataset.file_sha256 for task in missing})
+        require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
     locks, told = dict[str, ExitStack](), set[str]()
 
     def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
@@ -272,7 +287,11 @@ def _run_claimed(claim: _Claim, folder: ResultsFolder, fitting: FitProgress | No
     Raises `UnfitWorkerError` where this process finds another folder, other data or other code at the same names.
     """
     _require_same(claim, folder)
-    record = run_one(claim.task, folder, fitting, _takeover_check(folder.run_lock_path(claim.id), claim.holder))
+    require_claim = _takeover_check(folder.run_lock_path(claim.id), claim.holder)
+    if isinstance(claim.task, RoomTask):
+        record = run_in_rooms(claim.task, folder, fitting, require_claim)
+    else:
+        record = run_one(claim.task, folder, fitting, require_claim)
     _require_same(claim, folder)
     return record
 

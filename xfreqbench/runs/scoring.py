@@ -75,14 +75,14 @@ def scored_record(
         num_test=len(split.test),
         num_without_path=split.num_without_path,
         shares_transmitters=split.shares_transmitters,
-        scores={name: _summary(values, test.carrier_hz) for name, values in scores.items()},
+        scores={name: summary(values, test.carrier_hz) for name, values in scores.items()},
         hardware=dict(outcome.hardware),
         software=machine.software(),
         git_commit=machine.git_commit(),
         time_utc=utc_now(),
         counts=dict(outcome.counts),
         curve=outcome.curve,
-        ssim_by_tx=_by_transmitter(scores["ssim"], test.tx_index),
+        ssim_by_tx=by_group(scores["ssim"], test.tx_index),
         nearest_trained_m=split.nearest_trained_m,
         code_sha256=outcome.code_sha256,
         findings=dict(outcome.findings),
@@ -138,13 +138,14 @@ def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Flo
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def _by_transmitter(values: Float[FloatArray, "N"], tx_index: Int[IntArray, "N"]) -> tuple[tuple[float, ...], ...]:
-    """Values, rounded, in one tuple for each transmitter; `tx_index` ascends, as rows do."""
-    starts = np.flatnonzero(np.diff(tx_index)) + 1
+def by_group(values: Float[FloatArray, "N"], group: Int[IntArray, "N"]) -> tuple[tuple[float, ...], ...]:
+    """Values, rounded, in one tuple for each group, such as a transmitter; `group` ascends, as rows do."""
+    starts = np.flatnonzero(np.diff(group)) + 1
     return tuple(tuple(part.tolist()) for part in np.split(values.round(_SSIM_DECIMALS), starts))
 
 
-def _summary(values: Float[FloatArray, "N"], carrier_hz: Float[FloatArray, "N"]) -> Summary:
+def summary(values: Float[FloatArray, "N"], carrier_hz: Float[FloatArray, "N"]) -> Summary:
+    """What a record holds of the scores of N samples by one metric."""
     return Summary(
         mean=float(values.mean()),
         median=median(values),

@@ -24,7 +24,7 @@ from jaxtyping import Complex, Float, Int
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
-from xfreqbench.methods.learning.targets import element_lags
+from xfreqbench.maps.lags import element_lags
 from xfreqbench.scene.array import steering_vector
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S

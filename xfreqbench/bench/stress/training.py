@@ -222,7 +222,7 @@ def _divergence(train: PasDataset) -> float:
     method = build_method("xfreq-gs", TINY_FIT)
     fit = method.fit(train, Budget(), 0)
     next(fit)
-    field = method._training.field  # type: ignore[attr-defined]
+    field = method._training.field
     before = [parameter.detach().clone() for parameter in field.parameters()]
     with torch.no_grad():
         field.network.head.bias[0] = torch.nan

@@ -17,6 +17,7 @@ from torch import Tensor
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.maps.lags import LagFunctions
 from xfreqbench.types import FloatArray
 
 _RIDGE = 1e-6  # of the largest mean square of a lag function
@@ -48,49 +49,36 @@ class GridView:
         return cls(stride, row, column)
 
 
-def element_lags(element_position_wavelengths: Float[FloatArray, "M 3"]) -> Float[FloatArray, "M*M 3"]:
-    """Differences r_m − r_n of the positions of all pairs of elements, rounded so that equal ones compare equal."""
-    element = element_position_wavelengths
-    return (element[:, None] - element[None]).reshape(-1, 3).round(6)
-
-
 class Beams:
     """Bartlett beams towards the directions in view (Eqs. 2–3), on a device.
 
-    The power of a beam, aᴴ C a / M², depends on the covariance C = h hᴴ of the channel only through its sums over
-    pairs of elements with the same lag. For a 4×4 array these are 49 real numbers, for any number of directions
-    and for any number of channels that add up in C.
+    Power is computed from the channel's sums over pairs of elements with the same lag: see `LagFunctions`.
     """
 
     def __init__(self, beam: BartlettBeam, device: torch.device) -> None:
         self.grid, self.device = beam.grid, device
         self.element_position_wavelengths = beam.element_position_wavelengths
-        element = self.element_position_wavelengths
-        lag = element_lags(element)
-        x, y, z = lag.T
-        # of each lag and its opposite, whose sums are conjugates, the one whose first nonzero coordinate is positive
-        is_forward = (x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z >= 0))))
-        pairs = np.flatnonzero(is_forward)
-        unique, of_pair = np.unique(lag[pairs], axis=0, return_inverse=True)
-        phase = 2 * np.pi * beam.grid.directions @ unique.T
-        weight = np.where((unique == 0).all(axis=1), 1.0, 2.0) / len(element) ** 2
-        waves = weight * np.stack([np.cos(phase), np.sin(phase)])
-        self._pairs = torch.as_tensor(pairs, device=device)
-        self._lag_of_pair = torch.as_tensor(of_pair.reshape(-1), device=device)
-        self._waves = torch.as_tensor(waves, dtype=torch.float32, device=device).movedim(-1, 1).flatten(0, 1)
-        self._num_lags = len(unique)
+        lags = LagFunctions(beam)
+        self._pairs = torch.as_tensor(lags.pairs, device=device)
+        self._lag_of_pair = torch.as_tensor(lags.of_pair, device=device)
+        self._waves = torch.as_tensor(lags.waves, dtype=torch.float32, device=device)
+        self._num_lags = len(lags.lag)
         self._in_view: dict[GridView, Tensor] = {}
         self._projections: dict[GridView, Tensor] = {}
         self._angles: dict[GridView, tuple[Tensor, Tensor]] = {}
-        self.element = torch.as_tensor(element, device=device)  # positions in wavelengths
+        self.element = torch.as_tensor(beam.element_position_wavelengths, device=device)  # positions in wavelengths
 
     def power(self, cfr: Complex[Tensor, "... B M"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power `|a(d)ᴴ h|² / M²` in view, summed over the leading axes of `cfr`: channels that do not interfere."""
+        return self.power_of_lags(self.lags_of_channels(cfr), view)
+
+    def lags_of_channels(self, cfr: Complex[Tensor, "... B M"]) -> Float[Tensor, "B L"]:
+        """Sums over lags of channels, real parts first, added up over the leading axes of `cfr`."""
         channels = cfr.reshape(-1, *cfr.shape[-2:])
         covariance = torch.einsum("qbm,qbn->bmn", channels, channels.conj()).flatten(1)
         lags = covariance.new_zeros(len(covariance), self._num_lags)
         lags = lags.index_add(1, self._lag_of_pair, covariance.index_select(1, self._pairs))
-        return self.power_of_lags(torch.cat([lags.real, lags.imag], dim=1), view)
+        return torch.cat([lags.real, lags.imag], dim=1)
 
     def power_of_lags(self, lags: Float[Tensor, "B L"], view: GridView) -> Float[Tensor, "B E A"]:
         """Power in view of maps that are given by their sums over lags, real parts first; never below 0."""

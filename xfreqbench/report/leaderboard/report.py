@@ -34,6 +34,7 @@ from xfreqbench.system.files import require_own, require_space, write_text
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
 _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
+    "unseen-rooms": "Unseen rooms",
     "generate": "Generator",
     "peers": "Generator",
     "plain": "Generator",

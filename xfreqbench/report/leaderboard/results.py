@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-
-import pooch
 
 from xfreqbench.data.shipped import fetch_file, registered
 from xfreqbench.errors import DataError
@@ -16,6 +15,7 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable
 from xfreqbench.report.leaderboard.origins import RecordKey, record_key
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
+from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 
@@ -58,7 +58,7 @@ def results_at(name: str | Path) -> Path:
     if url is not None:
         return fetch_file(url, sha256)
     path = folder / file
-    if not path.exists() or pooch.file_hash(path) != sha256:
+    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
         raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
     return path
 
@@ -83,8 +83,9 @@ def read_results(results: Path | Sequence[Path]) -> RankedResults:
             records[record_key(record)] = record
             sources.setdefault(record_key(record), name)
     benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
+    benches += room_tables(records.values())
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
-    every = tuple(records.values())  # each once, though several folders may hold it
+    every = tuple(record for record in records.values() if not is_of_rooms(record))  # each once
     ranked = boards(every, sources if len(folders) > 1 else None)
     return RankedResults(folders, every, ranked, benches, num_truncated)
 

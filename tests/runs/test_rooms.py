@@ -1,0 +1,107 @@
+"""Runs on unseen rooms: one fit for all numbers heard, stored predictions, what is kept, and the tables of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from xfreqbench.baselines.line_of_sight import LineOfSight
+
+from tests.support.places import ROOT
+from tests.support.rooms import tiny_rooms
+from xfreqbench.data.collection import Collection
+from xfreqbench.data.unseen_rooms import room_splits
+from xfreqbench.errors import MethodError, XFreqBenchError
+from xfreqbench.maps.metrics import ssim
+from xfreqbench.methods.check import check_method
+from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.fitting import fit_within
+from xfreqbench.methods.rooms import PerRoom
+from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.runs import rooms as runner
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.run import run
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory: pytest.TempPathFactory) -> Collection:
+    return tiny_rooms(tmp_path_factory.mktemp("rooms"), train=4, validation=1, test=1)
+
+
+@pytest.fixture(scope="module")
+def results(rooms: Collection, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    methods = {"line-of-sight": {}, "nearest": {}, "room-lags": {"rooms": 2, "queries": 8}}
+    run(rooms, methods, "unseen-rooms", folder, budget="100steps")
+    return folder
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
+    found = {(record.job.method, record.job.split): record for record in ResultsFolder(results).records}
+    for number in (0, 4, 16, 64):
+        learned, start = (
+            found[name, f"heard-{number}"].scores["ssim"].median for name in ("room-lags", "line-of-sight")
+        )
+        assert learned > start + 0.02
+    assert found["room-lags", "heard-64"].scores["ssim"].median > found["room-lags", "heard-0"].scores["ssim"].median
+    assert found["nearest", "heard-0"].scores == found["line-of-sight", "heard-0"].scores  # nothing to copy
+
+
+def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(results: Path, rooms: Collection) -> None:
+    record = next(each for each in ResultsFolder(results).records if each.job.method == "line-of-sight")
+    question = next(room_splits(rooms, "unseen-rooms")[0].questions())
+    asked, method = question.asked, LineOfSight()
+    fit_within(method, question.heard, Budget(), 0)
+    maps = method.predict(asked.tx_position_m, asked.carrier_hz)
+    scores = np.ravel(record.ssim_by_tx[0])
+    np.testing.assert_allclose(scores, ssim(maps, asked.pas(), asked.grid), atol=2e-4)  # records have four decimals
+    assert ResultsFolder(results).predictions_path(record.id).stat().st_size < 250_000
+
+
+def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
+    rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapted, write = [], runner._write
+    adapt = PerRoom.adapt
+    monkeypatch.setattr(PerRoom, "adapt", lambda *given: adapted.append(1) or adapt(*given))
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "_write", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run(rooms, "nearest", "unseen-rooms", tmp_path)
+    monkeypatch.setattr(runner, "_write", write)
+    assert len(adapted) == 1
+    records = run(rooms, "nearest", "unseen-rooms", tmp_path)
+    assert len(adapted) == 4  # of one room, of which four numbers are heard
+    assert len([*(tmp_path / "methods").iterdir()]) == 1
+    assert not [*(tmp_path / "checkpoints").iterdir()]
+    assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
+
+
+def test_the_report_has_tables_by_number_heard_by_carrier_and_by_type(results: Path) -> None:
+    by_number, by_carrier, by_type = read_results(results).benches
+    assert by_number.figure is not None
+    assert [row[0] for row in by_number.rows] == ["line-of-sight", "nearest", "room-lags rooms=2 queries=8"]
+    assert all("[+0.0" in cell for cell in by_number.rows[2][2:6])  # intervals above zero
+    assert len(by_carrier.rows) == 9
+    assert {row[2] for row in by_type.rows} == {"box"}
+
+
+def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
+    rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not [str(result) for result in check_method("room-lags", ["rooms=1", "queries=4"]) if result.fault]
+    example = (ROOT / "docs/unseen-rooms.md").read_text().partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "soft.py").write_text(example)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not [str(result) for result in check_method("soft:SoftDirectWave") if result.fault]
+    with pytest.raises(MethodError, match="learns across rooms"):
+        run(rooms[0], "room-lags", "held-out-tx", tmp_path)
+    with pytest.raises(XFreqBenchError, match="takes unseen-rooms"):
+        run(rooms, "nearest", "lofo", tmp_path)
+    with pytest.raises(XFreqBenchError, match="The plan is not told"):
+        run(rooms, "plan-tracer", "unseen-rooms", tmp_path)
