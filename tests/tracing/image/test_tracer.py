@@ -21,6 +21,7 @@ from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.kernels.channels import paths_to_centre
 from xfreqbench.tracing.image.kernels.fields import antenna_field, element_gain
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, _antenna, can_solve
 from xfreqbench.tracing.paths import SPECULAR
@@ -408,6 +409,15 @@ def test_the_solver_declines_what_it_cannot_do() -> None:
     assert not can_solve(office, TraceSettings(interactions=("specular", "diffuse")))
     with pytest.raises(SceneError, match="Use --solver sionna"):
         ImageTracer(load_scene("office"), [1e9], TraceSettings(interactions=("specular", "diffuse")))
+
+
+def test_one_carrier_is_traced_by_the_kernels_of_several() -> None:
+    """Numba compiles a kernel for every order of axes of its arrays, which takes half a minute."""
+    wall = Surface("wall", "concrete", 0.2, (-3.0, -3.0, 0.0), (-3.0, 3.0, 3.0))
+    pane = Surface("pane", "glass", 0.01, (3.0, -3.0, 0.0), (3.0, 3.0, 3.0))
+    for carriers_hz in CARRIERS_HZ[:1], CARRIERS_HZ[:2]:
+        ImageTracer(scene_of(wall, pane), carriers_hz, TraceSettings()).paths(np.array([1.0, 1.0, 1.0]))
+    assert len(paths_to_centre.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
