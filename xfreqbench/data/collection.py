@@ -234,7 +234,7 @@ def open_collection(path: FilePath) -> Collection:
     folder = located(path)
     file = folder / FILE
     try:
-        content = file.ranges().read() if isinstance(file, RemotePath) else read_bytes(file)
+        content = file.read_bytes() if isinstance(file, RemotePath) else read_bytes(file)
         found = TypeAdapter(CollectionRecord).validate_json(content)
     except OSError as error:
         raise DataError(
