@@ -203,8 +203,9 @@ def _require_known_antennas(train: PasDataset) -> None:
     if pattern == "tr38901" or any(turned_deg) or others:
         told = f"pattern {pattern!r}, polarization {polarization!r}, turned by {list(turned_deg)} degrees"
         raise MethodError(
-            f"virtual-source knows antennas iso and dipole, not turned, the same at both ends, but {train.path.name} has "
-            f"{told} at the receiver, and {others or 'the same'} at the transmitters. Take another method, such as xfreq-gs."
+            "virtual-source knows antennas of pattern iso or dipole, not turned, the same at both ends, but in "
+            f"{train.path.name} the receiver's are of {told}, and the transmitters' {others or 'are the same'}. Take "
+            "another method, such as xfreq-gs."
         )
 
 

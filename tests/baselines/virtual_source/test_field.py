@@ -380,5 +380,5 @@ def test_antennas_that_it_does_not_know_are_refused_before_a_fit(
 ) -> None:
     header = dataset.header
     header = replace(header, receiver=replace(header.receiver, **receiver), settings={**header.settings, **settings})
-    with pytest.raises(MethodError, match="iso and dipole, not turned, .* such as xfreq-gs"):
+    with pytest.raises(MethodError, match=r"iso or dipole, not turned, .* such as xfreq-gs"):
         next(VirtualSource().fit(replace(dataset, header=header), Budget(max_steps=1), seed=0))
