@@ -19,7 +19,7 @@ from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod
 from xfreqbench.methods.splatting.composite import composite
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
-from xfreqbench.methods.splatting.footprints import bin_each, squared_distance, stacked
+from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance, stacked
 from xfreqbench.methods.splatting.gaussians import RFGaussians, covariance
 from xfreqbench.methods.splatting.projection import Projection, project
 
@@ -99,7 +99,7 @@ class WRFGSPlusField(GaussianField):
         """Power R_k² of what is accumulated from each direction in view; each transmitter has its own footprints."""
         num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
         projection, amplitude = self.deformed(tx_position_m)
-        lists = bin_each(projection, num_maps, grid, self._support)
+        lists = bin_footprints(projection, grid, self._support, num_maps=num_maps)
         distance = squared_distance(projection, lists, stacked(grid, num_maps))
         opacity = torch.sigmoid(self.gaussians.opacity_logit)[:, None].expand(-1, num_maps)
         signal = (opacity * amplitude).to(torch.complex64)[None]

@@ -16,6 +16,7 @@ from torch import Tensor
 from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.errors import MethodError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
@@ -73,8 +74,9 @@ class VirtualSource(LearnedMethod):
         near its end where the budget is in steps. A map counts each time a changed room is compared with it, too.
 
         Where too few planes are found, phases follow from nothing, and `XFreqGS` learns the maps instead; and where the
-        budget has too few seconds for a search.
+        budget has too few seconds for a search. Raises `MethodError` for antennas whose fields it does not know.
         """
+        _require_known_antennas(train)
         self._train, self._budget = train, budget
         if self._training is not None:
             _field(self._training).budget = budget
@@ -190,6 +192,20 @@ class VirtualSource(LearnedMethod):
             training.optimizer = self.new_optimizer(field)
             self._rows = rows = _TransmitterRows(field, targets)
         return rows
+
+
+def _require_known_antennas(train: PasDataset) -> None:
+    """Raise `MethodError` unless both ends have one upright antenna without a side, whose field `antenna_field` is."""
+    header = train.header
+    pattern, polarization, turned_deg = header.receiver.antenna
+    others = {name: value for name, value in header.settings.items() if name.startswith("transmitter_")}
+    if pattern == "tr38901" or any(turned_deg) or others:
+        told = f"pattern {pattern!r}, polarization {polarization!r}, turned by {list(turned_deg)} degrees"
+        raise MethodError(
+            "virtual-source knows antennas of pattern iso or dipole, not turned, the same at both ends, but in "
+            f"{train.path.name} the receiver's are of {told}, and the transmitters' {others or 'are the same'}. Take "
+            "another method, such as xfreq-gs."
+        )
 
 
 def _field(training: Training) -> VirtualSourceField:

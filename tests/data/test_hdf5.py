@@ -23,7 +23,11 @@ def test_verify_accepts_what_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["carrier_hz", "cfr", "complete", "elevation_deg", "line_of_sight", "pas", "tx_position_m"]
+    "name",
+    [
+        *("carrier_hz", "cfr", "complete", "elevation_deg", "frame_rotation", "line_of_sight", "pas", "rx_position_m"),
+        "tx_position_m",
+    ],
 )
 def test_verify_and_reading_name_the_dataset_in_which_one_bit_flipped(tmp_path: Path, name: str) -> None:
     path = write_dataset(tmp_path / "data.h5", num_tx=2).path

@@ -228,7 +228,7 @@ def test_a_method_of_the_working_folder_is_imported_in_every_process_and_nothing
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     (tmp_path / "mine.py").write_text("from xfreqbench.baselines.nearest import Nearest\nclass Mine(Nearest): ...")
-    for name in ("types", "cyclopts", "numpy"):
+    for name in ("types", "cyclopts", "numpy", "pickle"):
         (tmp_path / f"{name}.py").write_text("open('imported', 'w')")
     command = [command_line(), "run", "--data", str(dataset.path), "--method", "mine:Mine", "--targets", "77"]
     for executor in ("serial", "2"):

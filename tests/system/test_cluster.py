@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import socketserver
@@ -437,8 +438,9 @@ def test_what_listens_there_and_is_no_scheduler_is_refused_in_one_line(
         address = f"dask://127.0.0.1:{server.server_address[1]}"
         refusal = r"^No Dask scheduler answers at dask:.*, or mend --executor\.$"
         try:
-            with pytest.raises(ClusterError, match=refusal), dask_workers(address):
+            with pytest.raises(ClusterError, match=refusal) as refused, dask_workers(address):
                 pass
+            assert not re.search("allocate|unpack|array", str(refused.value))  # what Dask makes of such bytes
         finally:
             has_ended.set()
             server.shutdown()

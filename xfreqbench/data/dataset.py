@@ -528,6 +528,8 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
         require_layout(file, variables(whole, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: read_array(file, name) for name in names if header.channels or name != "cfr"}
+        for name in ("rx_position_m", "frame_rotation"):  # the header holds them too; other programs read these
+            read_array(file, name)
         if header.paths:
             totals = stored_totals(file)
             require_layout(file, path_variables(whole, totals))

@@ -146,9 +146,10 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
                 thread.submit(asyncio.run, question).result()
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except Exception as error:  # what listens there may say anything
+            heard = " ".join(str(error).split()) or "nothing is said"
+            fault = heard if isinstance(error, OSError) else "what listens there is something else"
             raise ClusterError(
-                f"No Dask scheduler answers at {address}: {' '.join(str(error).split()) or 'nothing is said'}. Start "
-                "one with `dask scheduler`, or mend --executor."
+                f"No Dask scheduler answers at {address}: {fault}. Start one with `dask scheduler`, or mend --executor."
             ) from error
         with client:
             workers = DaskWorkers(client, address)
@@ -171,7 +172,7 @@ async def _require_scheduler(distributed: Any, address: str) -> None:
     finally:
         comm.abort()
     if answer["type"] != "Scheduler":
-        raise ValueError(f"a Dask {answer['type'].lower()} listens there")
+        raise ConnectionError(f"a Dask {answer['type'].lower()} listens there")
 
 
 @contextmanager

@@ -206,9 +206,9 @@ class _Place:
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
-        if self._process is None:
-            self._process = ProcessPoolExecutor(1, _SPAWN, self.settle)
-        with safe_path():
+        with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
+            if self._process is None:
+                self._process = ProcessPoolExecutor(1, _SPAWN, self.settle)
             return self._process.submit(call, argument)
 
     def terminate(self) -> None:

@@ -364,3 +364,21 @@ def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: P
         assert len(found) == 1
         assert abs(found[0]["distance_m"] - distance_m) < 1e-3
         assert found[0]["held"] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("receiver", "settings"),
+    [
+        ({"pattern": "tr38901"}, {}),
+        ({"pattern": "dipole", "antenna_orientation_deg": (0.0, 20.0, 0.0)}, {}),
+        ({}, {"transmitter_pattern": "dipole", "transmitter_polarization": "V"}),
+        ({}, {"transmitter_pattern": "iso", "transmitter_polarization": "H"}),
+    ],
+)
+def test_antennas_that_it_does_not_know_are_refused_before_a_fit(
+    dataset: PasDataset, receiver: dict[str, Any], settings: dict[str, str]
+) -> None:
+    header = dataset.header
+    header = replace(header, receiver=replace(header.receiver, **receiver), settings={**header.settings, **settings})
+    with pytest.raises(MethodError, match=r"iso or dipole, not turned, .* such as xfreq-gs"):
+        next(VirtualSource().fit(replace(dataset, header=header), Budget(max_steps=1), seed=0))

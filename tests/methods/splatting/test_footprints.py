@@ -274,3 +274,17 @@ def test_a_rendered_scene_and_its_gradients_are_those_of_the_published_equations
 
 def _double(x: Tensor) -> Tensor:
     return x.to(torch.complex128 if x.is_complex() else torch.float64)
+
+
+@either_backend
+def test_each_of_several_maps_sees_its_own_share_of_the_gaussians(backend: Backend) -> None:
+    whole = random_projection(80)
+    together = bin_footprints(whole, GRID, SUPPORT, backend, num_maps=2)
+    seen = times_seen(together, AngularGrid(np.tile(GRID.elevation_rad, 2), GRID.azimuth_rad))
+    for nth, own in enumerate(zip(*(torch.chunk(part, 2) for part in vars(whole).values()), strict=True)):
+        alone = bin_footprints(Projection(*own), GRID, SUPPORT, backend)
+        first, last = len(GRID.elevation_rad) * GRID.azimuth_rad.size * torch.tensor([nth, nth + 1])
+        of_map = together.gaussian[together.start[first] : together.start[last]]
+        torch.testing.assert_close(of_map - 40 * nth, alone.gaussian, rtol=0, atol=0)
+        rows = slice(nth * len(GRID.elevation_rad), (nth + 1) * len(GRID.elevation_rad))
+        assert torch.equal(seen[40 * nth : 40 * (nth + 1), rows], times_seen(alone, GRID))

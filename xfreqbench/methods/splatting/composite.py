@@ -147,25 +147,33 @@ class _Peel(torch.autograd.Function):
         return None, *grads
 
 
-def _rows(inverse_spread: Tensor, signal: Tensor, absorption: Tensor) -> Float[Tensor, "blocks N fields lanes"]:
-    """What the kernels read for each Gaussian; lanes without a sample hold zeros, which change nothing."""
+def _rows(inverse_spread: Tensor, signal: Tensor, absorption: Tensor) -> Tensor:
+    """What the kernels read for each Gaussian (blocks, N, fields, lanes), or (N, fields) for a batch of one.
+
+    Lanes without a sample hold zeros, which change nothing.
+    """
     num_gaussians, batch = inverse_spread.shape
-    num_blocks = -(-batch // LANES)
     fields = [inverse_spread, signal.real, signal.imag, absorption.real, absorption.imag]
+    if batch == 1:
+        return torch.cat(fields, 1)
+    num_blocks = -(-batch // LANES)
     padded = torch.nn.functional.pad(torch.stack(fields, 1), (0, num_blocks * LANES - batch))
     return padded.view(num_gaussians, FIELDS, num_blocks, LANES).permute(2, 0, 1, 3).contiguous()
 
 
 class _Kernels(torch.autograd.Function):
-    """Field (B, K) from rows (blocks, N, FIELDS, LANES)."""
+    """Field (B, K) from rows as `_rows` gives them."""
 
     @staticmethod
     def forward(ctx: Any, start: Tensor, gaussian: Tensor, distance: Tensor, rows: Tensor, batch: int) -> Tensor:
         ctx.save_for_backward(start, gaussian, distance, rows)
         field = torch.empty(batch, len(start) - 1, dtype=torch.complex64)
-        tensors = start, gaussian, distance, rows.flatten(2), view_as_real(field)
+        of_field = view_as_real(field)
         with _numba_on_torch_threads() as num_threads:
-            composite_kernels.forward(num_threads, *_arrays(*tensors))
+            if batch == 1:
+                composite_kernels.forward_of_one(num_threads, *_arrays(start, gaussian, distance, rows, of_field[0]))
+            else:
+                composite_kernels.forward(num_threads, *_arrays(start, gaussian, distance, rows.flatten(2), of_field))
         return field
 
     @staticmethod
@@ -176,8 +184,13 @@ class _Kernels(torch.autograd.Function):
         incoming = view_as_real(grad_field.resolve_conj().contiguous())
         with _numba_on_torch_threads() as num_threads:
             grad_rows = rows.new_zeros(num_threads, *rows.shape)  # each thread's own
-            tensors = (start, gaussian, distance, rows.flatten(2), incoming, grad_distance, grad_rows.flatten(3))
-            composite_kernels.backward(int(start.diff().max()), *_arrays(*tensors))
+            shared, longest = (start, gaussian, distance), int(start.diff().max())
+            if len(incoming) == 1:
+                tensors = *shared, rows, incoming[0], grad_distance, grad_rows
+                composite_kernels.backward_of_one(longest, *_arrays(*tensors))
+            else:
+                tensors = *shared, rows.flatten(2), incoming, grad_distance, grad_rows.flatten(3)
+                composite_kernels.backward(longest, *_arrays(*tensors))
         return None, None, grad_distance, grad_rows.sum(0), None
 
 

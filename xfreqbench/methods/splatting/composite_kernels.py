@@ -207,3 +207,67 @@ def backward(
                     index, minus_half = gaussian[nearest + depth], -HALF * distance[nearest + depth]
                     row, grad = block_rows[index], block_grads[index]
                     grad_distance[nearest + depth] += _retreat(row, minus_half, stash[depth], state, grad, lanes)
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def forward_of_one(num_threads: int, start: I64, gaussian: I64, distance: F32, rows: F32, field: F32) -> None:
+    """As `forward` for one sample, where a block would be zeros but for one lane: rows (N, FIELDS), field (K, 2)."""
+    bounds = _shares(start, num_threads)
+    for thread in prange(num_threads):
+        for pixel in range(bounds[thread], bounds[thread + 1]):
+            t_re, t_im, r_re, r_im = np.float32(1), np.float32(0), np.float32(0), np.float32(0)
+            for pair in range(start[pixel], start[pixel + 1]):
+                row = rows[gaussian[pair]]
+                spread, s_re, s_im, e_re, e_im = row[0], row[1], row[2], row[3], row[4]
+                g = _exponential(-HALF * distance[pair] * spread)
+                w_re, w_im = g * t_re, g * t_im
+                r_re += w_re * s_re - w_im * s_im
+                r_im += w_re * s_im + w_im * s_re
+                t_re -= w_re * e_re - w_im * e_im
+                t_im -= w_re * e_im + w_im * e_re
+            field[pixel, 0], field[pixel, 1] = r_re, r_im
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def backward_of_one(
+    longest: int,
+    start: I64,
+    gaussian: I64,
+    distance: F32,
+    rows: F32,
+    grad_field: F32,
+    grad_distance: F32,
+    grad_rows: F32,
+) -> None:
+    """As `backward` for one sample: rows (N, FIELDS), grad_field (K, 2), grad_rows (threads, N, FIELDS)."""
+    bounds = _shares(start, len(grad_rows))
+    for thread in prange(len(grad_rows)):
+        grad = grad_rows[thread]
+        stash = np.empty((longest, 3), np.float32)  # T in front of each Gaussian, and G
+        for pixel in range(bounds[thread], bounds[thread + 1]):
+            y_re, y_im = grad_field[pixel, 0], grad_field[pixel, 1]
+            nearest, length = start[pixel], start[pixel + 1] - start[pixel]
+            t_re, t_im, v_re, v_im = np.float32(1), np.float32(0), np.float32(0), np.float32(0)
+            for depth in range(length):
+                row = rows[gaussian[nearest + depth]]
+                g = _exponential(-HALF * distance[nearest + depth] * row[0])
+                stash[depth, 0], stash[depth, 1], stash[depth, 2] = t_re, t_im, g
+                w_re, w_im = g * t_re, g * t_im
+                t_re -= w_re * row[3] - w_im * row[4]
+                t_im -= w_re * row[4] + w_im * row[3]
+            for depth in range(length - 1, -1, -1):
+                index, minus_half = gaussian[nearest + depth], -HALF * distance[nearest + depth]
+                row = rows[index]
+                spread, s_re, s_im, e_re, e_im = row[0], row[1], row[2], row[3], row[4]
+                t_re, t_im, g = stash[depth, 0], stash[depth, 1], stash[depth, 2]
+                w_re, w_im = g * (t_re * y_re + t_im * y_im), g * (t_re * y_im - t_im * y_re)
+                z_re = s_re - (e_re * v_re - e_im * v_im)
+                z_im = s_im - (e_re * v_im + e_im * v_re)
+                slope = w_re * z_re + w_im * z_im
+                grad_distance[nearest + depth] -= HALF * slope * spread
+                grad[index, 0] += slope * minus_half
+                grad[index, 1] += w_re
+                grad[index, 2] += w_im
+                grad[index, 3] -= w_re * v_re + w_im * v_im
+                grad[index, 4] -= w_im * v_re - w_re * v_im
+                v_re, v_im = v_re + g * z_re, v_im + g * z_im

@@ -20,38 +20,25 @@ from xfreqbench.methods.splatting.projection import Projection
 
 
 @torch.no_grad()
-def bin_footprints(projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto") -> PixelLists:
+def bin_footprints(
+    projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto", num_maps: int = 1
+) -> PixelLists:
     """The Gaussians that each direction sees, nearest first; directions are numbered row by row.
 
     The azimuths of the grid have to be evenly spaced over one turn at most; the first may be repeated at the end.
+    Of several maps, one below the other as in `stacked(grid, num_maps)`, each sees its own share of the Gaussians.
     """
-    order = projection.range_m.argsort(stable=True)
+    by_map = projection.range_m.reshape(num_maps, -1)
+    before = by_map.shape[1] * torch.arange(num_maps, device=by_map.device)[:, None]
+    order = (by_map.argsort(stable=True) + before).flatten()
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)[order].double()
     conic = inverse(projection.covariance.double())[order]
     if backend == "torch" or centre.device.type != "cpu":
-        start, nth = _bin_torch(centre, conic, grid, support)
+        start, nth = _bin_torch(centre, conic, grid, support, num_maps)
     else:
         spans = footprint_spans(centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad, support)
-        start, nth = map(torch.from_numpy, fill_lists(*spans, len(grid.azimuth_rad)))
+        start, nth = map(torch.from_numpy, fill_lists(*spans, len(grid.azimuth_rad), num_maps))
     return PixelLists(start, order[nth], len(order))
-
-
-@torch.no_grad()
-def bin_each(projection: Projection, num_maps: int, grid: AngularGrid, support: float) -> PixelLists:
-    """Lists of M maps one below the other; each map sees its own N of the M N Gaussians.
-
-    The rows of directions are those of `stacked(grid, num_maps)`.
-    """
-    parts = (projection.azimuth_rad, projection.elevation_rad, projection.covariance, projection.range_m)
-    of_maps = [
-        bin_footprints(Projection(*of_map), grid, support)
-        for of_map in zip(*(part.chunk(num_maps) for part in parts), strict=True)
-    ]
-    first = [nth * lists.num_gaussians for nth, lists in enumerate(of_maps)]
-    counts = torch.cat([lists.start.diff() for lists in of_maps])
-    start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    gaussian = torch.cat([lists.gaussian + offset for lists, offset in zip(of_maps, first, strict=True)])
-    return PixelLists(start, gaussian, len(projection.range_m))
 
 
 def stacked(grid: AngularGrid, num_maps: int) -> AngularGrid:
@@ -81,15 +68,16 @@ def inverse(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 3"]:
 
 
 def _bin_torch(
-    centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float
+    centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float, num_maps: int
 ) -> tuple[Int[Tensor, "K1"], Int[Tensor, "P"]]:
     """Starts of the lists and their Gaussians, on any device: all rows of all footprints, then their directions."""
     gaussian, row, first, count = _spans(centre, conic, grid, support)
     span = torch.repeat_interleave(count)
     nth = torch.arange(len(span), device=span.device) - (count.cumsum(0) - count)[span]
+    row = row + gaussian // max(1, len(centre) // num_maps) * len(grid.elevation_rad)
     pixel = (row * len(grid.azimuth_rad) + first)[span] + nth
     by_pixel = pixel.argsort(stable=True)
-    counts = torch.bincount(pixel, minlength=len(grid.azimuth_rad) * len(grid.elevation_rad))
+    counts = torch.bincount(pixel, minlength=num_maps * len(grid.azimuth_rad) * len(grid.elevation_rad))
     start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
     return start, gaussian[span][by_pixel]
 
