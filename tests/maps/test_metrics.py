@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support import typechecking
 from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
@@ -83,6 +84,16 @@ def test_no_metric_takes_maps_of_another_range(change: str) -> None:
         for predicted, true, name in ((small, truth, "predicted"), (truth, small, "truth")):
             with pytest.raises(ArgumentError, match=rf"those of {name} run from 0 to 1e-07\."):
                 metric.score(predicted, true, GRID)
+
+
+@pytest.mark.parametrize("dtype", [complex, bool, object])
+def test_no_metric_takes_what_is_no_real_number(dtype: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(typechecking, "NUM_CHECKED", 0)  # as for a user
+    truth = random_maps(1)
+    for metric in METRICS.values():
+        for maps in ((truth.astype(dtype), truth), (truth, truth.astype(dtype))):
+            with pytest.raises(ArgumentError, match="compares maps of real numbers, but those of"):
+                metric.score(*maps, GRID)
 
 
 def test_every_metric_prefers_the_truth_to_another_map() -> None:

@@ -57,6 +57,11 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
                 f"predicted has shape {predicted.shape} and truth {truth.shape}."
             )
         for name, maps in (("predicted", predicted), ("truth", truth)):
+            if maps.dtype.kind not in "fiu":
+                raise ArgumentError(
+                    f"{score.__name__} compares maps of real numbers, but those of {name} are {maps.dtype}. Give "
+                    "powers or amplitudes, as float32."
+                )
             low, peaks = maps.min(initial=0), maps.max(axis=(1, 2), initial=0)
             small = maps[(peaks > 0) & (peaks < LEAST_PEAK)]
             is_tiny = np.ptp(small, axis=(1, 2)).any()
