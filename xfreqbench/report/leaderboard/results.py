@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-
-import pooch
 
 from xfreqbench.data.shipped import fetch_file, registered
 from xfreqbench.errors import DataError
@@ -18,6 +17,7 @@ from xfreqbench.report.leaderboard.origins import RecordKey, record_key
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
+from xfreqbench.system.files import read_bytes
 
 VERSIONS, RECORDS_ENDING = "versions.txt", ".jsonl"  # a line each, beside our methods: file, sha256 and maybe address
 
@@ -58,7 +58,7 @@ def results_at(name: str | Path) -> Path:
     if url is not None:
         return fetch_file(url, sha256)
     path = folder / file
-    if not path.exists() or pooch.file_hash(path) != sha256:
+    if not path.exists() or hashlib.sha256(read_bytes(path)).hexdigest() != sha256:
         raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
     return path
 
