@@ -18,6 +18,7 @@ from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
 from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
+from xfreqbench.system.files import read_bytes
 
 VERSIONS, RECORDS_ENDING = "versions.txt", ".jsonl"  # a line each, beside our methods: file, sha256 and maybe address
 
@@ -58,7 +59,7 @@ def results_at(name: str | Path) -> Path:
     if url is not None:
         return fetch_file(url, sha256)
     path = folder / file
-    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+    if not path.exists() or hashlib.sha256(read_bytes(path)).hexdigest() != sha256:
         raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
     return path
 
