@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import shutil
 from collections.abc import Callable
@@ -12,9 +13,22 @@ import pytest
 from torch.utils.data import DataLoader
 
 from tests.support.synthetic import write_dataset
-from xfreqbench.data.collection import FILE, PARTS, Collection, Room, open_collection, room_of, write_collection
+from xfreqbench.cli.data import generate, info
+from xfreqbench.data.collection import (
+    FILE,
+    PARTS,
+    Collection,
+    Room,
+    json_sha256,
+    open_collection,
+    room_of,
+    write_collection,
+)
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import ArgumentError, DataError, UnknownNameError
+from xfreqbench.data.retrace import drawn_rows, require_origin
+from xfreqbench.data.rooms import generate_rooms
+from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError
+from xfreqbench.scene.families import draw_room, load_family
 
 NUM_TX = (4, 2, 3)  # of each room, at three carriers
 PERCENT = [64, 84, 62, 57, 30, 43]  # of seeds 0 to 5, on every machine
@@ -116,3 +130,84 @@ def test_a_description_that_cannot_be_is_refused(
     (tmp_path / FILE).write_text(text.replace(old, new))
     with pytest.raises(DataError, match=words):
         open_collection(tmp_path)
+
+
+TINY = {
+    "freqs_ghz": [2.4, 24.25],
+    "tx": 3,
+    "interactions": ["specular"],
+    "rays": 500,
+    "max_depth": 1,
+    "solver": "image",
+}
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Collection:
+    """Three rooms of the shipped family."""
+    return generate_rooms("rooms", tmp_path_factory.mktemp("drawn") / "rooms", rooms=3, **TINY)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Every file of a folder by its path there."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_drawn_collection_holds_rooms_that_can_be_traced_again(drawn: Collection) -> None:
+    assert [room.seed for room in drawn.rooms] == [1, 2, 3]
+    assert [room.type for room in drawn.rooms] == [draw_room("rooms", seed).type.name for seed in (1, 2, 3)]
+    for room, data in zip(drawn.rooms, drawn, strict=True):
+        expected = draw_room("rooms", room.seed)
+        assert data.scene == expected.scene
+        np.testing.assert_array_equal(data.tables["tx_position_m"], expected.transmitters(3))
+        assert require_origin(data, drawn_rows(data, 2)).difference < 1e-3
+    assert drawn.record.family_sha256 == load_family("rooms").sha256 == json_sha256(drawn.record.family)
+
+
+def test_a_stopped_generation_goes_on_to_the_same_bytes(drawn: Collection, tmp_path: Path) -> None:
+    whole, folder = content(drawn.path), tmp_path / "rooms"
+    generate_rooms("rooms", folder, rooms=1, seed=3, **TINY)  # as one that was killed: no room is described
+    described = json.loads((folder / FILE).read_text())
+    (folder / FILE).write_text(json.dumps({**described, "rooms": []}))
+    with pytest.raises(DataError, match="was not finished"):
+        info(folder)
+    generate_rooms("rooms", folder, rooms=3, **TINY)
+    assert content(folder) == whole
+    damaged, missing, _ = (folder / room.file for room in drawn.rooms)
+    damaged.write_bytes(whole["000/000001.h5"][:-10])
+    missing.unlink()
+    with pytest.raises(DataError, match=r"2 of 3 rooms are missing or damaged.*000001\.h5.*000002\.h5"):
+        info(folder)
+    told: list[str] = []
+    generate_rooms("rooms", folder, rooms=2, tell=told.append, **TINY)  # what else was asked for stays
+    assert content(folder) == whole
+    assert told == ["missing or damaged, and made again: 2 of 3 rooms, 000/000001.h5, 000/000002.h5"]
+
+
+@pytest.mark.slow
+def test_processes_make_the_same_bytes(drawn: Collection, tmp_path: Path) -> None:
+    generate_rooms("rooms", tmp_path / "rooms", rooms=3, executor="2", **TINY)
+    assert content(tmp_path / "rooms") == content(drawn.path)
+
+
+def test_another_collection_is_not_written_over(drawn: Collection, tmp_path: Path) -> None:
+    with pytest.raises(OutputExistsError, match=r"other rooms, with max_depth 1 \(here 2\)"):
+        generate_rooms("rooms", drawn.path, rooms=3, **{**TINY, "max_depth": 2})
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(OutputExistsError, match=r"holds 'thesis.tex' and no collection\.json"):
+        generate_rooms("rooms", tmp_path, rooms=3, **TINY)
+
+
+def test_the_command_generates_says_what_it_takes_and_describes(
+    drawn: Collection, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = {name: value for name, value in TINY.items() if name != "freqs_ghz"}
+    asked |= {"freqs": "2.4,24.25", "interactions": "specular"}
+    generate("rooms", output=tmp_path / "no", rooms=40, dry_run=True, **asked)
+    assert "40 rooms of 'rooms' × 3 transmitters × 2 carriers" in capsys.readouterr().out
+    assert not (tmp_path / "no").exists()
+    generate("rooms", output=drawn.path, rooms=3, quiet=True, **asked)
+    info(drawn.path)
+    said = capsys.readouterr().out
+    assert "rooms     3: " in said
+    assert "every hash holds" in said

@@ -17,6 +17,8 @@ from xfreqbench.tracing.versions import software_versions
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
 OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
+OF_SCENES_ALONE, OF_ROOMS_ALONE = {"scene", "tx_positions", "receiver"}, {"family", "rooms"}
+NOT_SAID = {"tx", "rays", "max_depth", "maps"}  # by the command: their defaults are others for a scene and for rooms
 OF_PYTHON_ALONE = {"freqs_ghz", "progress", "tell"}
 
 
@@ -26,11 +28,14 @@ def small(path: Path, **changes: object) -> PasDataset:
 
 def test_every_option_of_the_command_is_one_here_with_the_same_default() -> None:
     command = inspect.signature(commands.generate).parameters
-    python = inspect.signature(xb.generate).parameters
-    assert python.keys() - OF_PYTHON_ALONE == command.keys() - OF_THE_COMMAND_ALONE
-    given = {name: each.default for name, each in command.items() if each.default is not inspect.Parameter.empty}
-    shared = given.keys() & python.keys() - {"scene"}
-    assert {name: python[name].default for name in shared} == {name: given[name] for name in shared}
+    of_scene, of_rooms = (inspect.signature(function).parameters for function in (xb.generate, xb.generate_rooms))
+    options = command.keys() - OF_THE_COMMAND_ALONE
+    assert of_scene.keys() - OF_PYTHON_ALONE == options - OF_ROOMS_ALONE
+    assert of_rooms.keys() - OF_PYTHON_ALONE - OF_ROOMS_ALONE == options - OF_SCENES_ALONE - OF_ROOMS_ALONE
+    for python in (of_scene, of_rooms):
+        shared = (options & python.keys()) - NOT_SAID - OF_ROOMS_ALONE - {"scene", "output"}
+        assert {name: python[name].default for name in shared} == {name: command[name].default for name in shared}
+    assert {command[name].default for name in NOT_SAID} == {None}
 
 
 def test_what_the_rays_are_asked_by_default_are_the_defaults_of_the_settings() -> None:

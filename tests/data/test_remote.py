@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 import xfreqbench as xb
 from tests.support.plans import small_plan
 from tests.support.web import Server, served
+from xfreqbench.data.collection import FILE, Room, write_collection
 from xfreqbench.data.dataset import verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.errors import DataError
@@ -74,3 +75,16 @@ def test_servers_that_fail_or_give_no_ranges_are_errors_of_ours(
     server.is_failing, server.gives_ranges = False, False
     with pytest.raises(DataError, match=r"Download it: xfreqbench.fetch\("):
         xb.open_dataset(f"{server.url}?whole")
+
+
+def test_a_collection_is_read_from_afar(server: Server, local: Path, tmp_path: Path) -> None:
+    data = xb.open_dataset(local)
+    told = {"name": "rooms", "family": {}, "options": {}, "carrier_hz": data.header.carrier_hz.tolist()}
+    write_collection(tmp_path, [Room(1, "office", "served.h5", data.file_sha256, data.header.num_tx)], **told)
+    server.others[f"/{FILE}"] = (tmp_path / FILE).read_bytes()
+    rooms = xb.open_collection(server.url.removesuffix("/served.h5"))
+    assert np.array_equal(rooms[0].pas(61), data.pas(61))
+    assert len(pickle.loads(pickle.dumps(rooms))) == 1
+    server.is_failing = True
+    with pytest.raises(DataError, match=r"other/collection\.json cannot be opened"):
+        xb.open_collection(server.url.replace("served.h5", "other"))

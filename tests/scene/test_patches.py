@@ -13,6 +13,27 @@ from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import PatchSize, Scene, parse_scene
 from xfreqbench.scene.patches import Patches
 
+SHED = """
+name = "shed"
+scene = "room.xml"
+mirrors = "patches"
+least_patch_area_m2 = 0.2
+[receiver]
+position_m = [1.0, 1.0, 2.0]
+[transmitters]
+min_m = [0.0, 0.0, 0.0]
+max_m = [1.0, 1.0, 1.0]
+step_m = [1.0, 1.0, 1.0]
+"""
+DULL = """
+name = "back of a chair"
+material = "wood"
+thickness_m = 0.01
+min_m = [0.0, 0.0, 0.5]
+max_m = [0.4, 0.0, 1.0]
+mirrors = false
+"""
+
 
 def patches_of(mesh: trimesh.Trimesh) -> Patches:
     return Patches(np.asarray(mesh.vertices[mesh.faces]))
@@ -87,6 +108,17 @@ def test_surfaces_mirror_and_of_meshes_only_large_patches(tmp_path: Path) -> Non
     assert Geometry(surface_meshes(wider)).num_mirrors == 2 * len(SHELL) + 2
 
 
+def test_a_surface_may_say_that_it_does_not_mirror(tmp_path: Path) -> None:
+    room = replace(furnished_room(tmp_path), scene=None)
+    first, *others = room.surface
+    dull = replace(room, surface=(replace(first, mirrors=False), *others))
+    geometry = Geometry(surface_meshes(dull))
+    assert not geometry.mirrors[geometry.mesh_of_triangle == 0].any()
+    assert geometry.mirrors[geometry.mesh_of_triangle > 0].all()
+    assert geometry.num_mirrors == Geometry(surface_meshes(room)).num_mirrors - 2
+    assert parse_scene(f"{SHED}\n[[surface]]\n{DULL}").surface[0].mirrors is False
+
+
 def test_scenes_of_surfaces_say_nothing_of_patches(tmp_path: Path) -> None:
     room = furnished_room(tmp_path)
     bare = replace(room, scene=None)
@@ -104,17 +136,5 @@ def test_scenes_of_surfaces_say_nothing_of_patches(tmp_path: Path) -> None:
 
 
 def test_the_scene_file_states_the_least_patch() -> None:
-    text = """
-name = "shed"
-scene = "room.xml"
-mirrors = "patches"
-least_patch_area_m2 = 0.2
-[receiver]
-position_m = [1.0, 1.0, 2.0]
-[transmitters]
-min_m = [0.0, 0.0, 0.0]
-max_m = [1.0, 1.0, 1.0]
-step_m = [1.0, 1.0, 1.0]
-"""
-    scene: Scene = parse_scene(text)
+    scene: Scene = parse_scene(SHED)
     assert scene.least_patch == (0.2, PatchSize().width_m)

@@ -1,4 +1,4 @@
-"""A server of one file on this machine."""
+"""A server of a file, or of some, on this machine."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from threading import Thread
 
 
 class Server:
-    """Serves `content` at `url`: `asked` are the ranges that were asked for, and `num_sent` bytes were
-    answered for them.
+    """Serves `content` at `url`, and `others` by their paths.
+
+    `asked` are the ranges that were asked for, and `num_sent` bytes were answered for them.
 
     The connection of the next answer breaks after `breaks_after` bytes, where that is not 0.
     """
@@ -21,6 +22,7 @@ class Server:
         self.content, self.url = content, f"http://127.0.0.1:{port}/served.h5"
         self.breaks_after, self.num_sent, self.asked = 0, 0, list[str]()
         self.is_failing, self.gives_ranges = False, True
+        self.others = dict[str, bytes]()
 
 
 @contextmanager
@@ -45,12 +47,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(500)
             return
         found = re.fullmatch(r"bytes=(\d+)-(\d*)", asked) if server.gives_ranges else None
-        start, last = (int(found[1]), int(found[2] or len(server.content) - 1)) if found else (0, len(server.content))
-        part = server.content[start : last + 1]
+        content = server.others.get(self.path, server.content)
+        start, last = (int(found[1]), int(found[2] or len(content) - 1)) if found else (0, len(content))
+        part = content[start : last + 1]
         self.send_response(206 if found else 200)
         self.send_header("Content-Length", str(len(part)))
         if found:
-            self.send_header("Content-Range", f"bytes {start}-{start + len(part) - 1}/{len(server.content)}")
+            self.send_header("Content-Range", f"bytes {start}-{start + len(part) - 1}/{len(content)}")
         self.end_headers()
         server.asked.append(asked)
         sent, server.breaks_after = part[: server.breaks_after or None], 0

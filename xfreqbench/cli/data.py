@@ -140,6 +140,9 @@ def generate(
 
     require_executor(executor)
     freqs_ghz, names = parse_carriers_ghz(freqs), parse_names(interactions)
+    limits: dict[str, Any] = {
+        name: value for name, value in (("rays", rays), ("max_depth", max_depth)) if value is not None
+    }
     if rooms is not None:
         if tx_positions is not None or receiver is not None:
             raise XFreqBenchError(
@@ -153,7 +156,7 @@ def generate(
             quiet,
             executor,
             rooms=rooms,
-            tx=tx or 120,
+            tx=120 if tx is None else tx,
             solver=solver,
             interactions=names,
             seed=seed,
@@ -162,11 +165,9 @@ def generate(
             maps=bool(maps),
             paths=paths,
             polarization=parse_names(polarization),
-            **({} if rays is None else {"rays": rays}),
-            **({} if max_depth is None else {"max_depth": max_depth}),
+            **limits,
         )
         return
-    rays, max_depth = 500_000 if rays is None else rays, 6 if max_depth is None else max_depth
     chosen = {
         "tx": tx,
         "tx_positions": _read_positions(tx_positions),
@@ -177,7 +178,7 @@ def generate(
         "polarization": parse_names(polarization),
     }
     if dry_run:
-        settings = TraceSettings(solver, interactions_named(names), max_depth, rays, seed, materials)
+        settings = TraceSettings(solver, interactions_named(names), seed=seed, materials=materials, **limits)
         plan = generation.plan_of(scene, freqs_ghz, settings, **chosen)
         seconds = generation.estimate_seconds(plan)
         print(f"{plan.summary}\nestimated time {seconds:.0f} s on this machine; nothing was written")
@@ -190,13 +191,12 @@ def generate(
         **chosen,
         solver=solver,
         interactions=names,
-        rays=rays,
-        max_depth=max_depth,
         seed=seed,
         materials=materials,
         executor=executor,
         progress=not quiet,
         tell=partial(say, quiet=quiet),
+        **limits,
     )
     say_written(output, is_new, quiet)
     say(compare_fingerprint(dataset).verdict, quiet)
@@ -274,7 +274,10 @@ def info(
     if glints < 0:
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     if file.is_dir():
-        print(open_collection(file).description)
+        collection = open_collection(file)
+        print(collection.description)
+        collection.verify()
+        print("every hash holds")
         return
     print(describe(file))
     verify(file)

@@ -31,6 +31,7 @@ Part = Literal["train", "validation", "test", "other-type"]
 PARTS: tuple[Part, ...] = get_args(Part)
 _TRAIN_PERCENT, _VALIDATION_PERCENT = 80, 10
 _MAX_OPEN = 4096  # rooms whose channels are kept in memory: about 200 kB each
+_MAX_NAMED = 5  # faults in a message
 _STRICT = ConfigDict(extra="forbid")
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -129,16 +130,13 @@ class Collection:
 
     @property
     def description(self) -> str:
-        """What the collection holds, in lines: rooms by type and part, options, and every fault; all bytes are read."""
+        """What the collection holds, in lines: rooms by type and part, and what was asked for."""
         parts = {part: self.part(part) for part in PARTS}
         lines = [repr(self), "", f"{'type':16}" + "".join(f"{part:>12}" for part in PARTS)]
         for name in self.types:
             counts = (sum(room.type == name for room in rooms.rooms) for rooms in parts.values())
             lines.append(f"{name:16}" + "".join(f"{number:12}" for number in counts))
         lines += ["", "options   " + ", ".join(f"{name} {value}" for name, value in self.record.options.items())]
-        faults = [f"room {room.seed}: {fault}" for room, fault in self.faults()]
-        unfinished = "no room is described: its generation was not finished. Run the same command again."
-        lines += faults or (["every hash holds"] if self.rooms else [unfinished])
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -200,6 +198,20 @@ class Collection:
             return offered.load()(self)
         raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
 
+    def verify(self) -> None:
+        """Read every byte of all data sets; raises `DataError` that names those that are missing, damaged or others."""
+        if not self.record.rooms:
+            raise DataError(
+                f"{self.path} describes no room: its generation was not finished. Run the same command again."
+            )
+        faults = [f"{room.file} ({fault})" for room, fault in self.faults()]
+        if faults:
+            more = ", and others" if len(faults) > _MAX_NAMED else ""
+            raise DataError(
+                f"{len(faults)} of {len(self)} rooms are missing or damaged: {', '.join(faults[:_MAX_NAMED])}{more}. "
+                "Run the command that generated them once more; it makes these again."
+            )
+
     def faults(self) -> Iterator[tuple[Room, str]]:
         """Every room whose data set is missing, damaged or another, with what is wrong; every byte is read."""
         for room in self.rooms:
@@ -222,7 +234,7 @@ def open_collection(path: FilePath) -> Collection:
     folder = located(path)
     file = folder / FILE
     try:
-        content = file.ranges().read() if isinstance(file, RemotePath) else read_bytes(file)
+        content = file.read_bytes() if isinstance(file, RemotePath) else read_bytes(file)
         found = TypeAdapter(CollectionRecord).validate_json(content)
     except OSError as error:
         raise DataError(

@@ -92,8 +92,8 @@ def generate_rooms(
     `seed` on, each with `tx` transmitters. The other options are those of `generate`; each room is a job of its own,
     made by the processes or workers that `executor` names.
 
-    The same call goes on where a killed one stopped, and gives the same bytes. A room whose data set is damaged is told
-    by `tell`, and made again, and so is one that is missing. A call with more rooms adds them. Raises what `generate`
+    The same call goes on where a killed one stopped, and gives the same bytes. Rooms whose data sets are damaged or
+    lost are named to `tell`, and made again. A call with more rooms adds them. Raises what `generate`
     raises, and `OutputExistsError` where the folder holds rooms of another family or with other options.
     """
     plan = plan_of_rooms(
@@ -155,12 +155,14 @@ def generate_planned_rooms(
     with sole_writer(folder / FILE):
         before = _claim(plan, folder)
         seeds = sorted({*plan.seeds, *(room.seed for room in before)})
-        kept = {seed: room for seed in seeds if (room := _kept(plan, folder, seed, tell))}
-        if lost := [room.file for room in before if room.seed not in kept]:
-            shown = ", ".join(lost[:_SHOWN]) + ", …" * (len(lost) > _SHOWN)
-            tell(f"{len(lost)} of {len(before)} rooms are missing or damaged, and made again: {shown}")
-        progress(len(kept), len(seeds))
+        kept = {seed: room for seed in seeds if (room := _kept(plan, folder, seed))}
         missing = [seed for seed in seeds if seed not in kept]
+        known = {room.file for room in before}
+        lost = [file for file in map(plan.file_of, missing) if file in known or (folder / file).exists()]
+        if lost:
+            shown = ", ".join(lost[:_SHOWN]) + ", …" * (len(lost) > _SHOWN)
+            tell(f"missing or damaged, and made again: {len(lost)} of {len(seeds)} rooms, {shown}")
+        progress(len(kept), len(seeds))
         for seed, made in side_by_side(workers, partial(made_room, plan), missing, ahead=1):
             path, (kind, content) = folder / plan.file_of(seed), made.result()
             with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
@@ -221,24 +223,22 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
     found = open_collection(folder).record
     asked = {"family": plan.family.sha256, "carriers": str(plan.carrier_hz), **plan.options}
     holds = {"family": found.family_sha256, "carriers": str(found.carrier_hz), **found.options}
-    if differing := differences(*({name: str(value) for name, value in each.items()} for each in (holds, asked))):
+    texts = [{name: str(value) for name, value in each.items()} for each in (asked, holds)]
+    if differing := differences(*texts):
         raise OutputExistsError(
-            f"{folder} exists and holds other rooms; asked for are {differing}. Choose another folder with -o."
+            f"{folder} exists and holds other rooms, with {differing}. Choose another folder with -o, or delete it."
         )
     return found.rooms
 
 
-def _kept(plan: RoomsPlan, folder: Path, seed: int, tell: Callable[[str], None]) -> Room | None:
-    """The entry of a room that is there, with its hash; None where it is missing, or damaged, which is told."""
-    path = folder / plan.file_of(seed)
-    if path.exists():
-        try:
-            verify(path)
-            return room_of(folder, plan.file_of(seed), seed, plan.family.type_of(seed).name)
-        except DataError as error:
-            tell(f"{error} It is made again.")
-            path.unlink()
-    return None
+def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
+    """The entry of a room that is there, with its hash; None where it is missing or damaged."""
+    file = plan.file_of(seed)
+    try:
+        verify(folder / file)
+        return room_of(folder, file, seed, plan.family.type_of(seed).name)
+    except DataError:
+        return None
 
 
 def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collection:

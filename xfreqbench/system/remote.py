@@ -34,6 +34,17 @@ class RemotePath(PosixPath):
         """
         return _opened(str(self), os.getpid())
 
+    def read_bytes(self) -> bytes:
+        """All bytes of the file; raises as `ranges`, and `DataError` where the server fails."""
+        file = self.ranges()
+        try:
+            file.seek(0, os.SEEK_END)
+            num_bytes = file.tell()
+            file.seek(0)
+            return bytes(file.read(num_bytes))
+        except Exception as error:  # remfile's have no other type
+            raise DataError(f"{self} cannot be read: {error}. Try again later.") from error
+
 
 def located(path: str | Path) -> Path:
     """The path, or the address where it is one."""
