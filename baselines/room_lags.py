@@ -310,11 +310,7 @@ class RoomLags:
         sums = np.stack([lags.of_maps(heard.pas(each), heard.header.pas_kind) for each in rows], axis=1)
         position_m = (heard.tx_position_m[rows[0]] - receiver.position_m) @ receiver.rotation
         with torch.no_grad():
-            if len(position_m):
-                evidence = images.heard(torch.as_tensor(position_m, dtype=torch.float32), torch.as_tensor(sums))
-            else:
-                nothing = torch.zeros(0)
-                evidence = _Heard(torch.zeros(0, 3), nothing, nothing, nothing)
+            evidence = images.heard(torch.as_tensor(position_m, dtype=torch.float32), torch.as_tensor(sums))
         return RoomLagsPredictor(field, images, evidence, heard)
 
     def save(self, directory: Path) -> None:

@@ -32,8 +32,8 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> Collection:
 @pytest.fixture(scope="module")
 def results(rooms: Collection, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    methods = {"line-of-sight": {}, "nearest": {}, "room-lags": {"rooms": 2, "queries": 8}}
-    run(rooms, methods, "unseen-rooms", folder, budget="100steps")
+    methods = {"line-of-sight": {}, "nearest": {}, "room-lags": ["queries=8", "headings=16", "distances=12"]}
+    run(rooms, methods, "unseen-rooms", folder, budget="80steps")
     return folder
 
 
@@ -85,7 +85,11 @@ def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
 def test_the_report_has_tables_by_number_heard_by_carrier_and_by_type(results: Path) -> None:
     by_number, by_carrier, by_type = read_results(results).benches
     assert by_number.figure is not None
-    assert [row[0] for row in by_number.rows] == ["line-of-sight", "nearest", "room-lags rooms=2 queries=8"]
+    assert [row[0] for row in by_number.rows] == [
+        "line-of-sight",
+        "nearest",
+        "room-lags queries=8 headings=16 distances=12",
+    ]
     assert all("[+0.0" in cell for cell in by_number.rows[2][2:6])  # intervals above zero
     assert len(by_carrier.rows) == 9
     assert {row[2] for row in by_type.rows} == {"box"}
@@ -94,7 +98,11 @@ def test_the_report_has_tables_by_number_heard_by_carrier_and_by_type(results: P
 def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not [str(result) for result in check_method("room-lags", ["rooms=1", "queries=4"]) if result.fault]
+    assert not [
+        str(result)
+        for result in check_method("room-lags", ["rooms=1", "queries=4", "headings=8", "distances=4"])
+        if result.fault
+    ]
     example = (ROOT / "docs/unseen-rooms.md").read_text().partition("```python\n")[2].partition("```")[0]
     (tmp_path / "soft.py").write_text(example)
     monkeypatch.syspath_prepend(tmp_path)

@@ -107,8 +107,8 @@ class Task:
         verify(self.dataset_path)
         require_fingerprint(self.dataset)
 
-    def new_method(self) -> Method:
-        """Another untrained method, to be fitted: what it learns is freed with it, while tasks live longer."""
+    def new_method(self) -> Any:
+        """Another untrained `Method`, to be fitted: what it learns is freed with it, while tasks live longer."""
         return build_method(self.job.method, self.job.overrides)
 
     @contextmanager

@@ -91,7 +91,7 @@ class RoomTask(Task):
         content = [self.job.method, self.code_sha256, self.config, self.job.seed, asdict(self.job.budget), *more]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    def new_method(self) -> RoomMethod:  # type: ignore[override]
+    def new_method(self) -> RoomMethod:
         """Another untrained method."""
         return build_room_method(self.job.method, self.job.overrides)
 
