@@ -335,7 +335,7 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
          "holds several others"),
         (["<bsdf type='mask' id='M'><bsdf type='diffuse' id='itu_wood'/><bsdf id='itu_glass'/></bsdf>",
           TABLE_PLY], "holds several others"),
-        (named("mat-Wood.001"), r"\[\[material\]\] name = 'mat-Wood.001'"),
+        (named("mat-Oak.001"), r"\[\[material\]\] name = 'mat-Oak.001'"),
     ],
 )  # fmt: skip
 def test_what_would_not_be_traced_as_it_is_meant_is_refused(folder: Path, elements: list[str], message: str) -> None:

@@ -238,7 +238,7 @@ class Patient(Nearest):
         yield from super().fit(train, budget, seed)
 
 
-class Gated(Nearest):
+class Gated(Patient):
     """Does not end before there is a file `go` in the working folder."""
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
@@ -365,7 +365,7 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
     }
     with started(tmp_path, 1) as running, ExitStack() as late:
         method = f"{Gated.__module__}:{Gated.__name__}"
-        command = f"run --data data.h5 --targets 77 --method {method} --seed 0,1,2,3,4,5 --budget 2steps"
+        command = f"run --data data.h5 --targets 77 --method {method} --seed 0,1,2,3,4,5,6,7 --budget 2steps"
         with _driver(f"{command} --results results --executor {running.address}", tmp_path) as driver:
             _wait(lambda: bool(list(results.glob("predictions/*.lock"))) or driver.poll() is not None)
             for name, way in ways.items():
@@ -379,7 +379,7 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
         assert "cannot work: ImportError: not installed. Others do its work." in message
         assert all(not tasks for tasks in running.client.processing().values())
     stored = read(results / "records.jsonl").records
-    assert [record.job.seed for record in sorted(stored, key=lambda record: record.job.seed)] == [*range(6)]
+    assert [record.job.seed for record in sorted(stored, key=lambda record: record.job.seed)] == [*range(8)]
     assert {path.stem for path in results.glob("predictions/*.h5")} == {record.id for record in stored}
 
 

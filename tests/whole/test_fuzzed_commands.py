@@ -19,7 +19,7 @@ from tests.support.fuzzing.readers import READERS, files_of
 from tests.support.fuzzing.sound_files import sound_files
 from xfreqbench.cli.main import app
 
-SCENE_PARAMETERS = ("scene", "data_or_scene")  # names of shipped scenes, or paths
+NAMES_OR_PATHS = ("scene", "data_or_scene", "results", "a", "b")  # of shipped scenes, or of records
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 
@@ -39,7 +39,7 @@ def paths_taken(commands: App, prefix: str = "") -> dict[str, set[str]]:
 
 
 def _may_be_a_path(name: str, hint: object) -> bool:
-    return name in SCENE_PARAMETERS or Path in (hint, *typing.get_args(hint))
+    return name in NAMES_OR_PATHS or Path in (hint, *typing.get_args(hint))
 
 
 def test_every_path_that_a_command_takes_is_in_the_table() -> None:

@@ -36,6 +36,8 @@ RESULT_PARTS = (
     "predictions",
     "BENCHMARK.md",
     "benchmark.html",
+    "benchmark.csv",
+    "benchmark.parquet",
     "figures",
 )
 

@@ -380,12 +380,13 @@ class LearnedMethod:
                 group["lr"].fill_(group["initial_lr"] * rate)
             else:
                 group["lr"] = group["initial_lr"] * rate
-        training.step += 1
-        loss = self._replayed(training, targets) if self._is_capturable(training, targets) else None
-        if loss is None:
+        if self._is_capturable(training, targets):
+            loss = self._replayed(training, targets)
+        else:
             loss = self.batch_loss(training, targets)
             training.field.zero_grad(set_to_none=True)
             loss.backward()
+            training.step += 1
             _require_finite(training, loss)
             training.optimizer.step()
         training.field.after_step(training.optimizer, training.step, share)
@@ -419,7 +420,8 @@ class LearnedMethod:
 
             training.graph = StepGraph(step, targets)
         weight = torch.tensor(ssim_weight, dtype=torch.float32)
-        loss, norm = training.graph(nth, position_m, carrier_hz, weight.to(self._device), device=self._device)
+        loss, norm = training.graph(nth, position_m, carrier_hz, weight, device=self._device)
+        training.step += 1
         _require_finite_norm(training, loss, norm)
         return loss
 
