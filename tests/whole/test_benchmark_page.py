@@ -21,14 +21,18 @@ def test_the_benchmark_is_what_its_committed_records_say(tmp_path: Path, monkeyp
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
     shutil.copy(ROOT / "BENCHMARK.md", tmp_path)
     shutil.copytree(ROOT / DETAILS, tmp_path / DETAILS)
-    records = ROOT / "baselines" / "reference_results.jsonl"
-    written = write_report(records, tmp_path / "BENCHMARK.md", tmp_path / DETAILS)
-    assert written.num_truncated == 0
-    assert {path.relative_to(tmp_path) for path in written.paths} == {
+    records, page = ROOT / "baselines", tmp_path / DETAILS / "paper-size.md"
+    reports = [
+        write_report(records / "reference_results.jsonl", tmp_path / "BENCHMARK.md", tmp_path / DETAILS),
+        write_report(records / "paper_size_results.jsonl", page),
+    ]
+    assert not any(report.num_truncated for report in reports)
+    written = [path for report in reports for path in report.paths]
+    assert {path.relative_to(tmp_path) for path in written} == {
         Path("BENCHMARK.md"),
         *(path.relative_to(ROOT) for path in (ROOT / DETAILS).rglob("*.*")),
     }
-    for path in written.paths:
+    for path in written:
         if path.suffix == ".md":
             assert path.read_bytes() == (ROOT / path.relative_to(tmp_path)).read_bytes()
         else:
