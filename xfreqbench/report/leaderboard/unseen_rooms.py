@@ -148,7 +148,7 @@ def _figure(by_row: Any) -> BenchFigure:
     points = tuple(
         BenchPoint(
             series=f"{label}, {part}",
-            label=split,
+            label="",
             x=float(split.rpartition("-")[2]),
             y=float(np.median(_unheard(record))),
         )
