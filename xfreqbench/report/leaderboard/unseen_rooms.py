@@ -67,7 +67,8 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
             BenchRecord(
                 bench=ROOM_PROTOCOLS[0],
                 title=f"{last.scene} · {last.job.protocol}" + (f" · {what}" if what else ""),
-                command=f"xfreqbench run --data {last.job.dataset} --protocol {last.job.protocol} --methods …",
+                command=f"xfreqbench run --data {last.job.dataset} --protocol {last.job.protocol} --methods … "
+                "--results results",
                 note=_note(last),
                 columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), "skill", "s a room", "s to learn"),
                 rows=tuple(row for row in rows if any(cell != "–" for cell in row[len(columns) : -3])),
@@ -147,10 +148,7 @@ def _seconds(found: dict[str, RunRecord]) -> list[str]:
 def _figure(by_row: Any) -> BenchFigure:
     points = tuple(
         BenchPoint(
-            series=f"{label}, {part}",
-            label="",
-            x=float(split.rpartition("-")[2]),
-            y=float(np.median(_unheard(record))),
+            series=f"{label}, {part}", label="", x=float(split.rpartition("-")[2]), y=float(np.median(_unheard(record)))
         )
         for (part, label), row in by_row.items()
         for split, record in row.items()
