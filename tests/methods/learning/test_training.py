@@ -369,3 +369,19 @@ def test_a_fit_killed_in_the_middle_ends_in_the_predictions_of_an_unbroken_one(
     assert curve(resumed) == curve(unbroken)
     assert (resumed.step, resumed.counts) == (NUM_KILLED_STEPS, unbroken.counts)
     assert resumed.counts["gaussians"] != TINY["num_gaussians"]
+
+
+def test_rates_fall_for_an_optimiser_that_a_step_begins_anew(dataset: PasDataset) -> None:
+    method = tiny(XFreqGS)
+    training = method.started(dataset, seed=0)
+    loss_of = method.batch_loss
+
+    def renewing(training: learned.Training, targets: view.Targets) -> torch.Tensor:
+        training.optimizer = method.new_optimizer(training.field)
+        return loss_of(training, targets)
+
+    method.batch_loss = renewing  # type: ignore[method-assign]
+    training.share = 0.5
+    method._step(training, view.Targets(dataset, training.beams))
+    rates = [group["lr"] / group["initial_lr"] for group in training.optimizer.param_groups]
+    assert rates == pytest.approx([0.505] * len(rates))

@@ -374,21 +374,16 @@ class LearnedMethod:
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
         share, before = training.share, list(training.field.parameters())
-        rate = _MIN_RATE + (1 - _MIN_RATE) * (0.5 + 0.5 * math.cos(math.pi * min(share, 1.0)))
-        for group in training.optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):
-                group["lr"].fill_(group["initial_lr"] * rate)
-            else:
-                group["lr"] = group["initial_lr"] * rate
         if self._is_capturable(training, targets):
+            _set_rates(training)
             loss = self._replayed(training, targets)
         else:
             loss = self.batch_loss(training, targets)
-            training.field.zero_grad(set_to_none=True)
-            loss.backward()
+            _set_rates(training)  # of what may be another optimiser by now
             training.step += 1
-            _require_finite(training, loss)
-            training.optimizer.step()
+            parameters, norm = _gradients(training.field, loss)
+            _require_finite(training, loss, norm)
+            _update(training, parameters, norm)
         training.field.after_step(training.optimizer, training.step, share)
         now = list(training.field.parameters())
         is_same = len(before) == len(now) and all(map(operator.is_, before, now))
@@ -409,20 +404,16 @@ class LearnedMethod:
         if training.graph is None or training.graph.key is not targets:
 
             def step(*inputs: Tensor) -> tuple[Tensor, Tensor]:
-                training.field.zero_grad(set_to_none=True)
                 loss = self._loss_of_rows(training, targets, view, *inputs)
-                loss.backward()
-                parameters = [each for each in training.field.parameters() if each.grad is not None]
-                norm = _total_norm(parameters)
-                nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
-                training.optimizer.step()
+                parameters, norm = _gradients(training.field, loss)
+                _update(training, parameters, norm)
                 return loss.detach(), norm
 
             training.graph = StepGraph(step, targets)
         weight = torch.tensor(ssim_weight, dtype=torch.float32)
         loss, norm = training.graph(nth, position_m, carrier_hz, weight, device=self._device)
         training.step += 1
-        _require_finite_norm(training, loss, norm)
+        _require_finite(training, loss, norm)
         return loss
 
 
@@ -444,20 +435,32 @@ def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> Avera
     return mean
 
 
-def _require_finite(training: Training, loss: Tensor) -> None:
-    """Limit the norm of the gradients; raise `DivergenceError` where the loss or a gradient is not finite."""
-    parameters = [parameter for parameter in training.field.parameters() if parameter.grad is not None]
-    norm = _total_norm(parameters)
-    _require_finite_norm(training, loss, norm)
+def _set_rates(training: Training) -> None:
+    """Let the rates fall as half a cosine over the budget; that of a CUDA graph is a tensor, whose value changes."""
+    rate = _MIN_RATE + (1 - _MIN_RATE) * (0.5 + 0.5 * math.cos(math.pi * min(training.share, 1.0)))
+    for group in training.optimizer.param_groups:
+        if isinstance(group["lr"], Tensor):
+            group["lr"].fill_(group["initial_lr"] * rate)
+        else:
+            group["lr"] = group["initial_lr"] * rate
+
+
+def _gradients(field: ChannelField, loss: Tensor) -> tuple[list[nn.Parameter], Tensor]:
+    """The parameters that the loss has a gradient by, and the norm of all gradients together."""
+    field.zero_grad(set_to_none=True)
+    loss.backward()
+    parameters = [parameter for parameter in field.parameters() if parameter.grad is not None]
+    return parameters, nn.utils.get_total_norm([each.grad for each in parameters if each.grad is not None])
+
+
+def _update(training: Training, parameters: list[nn.Parameter], norm: Tensor) -> None:
+    """Limit the norm of the gradients, and make a step of the optimiser."""
     nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
+    training.optimizer.step()
 
 
-def _total_norm(parameters: Sequence[nn.Parameter]) -> Tensor:
-    """The norm of all gradients together."""
-    return nn.utils.get_total_norm([each.grad for each in parameters if each.grad is not None])
-
-
-def _require_finite_norm(training: Training, loss: Tensor, norm: Tensor) -> None:
+def _require_finite(training: Training, loss: Tensor, norm: Tensor) -> None:
+    """Raise `DivergenceError` where the loss or a gradient, whose `norm` is that of all, is not finite."""
     if bool(torch.isfinite(loss) & torch.isfinite(norm)):
         return
     faults = [

@@ -31,7 +31,6 @@ MAX_LANES = 16
 WARPS = 1  # a program's sums then need no barrier
 STRETCH = 32
 LISTED_AT_ONCE = 128
-_GEOMETRY = 5  # azimuth, elevation, and three entries of the inverse covariance
 _SLACK_RAD = 1e-4  # by which boxes are larger than footprints, for rounding
 _TURN = tl.constexpr(2 * math.pi)
 
@@ -63,7 +62,10 @@ def composite_on_cuda(
 
 
 class _Composite(torch.autograd.Function):
-    """The field (B, K, 2) of Gaussians with geometry (N, 5) and rows (N, FIELDS, B)."""
+    """The field (B, K, 2) of Gaussians with geometry (N, 5) and rows (N, FIELDS, B).
+
+    Geometry is azimuth, elevation and three entries of the inverse covariance.
+    """
 
     @staticmethod
     def forward(
