@@ -47,7 +47,7 @@ def test_a_file_without_maps_derives_the_maps_that_another_stores(tmp_path: Path
     stored = write_dataset(tmp_path / "stored.h5")
     derived = write_dataset(tmp_path / "derived.h5", maps=False)
     np.testing.assert_allclose(derived.pas(), stored.pas(), atol=PACKED_STEP)
-    scores = [ssim(each.pas()[1:], each.pas()[:-1], each.grid) for each in (derived, stored)]
+    scores = [ssim(dataset.pas()[1:], dataset.pas()[:-1], dataset.grid) for dataset in (derived, stored)]
     np.testing.assert_allclose(*scores, rtol=0, atol=4e-6)  # float16 moves it by up to 1.6e-5
     assert derived.path.stat().st_size < stored.path.stat().st_size / 10
 
@@ -70,9 +70,9 @@ def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> Non
     view = dataset.subset([1, 5]).isolated()
     np.testing.assert_array_equal(view.cfr, dataset.cfr[[1, 5]])
     np.testing.assert_array_equal(view.peak_power, dataset.peak_power[[1, 5]])
-    every = replace(view, rows=np.arange(len(dataset)))
-    assert np.flatnonzero(np.abs(every.cfr).sum(axis=1)).tolist() == [1, 5]
-    assert np.flatnonzero(every.peak_power).tolist() == [1, 5]
+    whole = replace(view, rows=np.arange(len(dataset)))
+    assert np.flatnonzero(np.abs(whole.cfr).sum(axis=1)).tolist() == [1, 5]
+    assert np.flatnonzero(whole.peak_power).tolist() == [1, 5]
     pickled = pickle.loads(pickle.dumps(view))
     np.testing.assert_array_equal(pickled.tables["cfr"], view.tables["cfr"])
     assert pickled.tables.keys() == view.tables.keys()

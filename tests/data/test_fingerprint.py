@@ -62,7 +62,7 @@ def rewritten(dataset: PasDataset, path: Path, cfr: Any) -> PasDataset:
 def apart(one: PasDataset, other: PasDataset) -> float:
     """The greatest relative field error of any transmitter at any carrier."""
     off, length = (
-        np.linalg.norm(each, axis=2) for each in (one.tables["cfr"] - other.tables["cfr"], other.tables["cfr"])
+        np.linalg.norm(vector, axis=2) for vector in (one.tables["cfr"] - other.tables["cfr"], other.tables["cfr"])
     )
     return float((off / length).max())
 
@@ -70,9 +70,9 @@ def apart(one: PasDataset, other: PasDataset) -> float:
 def with_wall_moved(scene: Scene, name: str, shift_m: float) -> Scene:
     """The scene with a wall moved along y."""
     surfaces = [
-        replace(each, **{end: (x, y + shift_m, z) for end, (x, y, z) in ends}) if each.name == name else each
-        for each in scene.surface
-        for ends in [[(end, getattr(each, end)) for end in ("min_m", "max_m")]]
+        replace(surface, **{end: (x, y + shift_m, z) for end, (x, y, z) in ends}) if surface.name == name else surface
+        for surface in scene.surface
+        for ends in [[(end, getattr(surface, end)) for end in ("min_m", "max_m")]]
     ]
     return replace(scene, surface=tuple(surfaces))
 

@@ -178,7 +178,7 @@ def test_the_plan_counts_links(tmp_path: Path) -> None:
     dataset = few(tmp_path / "data.h5", tell=said.append)
     assert "12 transmitters" in said[0]
     assert "× 2 receivers (first one, low) × 2 pairs (HV, VV) × 2 carriers = 96 samples" in said[0]
-    stored = sum(each.num_bytes for each in variables(dataset.file_header, dataset.grid))
+    stored = sum(variable.num_bytes for variable in variables(dataset.file_header, dataset.grid))
     assert stored == dataset.file_header.num_bytes > 96 * dataset.grid.directions[..., 0].size * 2
     assert "links      first one, low × HV, VV" in describe(dataset.path)
 
@@ -272,7 +272,7 @@ def make_split(dataset: PasDataset) -> xb.Split:
 
 def test_a_map_of_another_receiver_is_turned_into_the_frame_of_the_one_that_is_asked_for(rooms: PasDataset) -> None:
     wall = rooms.at("wall")
-    (train,) = [each for each in make_split(wall).training_part(wall).other_receivers if each.link_names[0] == "north"]
+    (train,) = [data for data in make_split(wall).training_part(wall).other_receivers if data.link_names[0] == "north"]
     north = TrainingTransmitters(train, wall)
     world = np.array([1.0, 0.2, -1.0]) / np.linalg.norm([1.0, 0.2, -1.0])  # in front of both
 

@@ -322,7 +322,7 @@ def test_validation_rows_are_as_unseen_as_the_tested_ones(of_many_transmitters: 
     for split, validation in _with_validation(dataset, protocol):
         for values in (dataset.carrier_hz, dataset.tx_index):
             unseen, unseen_there = (
-                not np.isin(values[each.test], values[each.train]).any() for each in (split, validation)
+                not np.isin(values[part.test], values[part.train]).any() for part in (split, validation)
             )
             assert unseen == unseen_there
         assert validation.shares_transmitters == split.shares_transmitters
@@ -340,7 +340,7 @@ def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_one
         assert trained_ghz.min() < carrier_ghz < trained_ghz.max()
         others = set(PAPER_CARRIERS_GHZ) - {target_ghz}
         inner = sorted(others)[1:-1]
-        assert carrier_ghz == min(inner, key=lambda each: abs(np.log(each / target_ghz)))
+        assert carrier_ghz == min(inner, key=lambda inner_ghz: abs(np.log(inner_ghz / target_ghz)))
 
 
 def test_a_tenth_of_the_training_transmitters_validates_those_that_are_unseen(of_many_transmitters: PasDataset) -> None:

@@ -114,8 +114,8 @@ def test_a_path_has_one_mechanism_and_their_shares_sum_to_one() -> None:
     paths = ragged(
         [5],
         power,
-        num_interactions=np.array([len(each) for each in met]),
-        interaction=[code for each in met for code in each],
+        num_interactions=np.array([len(codes) for codes in met]),
+        interaction=[code for codes in met for code in codes],
     )
     share = of_paths(paths, 0)["power_share"][0]
     np.testing.assert_allclose(share, np.array(power) / 15, rtol=1e-6)

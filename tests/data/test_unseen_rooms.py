@@ -21,11 +21,11 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> Collection:
 
 def test_a_method_hears_more_of_the_same_and_is_always_asked_for_other_transmitters(rooms: Collection) -> None:
     questions = {number: RoomQuestion(rooms[2], 5, number) for number in NUMS_HEARD}
-    heard = {number: {*map(tuple, each.heard.tx_position_m)} for number, each in questions.items()}
+    heard = {number: {*map(tuple, question.heard.tx_position_m)} for number, question in questions.items()}
     assert [len(heard[number]) for number in NUMS_HEARD] == list(NUMS_HEARD)
     assert heard[0] < heard[4] < heard[16] < heard[64]
     asked = questions[64].asked
-    assert all(np.array_equal(each.asked.rows, asked.rows) for each in questions.values())
+    assert all(np.array_equal(question.asked.rows, asked.rows) for question in questions.values())
     assert not heard[64] & {*map(tuple, asked.tx_position_m)}
     assert len(asked) == 16 * 6
     assert {*questions[4].heard.carrier_hz / 1e9} == {1.0, 10.0, 60.0}

@@ -79,11 +79,11 @@ def test_a_hundred_more_drawn_rooms_can_be_traced() -> None:
 
 def test_rooms_of_a_family_differ_in_type_and_shape_and_place_of_the_array() -> None:
     rooms = [draw_room(FAMILY, seed) for seed in range(60)]
-    assert {room.type.name for room in rooms} == {each.name for each in FAMILY.type}
+    assert {room.type.name for room in rooms} == {room_type.name for room_type in FAMILY.type}
     assert {len(room.outline_m) for room in rooms} == {4, 5, 6, 8}
     assert {room.scene.receiver.boresight[2] for room in rooms} == {0.0, -1.0}
-    of_hall = {each.material for room in rooms if room.type.held_out for each in room.scene.surface}
-    of_others = {each.material for room in rooms if not room.type.held_out for each in room.scene.surface}
+    of_hall = {surface.material for room in rooms if room.type.held_out for surface in room.scene.surface}
+    of_others = {surface.material for room in rooms if not room.type.held_out for surface in room.scene.surface}
     assert of_hall & of_others <= {"person"}
     assert np.array_equal(rooms[0].transmitters(5), rooms[0].transmitters(9)[:5])
 

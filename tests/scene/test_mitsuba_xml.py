@@ -83,10 +83,10 @@ def test_shapes_stand_where_mitsuba_puts_them(folder: Path) -> None:
     ]
     scene = scene_with(
         folder, '<default name="far" value="7"/><bsdf type="diffuse" id="mat-itu_wood"/>',
-        *(each.replace('"M"', '"mat-itu_wood"') for each in shapes),
+        *(shape.replace('"M"', '"mat-itu_wood"') for shape in shapes),
     )  # fmt: skip
     loaded = mi.load_file(str(folder / "scene.xml"), optimize=False)  # which would merge the shapes
-    theirs = {each.id().removeprefix("mesh-"): each for each in loaded.shapes()}
+    theirs = {shape.id().removeprefix("mesh-"): shape for shape in loaded.shapes()}
     ours = surface_meshes(scene)
     assert {mesh.name for mesh in ours} == set(theirs)
     for mesh in ours:

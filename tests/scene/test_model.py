@@ -155,8 +155,10 @@ max_m = [2.0, 2.0, -0.1]
     second = (
         poster.replace("poster", "second").replace("[1.0, 1.0, -0.1]", "[3.0, 1.0, -0.1]").replace("[2.0, 2", "[3.5, 2")
     )
-    each = (rf"'floor' [^;]* and '{name}' [^;]* overlap in one plane, at [^;]* m" for name in ("poster|second",) * 2)
-    with pytest.raises(SceneError, match=f"^{'; '.join(each)}: a ray could meet either"):
+    overlaps = (
+        rf"'floor' [^;]* and '{name}' [^;]* overlap in one plane, at [^;]* m" for name in ("poster|second",) * 2
+    )
+    with pytest.raises(SceneError, match=f"^{'; '.join(overlaps)}: a ray could meet either"):
         check_overlaps(Geometry(surface_meshes(parse_scene(BOX + poster + second))))
     beside = poster.replace("[1.0, 1.0, -0.1]", "[4.0, 1.0, -0.1]").replace("[2.0, 2.0,", "[5.0, 2.0,")
     check_overlaps(Geometry(surface_meshes(parse_scene(BOX + beside))))

@@ -157,7 +157,7 @@ def tent() -> list[Surface]:
     ring = np.array([[0, 0, 0], [4, 0, 0], [4, 0, 1], [2, 0, 3], [0, 0, 1]], np.float64)
     far = ring + np.array([0, 2, 0])
     sides = [np.array([ring[i], far[i], far[i - 1], ring[i - 1]]) for i in range(5)]
-    return [polygon(each, f"part {n}") for n, each in enumerate([ring, far, *sides])]
+    return [polygon(corners_m, f"part {n}") for n, corners_m in enumerate([ring, far, *sides])]
 
 
 def test_polygons_close_a_room_keep_transmitters_off_and_may_not_overlap() -> None:

@@ -41,7 +41,7 @@ max_m = [0.0, 4.0, 3.0]
 def test_shipped_scenes_have_the_hashes_that_they_always_had(name: str) -> None:
     scene = load_scene(name)
     found = meshes_sha256(surface_meshes(scene)), hashlib.sha256(scene.canonical_json.encode()).hexdigest()
-    assert tuple(each[:16] for each in found) == SHIPPED[name]
+    assert tuple(digest[:16] for digest in found) == SHIPPED[name]
 
 
 def test_meshes_that_were_read_before_have_the_hash_of_then(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_scattering_is_read_from_the_table_and_from_xml(tmp_path: Path) -> None:
         )
     )
     assert meshes_sha256(flat) == meshes_sha256(smooth)
-    assert len({meshes_sha256(each) for each in (smooth, rough, directive, own)}) == 4
+    assert len({meshes_sha256(meshes) for meshes in (smooth, rough, directive, own)}) == 4
     assert rough[0].scattering == Scattering(0.3, xpd_coefficient=0.1)
     assert directive[0].scattering == Scattering(0.3, xpd_coefficient=0.1, pattern="directive", alpha_r=4)
     assert own[0].scattering == Scattering(0.5)

@@ -141,7 +141,9 @@ def test_channels_do_not_depend_on_where_the_origin_is(
     offset_m: tuple[float, float, float], solver: SolverName
 ) -> None:
     scene, settings = simple_scenes()["a wall and a pane between"], replace(SETTINGS, solver=solver)
-    here, there = (tracer_of(PreparedScene.of(each), CARRIERS_HZ, settings) for each in (scene, moved(scene, offset_m)))
+    here, there = (
+        tracer_of(PreparedScene.of(placed), CARRIERS_HZ, settings) for placed in (scene, moved(scene, offset_m))
+    )
     channel, same = here.channel(TRANSMITTERS_M), there.channel(TRANSMITTERS_M + offset_m)
     np.testing.assert_array_equal(same.num_paths, channel.num_paths)
     error = np.linalg.norm(same.cfr - channel.cfr, axis=2) / np.linalg.norm(channel.cfr, axis=2)

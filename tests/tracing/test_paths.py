@@ -94,7 +94,7 @@ def test_one_behind_the_other_paths_lose_single_precision_alone() -> None:
     tx_m, receiver_m = np.array([[1.0, 1.0, 1.0], [6.0, 3.0, 1.0]]), np.asarray(SCENE.receiver.position_m)
     paths = [tracer.paths(tx) for tx in tx_m]
     ragged = RaggedPaths.of(paths, tx_m, receiver_m)
-    assert ragged.num_paths.tolist() == [len(each.delay_s) for each in paths]
+    assert ragged.num_paths.tolist() == [len(of_tx.delay_s) for of_tx in paths]
     assert len(ragged.interaction) == ragged.num_interactions.sum() == len(ragged.vertex_m)
     second = slice(len(paths[0].delay_s), None)
     np.testing.assert_array_equal(ragged.delay_s[second], paths[1].delay_s)

@@ -155,9 +155,9 @@ def _remove(folder: Path) -> None:
     """
     doomed = Path(tempfile.mkdtemp(".removed", f".{folder.name}.", folder.parent))
     folder.replace(doomed)
-    for each in folder.parent.glob(f".{glob.escape(folder.name)}.*.removed"):
-        if not each.is_symlink():
-            _empty(each)
+    for removed in folder.parent.glob(f".{glob.escape(folder.name)}.*.removed"):
+        if not removed.is_symlink():
+            _empty(removed)
     if doomed.exists():
         doomed.rename(folder)
 

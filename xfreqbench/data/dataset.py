@@ -155,8 +155,8 @@ class PasDataset:
         more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
         elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
         subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
-        every = zip(("receiver", "sent, heard"), self.link_names, (self.receivers, self.polarizations), strict=True)
-        links = {kind: f"{name}, of {', '.join(names)}" for kind, name, names in every if names}
+        axes = zip(("receiver", "sent, heard"), self.link_names, (self.receivers, self.polarizations), strict=True)
+        links = {kind: f"{name}, of {', '.join(names)}" for kind, name, names in axes if names}
         return {
             **links,
             "scene": f"{header.scene_name!r}, {header.num_tx} transmitters × {self.num_carriers} carriers",
@@ -430,8 +430,8 @@ class PasDataset:
         self._require_paths()
         with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
-            every = read_paths(file, totals, self.tables[OFFSET])
-            return self._of_link(every.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names
+            of_all = read_paths(file, totals, self.tables[OFFSET])
+            return self._of_link(of_all.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names
 
     def _of_link(self, paths: RaggedPaths) -> RaggedPaths:
         """Paths of one receiver with the gains of one pair of polarizations."""
@@ -611,5 +611,5 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
 def geometry(dataset: PasDataset) -> list[tuple[Variable, NDArray[Any]]]:
     """Axes, grid and receiver as a data set stores them, each variable with its values: what every method may know."""
     known = constants(dataset.header, dataset.grid)
-    every = variables(dataset.header, dataset.grid)
-    return [(each, known[each.name]) for each in every if each.name in known.keys() - {TX, CARRIER}]
+    stored = variables(dataset.header, dataset.grid)
+    return [(variable, known[variable.name]) for variable in stored if variable.name in known.keys() - {TX, CARRIER}]

@@ -138,7 +138,7 @@ def field_differences(
     It is the median, since a solver may miss a rare path of single transmitters. Without a path in h′ the quotient is
     0 where h has none either, else infinite.
     """
-    off, length = (np.linalg.norm(each, axis=2) for each in (cfr - expected.astype(complex), expected))
+    off, length = (np.linalg.norm(vector, axis=2) for vector in (cfr - expected.astype(complex), expected))
     relative = np.where(off == 0, 0.0, np.inf)
     np.divide(off, length, out=relative, where=length > 0)
     return np.median(relative, axis=0)
@@ -163,8 +163,8 @@ def read_fingerprint(path: Path) -> Fingerprint:
 @cache
 def _shipped() -> dict[str, Fingerprint]:
     """The fingerprint of every shipped scene, by the hash of its physics."""
-    every = map(read_fingerprint, sorted(_folder().glob(f"*{_ENDING}")))
-    return {each.physics_sha256: each for each in every}
+    fingerprints = map(read_fingerprint, sorted(_folder().glob(f"*{_ENDING}")))
+    return {fingerprint.physics_sha256: fingerprint for fingerprint in fingerprints}
 
 
 def _folder() -> Path:
@@ -172,4 +172,4 @@ def _folder() -> Path:
 
 
 def _places(tx_position_m: Float[FloatArray, "T 3"]) -> list[tuple[int, ...]]:
-    return [tuple(each) for each in micrometres(tx_position_m).tolist()]
+    return [tuple(place) for place in micrometres(tx_position_m).tolist()]

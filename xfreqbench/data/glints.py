@@ -58,7 +58,9 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
         )
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
-    found = [_paths(dataset, each, positions_m[np.sort(rows)]) for each in (scene, replace(scene, mirrors="facets"))]
+    found = [
+        _paths(dataset, mirrored, positions_m[np.sort(rows)]) for mirrored in (scene, replace(scene, mirrors="facets"))
+    ]
     return Glints(
         dataset.header.carrier_hz, np.array([counts for counts, _ in found]), np.array([power for _, power in found])
     )
@@ -72,5 +74,5 @@ def _paths(
     prepared = PreparedScene.of(scene)
     tracer = tracer_of(prepared, dataset.header.carrier_hz.tolist(), settings)
     paths = [tracer.paths(tx) for tx in tx_position_m]
-    counts = np.array([len(each.delay_s) for each in paths], dtype=np.int64)
-    return counts, np.array([(np.abs(each.gain) ** 2).sum(axis=1) for each in paths])
+    counts = np.array([len(found.delay_s) for found in paths], dtype=np.int64)
+    return counts, np.array([(np.abs(found.gain) ** 2).sum(axis=1) for found in paths])

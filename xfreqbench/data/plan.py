@@ -166,10 +166,13 @@ class Plan:
         layers = [layer for slab in slabs_of(self.geometry.meshes) for layer in slab.layers]
         own = {layer.material for layer in layers if isinstance(layer.material, ConstantMaterial)}
         told = [
-            f"{each.name} (ε′ {each.relative_permittivity:g}, σ {each.conductivity_s_m:g} S/m)"
-            for each in sorted(own, key=str)
+            f"{material.name} (ε′ {material.relative_permittivity:g}, σ {material.conductivity_s_m:g} S/m)"
+            for material in sorted(own, key=str)
         ]
-        rough = [f"{name} (S {each.coefficient:g}, {each.pattern})" for name, each in self.geometry.scattering]
+        rough = [
+            f"{name} (S {scattering.coefficient:g}, {scattering.pattern})"
+            for name, scattering in self.geometry.scattering
+        ]
         is_traced = "diffuse" in self.settings.named_interactions
         return (f"\nthe same at every carrier: {', '.join(told)}" if told else "") + (
             f"\nscattering: {', '.join(rough)}{'' if is_traced else ', of which the interaction diffuse is not traced'}"
@@ -231,8 +234,8 @@ def plan_generation(
     materials = (layer.material for slab in slabs_of(geometry.meshes) for layer in slab.layers)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
     check_overlaps(geometry)
-    for each in scene.receivers:
-        alone = replace(scene, receiver=each, other_receivers=())
+    for receiver in scene.receivers:
+        alone = replace(scene, receiver=receiver, other_receivers=())
         check_receiver(alone, geometry.meshes, min(carriers))
         check_closed(alone, geometry.meshes)
     if tx_position_m is None:
@@ -246,22 +249,24 @@ def plan_generation(
     several = pairs if len(pairs) > 1 else ()
     tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
-    in_sight = [sees(geometry.meshes, placed.tx_position_m, np.asarray(each.position_m)) for each in scene.receivers]
+    in_sight = [
+        sees(geometry.meshes, placed.tx_position_m, np.asarray(receiver.position_m)) for receiver in scene.receivers
+    ]
     line_of_sight = np.stack(in_sight, axis=1) if header.receivers else in_sight[0]
     return Plan(tracing, placed.tx_position_m, line_of_sight, header)
 
 
 def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:
     """The scene with the receivers that are asked for; raises `XFreqBenchError` where their arrays differ."""
-    known = [each.name for each in scene.receivers if each.name is not None]
+    known = [receiver.name for receiver in scene.receivers if receiver.name is not None]
     if names is not None and [*names] == ["all"] and "all" not in known:
         names = known
     chosen = scene.with_receiver(*(names or ()))
     first, *others = chosen.receivers
-    for each in others:
-        if any(getattr(each, name) != getattr(first, name) for name in ("rows", "cols", "spacing_wavelengths")):
+    for other in others:
+        if any(getattr(other, name) != getattr(first, name) for name in ("rows", "cols", "spacing_wavelengths")):
             raise XFreqBenchError(
-                f"Receivers {first.name!r} and {each.name!r} have different arrays, but those of one file have the "
+                f"Receivers {first.name!r} and {other.name!r} have different arrays, but those of one file have the "
                 "same rows, cols and spacing_wavelengths. Generate a file for each, as with --receiver "
                 f"{first.name}, or give them the same array."
             )
@@ -305,7 +310,7 @@ def _header(
 ) -> DatasetHeader:
     """What the file will say about itself."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    told = [{"material": name, **each.stated} for name, each in tracing.prepared().geometry.scattering]
+    told = [{"material": name, **scattering.stated} for name, scattering in tracing.prepared().geometry.scattering]
     rough = {"scattering": told} if told else {}
     return DatasetHeader(
         scene_name=tracing.scene.name,
@@ -327,7 +332,9 @@ def _header(
         rejected=placed.rejected,
         paths=tracing.paths,
         physics=PHYSICS_VERSION,
-        receivers=tuple(each.name or "" for each in tracing.scene.receivers) if tracing.scene.other_receivers else (),
+        receivers=tuple(receiver.name or "" for receiver in tracing.scene.receivers)
+        if tracing.scene.other_receivers
+        else (),
         polarizations=tracing.polarizations,
         references=f"Recommendation ITU-R {P2040_EDITION}, Table 3 (materials)",
     )

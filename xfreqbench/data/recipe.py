@@ -101,7 +101,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and what of
     the scene's file changes no channel.
     """
-    told = {each.name: getattr(header, each.name) for each in fields(header)} | {
+    told = {field.name: getattr(header, field.name) for field in fields(header)} | {
         "scene_json": json.loads(header.scene_json),
         "receiver": asdict(header.receiver),
         "carrier_hz": header.carrier_hz.tolist(),
@@ -119,8 +119,8 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
 def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """The values in nested dictionaries as texts, by names such as `settings.seed`."""
     if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _flat(f"{name}.{key}" if name else key, each)
+        for key, part in value.items():
+            yield from _flat(f"{name}.{key}" if name else key, part)
     else:
         yield name, value if isinstance(value, str) else json.dumps(value, sort_keys=True)
 
@@ -140,7 +140,9 @@ def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
     """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
     content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
     content["receiver"].pop("name", None)
-    content["surface"] = [{key: value for key, value in each.items() if key != "name"} for each in content["surface"]]
+    content["surface"] = [
+        {key: value for key, value in surface.items() if key != "name"} for surface in content["surface"]
+    ]
     meshes = {"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {}
     return content | meshes | scene.antenna_settings
 

@@ -52,7 +52,7 @@ def require_origin(
     where the scene's meshes are not at hand.
     """
     worst = max(
-        _retraced(dataset, rows, folder, workers), key=lambda each: (np.isnan(each.difference), each.difference)
+        _retraced(dataset, rows, folder, workers), key=lambda sample: (np.isnan(sample.difference), sample.difference)
     )
     if not worst.difference <= TOLERANCE:
         raise DataError(
@@ -115,7 +115,7 @@ def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> 
         if again.paths is not None:
             receiver = dataset.header.receiver
             compared = dataset.paths(row), SamplePaths.of(again.paths, int(carrier), carrier_hz, ())
-            differences.append(_apart(*(each.impulse_response(receiver).gain.sum(axis=0) for each in compared)))
+            differences.append(_apart(*(paths.impulse_response(receiver).gain.sum(axis=0) for paths in compared)))
         yield Retraced(int(row // dataset.num_carriers), carrier_hz, float(np.max(differences)))
 
 

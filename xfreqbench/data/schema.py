@@ -122,7 +122,7 @@ class DatasetHeader:
             return self
         scene = TypeAdapter(Scene).validate_json(self.scene_json)
         if self.receivers:
-            names = tuple(each.name for each in scene.receivers)
+            names = tuple(receiver.name for receiver in scene.receivers)
             if names != self.receivers:
                 raise ValueError(f"header attribute 'receivers_json': the scene has the receivers {names}")
             scene = scene.with_receiver(self.receivers[receiver])
@@ -242,9 +242,9 @@ def _words(*meanings: str) -> tuple[tuple[int, str], ...]:
 
 def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any]]:
     """Values, by variable, of all that is known before the first ray: axes, grid and receivers."""
-    receiver, every = header.receiver, [header.at(number).receiver for number in range(len(header.receivers))]
-    positions_m = [np.asarray(each.position_m) for each in every or [receiver]]
-    rotations = [each.rotation for each in every or [receiver]]
+    receiver, receivers = header.receiver, [header.at(number).receiver for number in range(len(header.receivers))]
+    positions_m = [np.asarray(of_link.position_m) for of_link in receivers or [receiver]]
+    rotations = [of_link.rotation for of_link in receivers or [receiver]]
     return {
         TX: np.arange(header.num_tx),
         CARRIER: header.carrier_hz,
@@ -253,8 +253,8 @@ def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any
         RECEIVER_AXIS: np.arange(3),
         ELEVATION: np.degrees(grid.elevation_rad).round(9),
         AZIMUTH: np.degrees(grid.azimuth_rad).round(9),
-        "rx_position_m": np.stack(positions_m) if every else positions_m[0],
+        "rx_position_m": np.stack(positions_m) if receivers else positions_m[0],
         ELEMENT_POSITION: receiver.element_position_wavelengths,
-        "frame_rotation": np.stack(rotations) if every else rotations[0],
+        "frame_rotation": np.stack(rotations) if receivers else rotations[0],
         **{axis: np.arange(count) for axis, count in header.link_axes.items()},
     }

@@ -275,9 +275,9 @@ def held_out_receiver(dataset: PasDataset) -> list[Split]:
     _require_directions(dataset)
     others = {name: dataset.at(name) for name in dataset.receivers if name != held_out}
     test = np.flatnonzero(dataset.has_path)
-    if not len(test) or not any(each.has_path.any() for each in others.values()):
+    if not len(test) or not any(other.has_path.any() for other in others.values()):
         raise ProtocolError(f"No path arrives at receiver {held_out!r}, or none at any other: nothing can be tested.")
-    trained = tuple((name, each.recipe.id) for name, each in others.items())
+    trained = tuple((name, other.recipe.id) for name, other in others.items())
     name, num_without_path = f"{HELD_OUT_RECEIVER}-{held_out}", len(dataset) - len(test)
     nothing = np.zeros(0, np.int64)
     return [Split(name, HELD_OUT_RECEIVER, PROTOCOL_VERSION, nothing, test, num_without_path, True, 0.0, trained)]

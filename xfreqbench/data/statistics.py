@@ -237,9 +237,9 @@ def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) ->
     found = [of_paths(paths, carrier) for carrier in carriers.tolist()]
     place = np.searchsorted(traced, tx)
     missing = ~is_asked[np.ix_(tx, carriers)]
-    values = {name: np.stack([each[name][place] for each in found], axis=1) for name in found[0]}
-    for each in values.values():
-        each[missing] = np.nan
+    values = {name: np.stack([at_carrier[name][place] for at_carrier in found], axis=1) for name in found[0]}
+    for of_links in values.values():
+        of_links[missing] = np.nan
     carrier_hz = header.carrier_hz[carriers]
     distance_m = np.linalg.norm(dataset.tables["tx_position_m"][tx] - receiver_m, axis=1)
     in_sight = dataset.tables["line_of_sight"][tx].astype(bool)

@@ -84,13 +84,13 @@ _software = cache(software_versions)
 def tracers_of(tracing: Tracing, settings: TraceSettings) -> list[list[Tracer]]:
     """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
     prepared = tracing.prepared()
-    every = []
+    tracers = []
     for receiver in prepared.scene.receivers:
         scene = replace(prepared.scene, receiver=receiver, other_receivers=())
         first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
         tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, settings)
-        every.append([tracer, *map(tracer.with_antennas, others)])
-    return every
+        tracers.append([tracer, *map(tracer.with_antennas, others)])
+    return tracers
 
 
 def channel_by(tracers: list[list[Tracer]], tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
@@ -103,14 +103,14 @@ def channel_by(tracers: list[list[Tracer]], tracing: Tracing, tx_position_m: Flo
 
     def joined(name: str) -> NDArray[Any]:
         """A field of the channels, its axes those of transmitters, links and what follows."""
-        of_links = np.moveaxis(np.array([[getattr(each, name) for each in row] for row in found]), 2, 0)
+        of_links = np.moveaxis(np.array([[getattr(channel, name) for channel in row] for row in found]), 2, 0)
         return of_links.reshape(len(tx_position_m), *counts, *of_links.shape[3:])
 
     channel = Channel(joined("cfr"), joined("num_paths"))
     if not tracing.paths:
         return channel
-    receivers_m = np.array([each.position_m for each in tracing.scene.receivers], dtype=np.float64)
-    paths = [Paths.joined([each.paths(at) for each in row]) for at in tx_position_m for row in tracers]
+    receivers_m = np.array([receiver.position_m for receiver in tracing.scene.receivers], dtype=np.float64)
+    paths = [Paths.joined([tracer.paths(at) for tracer in row]) for at in tx_position_m for row in tracers]
     ends = np.repeat(tx_position_m, len(tracers), axis=0), np.tile(receivers_m, (len(tx_position_m), 1))
     ragged = RaggedPaths.of(paths, *ends)
     gain = ragged.gain.reshape(len(ragged.gain), *counts[len(tracers) > 1 :], len(tracing.carrier_hz))

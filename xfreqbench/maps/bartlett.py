@@ -57,8 +57,8 @@ class BartlettBeam:
     @cached_property
     def conjugate_steering(self) -> Complex[NDArray[np.complex64], "M EA"]:
         """a(d)* / M of every direction d; the directions are those of the grid, row by row."""
-        told = (self.element_position_wavelengths, self.grid.elevation_rad, self.grid.azimuth_rad)
-        return _conjugate_steering(*(np.asarray(each, np.float64).tobytes() for each in told))
+        angles = (self.element_position_wavelengths, self.grid.elevation_rad, self.grid.azimuth_rad)
+        return _conjugate_steering(*(np.asarray(values, np.float64).tobytes() for values in angles))
 
     def maps(
         self, cfr: Complex[NDArray[np.complexfloating], "B M"], kind: PasKind = "power"

@@ -210,14 +210,16 @@ class Family:
 
     @model_validator(mode="after")
     def _knows_what_it_names(self) -> Family:
-        outlines, pieces = ({each.name for each in every} for every in (self.outline, self.piece))
-        for each in self.type:
-            named = [("outline", name, outlines) for name in each.outlines]
-            named += [("piece of furniture", furniture.piece, pieces) for furniture in each.furniture]
+        outlines, pieces = ({item.name for item in items} for items in (self.outline, self.piece))
+        for room_type in self.type:
+            named = [("outline", name, outlines) for name in room_type.outlines]
+            named += [("piece of furniture", furniture.piece, pieces) for furniture in room_type.furniture]
             for kind, name, known in named:
                 if name not in known:
-                    raise ValueError(f"type {each.name!r} names {kind} {name!r}; there are {', '.join(sorted(known))}")
-        if len({each.name for each in self.type}) < len(self.type):
+                    raise ValueError(
+                        f"type {room_type.name!r} names {kind} {name!r}; there are {', '.join(sorted(known))}"
+                    )
+        if len({room_type.name for room_type in self.type}) < len(self.type):
             raise ValueError("two types have the same name")
         return self
 
@@ -234,17 +236,17 @@ class Family:
 
     def type_of(self, seed: int) -> RoomType:
         """The type of the room that a seed draws."""
-        left = _Dice(seed, 2).share() * sum(each.share for each in self.type)
-        for each in self.type:
-            left -= each.share
+        left = _Dice(seed, 2).share() * sum(room_type.share for room_type in self.type)
+        for room_type in self.type:
+            left -= room_type.share
             if left < 0:
-                return each
+                return room_type
         return self.type[-1]
 
     @property
     def held_out_types(self) -> tuple[str, ...]:
         """Names of the types whose rooms are for the test alone."""
-        return tuple(each.name for each in self.type if each.held_out)
+        return tuple(room_type.name for room_type in self.type if room_type.held_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,8 +326,8 @@ def load_family(name_or_path: FilePath) -> Family:
         return TypeAdapter(Family).validate_python(tomllib.loads(read_text(path)))
     except ValidationError as error:
         faults = "\n".join(
-            f"  {'.'.join(map(str, each['loc'])) or 'family'}: {each['msg'].removeprefix('Value error, ')}"
-            for each in error.errors()
+            f"  {'.'.join(map(str, fault['loc'])) or 'family'}: {fault['msg'].removeprefix('Value error, ')}"
+            for fault in error.errors()
         )
         raise SceneError(f"{path}: the family has no valid form:\n{faults}") from error
     except OSError as error:
@@ -364,12 +366,12 @@ def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**
                 solids.append(placed.solid)
                 surfaces += placed.surfaces(f"{furniture.piece} {next(names)}", dice)
     used = {surface.material for surface in surfaces}
-    used |= {layer.material for each in family.material if each.name in used for layer in each.layers or ()}
+    used |= {layer.material for material in family.material if material.name in used for layer in material.layers or ()}
     scene = Scene(
         name=f"{family.name}-{kind.name}-{seed}",
         receiver=receiver,
         surface=tuple(surfaces),
-        material=tuple(each for each in family.material if each.name in used),
+        material=tuple(material for material in family.material if material.name in used),
     )
     return DrawnRoom(seed, kind, scene, outline_m, tuple(solids))
 
@@ -377,7 +379,7 @@ def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**
 def _outline(family: Family, kind: RoomType, dice: _Dice) -> Float[FloatArray, "n 2"]:
     """Corners of the floor plan in turn, counter-clockwise; it may be mirrored along either axis."""
     name = dice.one_of(kind.outlines)
-    outline = next(each for each in family.outline if each.name == name)
+    outline = next(outline for outline in family.outline if outline.name == name)
     drawn = {name: dice.between(span) for name, span in outline.spans.items()}
     share = np.array([[drawn[at] if isinstance(at, str) else at for at in corner] for corner in outline.corners])
     for axis in range(2):
@@ -409,7 +411,7 @@ class _Shell:
         ):
             yield _surface(name, _slab(choice, dice), [(x, y, z) for x, y in corners_m.tolist()])
         doors, windows = dice.whole(kind.doors), dice.whole(kind.windows)
-        wall_slab, door_slab, window_slab = (_slab(each, dice) for each in (kind.walls, kind.door, kind.window))
+        wall_slab, door_slab, window_slab = (_slab(slabs, dice) for slabs in (kind.walls, kind.door, kind.window))
         by_wall: list[list[str]] = [[] for _ in self.walls]
         for opening in ["door"] * doors + ["window"] * windows:
             by_wall[dice.whole((0, len(self.walls) - 1))].append(opening)
@@ -630,10 +632,14 @@ def _is_free(solid: Solid, outline_m: Float[FloatArray, "n 2"], solids: Sequence
 
 def _apart_m(first_m: Float[FloatArray, "n 2"], second_m: Float[FloatArray, "k 2"]) -> float:
     """By how much a line between two convex outlines, along a side of one or across it, keeps them apart at most."""
-    sides_m = np.concatenate([np.roll(each, -1, axis=0) - each for each in (first_m, second_m) if len(each) > 1])
+    sides_m = np.concatenate(
+        [np.roll(corners_m, -1, axis=0) - corners_m for corners_m in (first_m, second_m) if len(corners_m) > 1]
+    )
     across = np.concatenate([sides_m, np.column_stack([-sides_m[:, 1], sides_m[:, 0]])])
     across /= np.sqrt((across**2).sum(axis=1))[:, None]
-    first, second = (across[:, :1] * each[:, 0] + across[:, 1:] * each[:, 1] for each in (first_m, second_m))
+    first, second = (
+        across[:, :1] * corners_m[:, 0] + across[:, 1:] * corners_m[:, 1] for corners_m in (first_m, second_m)
+    )
     return float(np.maximum(first.min(axis=1) - second.max(axis=1), second.min(axis=1) - first.max(axis=1)).max())
 
 
@@ -681,7 +687,7 @@ def _surface(name: str, slab: _Slab, corners_m: Any, bounds_m: Any = None, mirro
     said: Literal[False] | None = None if mirrors else False
     if bounds_m is None:
         return Surface(name, material, thickness_m, vertices_m=tuple(map(tuple, corners_m)), mirrors=said)
-    low_m, high_m = (tuple(each.tolist()) for each in bounds_m)
+    low_m, high_m = (tuple(corner_m.tolist()) for corner_m in bounds_m)
     return Surface(name, material, thickness_m, low_m, high_m, mirrors=said)
 
 

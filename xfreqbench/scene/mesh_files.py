@@ -211,7 +211,7 @@ class _ObjPart:
     def shape(self, materials: Mapping[str, SceneMaterial]) -> ImportedShape:
         """The part in the scene; raises `ValueError` where the name that tells its material is no UTF-8."""
         name, material = (
-            each.encode(errors="surrogateescape").decode(errors="replace") for each in (self.name, self.material)
+            word.encode(errors="surrogateescape").decode(errors="replace") for word in (self.name, self.material)
         )
         if material != self.material or (not material and name != self.name):
             raise ValueError(

@@ -217,8 +217,8 @@ def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
 def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
     """A material and all that it wraps, as `twosided` does, or refers to, the outer before the inner."""
     found = [bsdf]
-    for each in found:  # which grows
-        inner = [*each.findall("./bsdf"), *(bsdfs.get(ref.get("id", "")) for ref in each.findall("./ref"))]
+    for outer in found:  # which grows
+        inner = [*outer.findall("./bsdf"), *(bsdfs.get(ref.get("id", "")) for ref in outer.findall("./ref"))]
         met = set(map(id, found))
         found += [one for one in inner if one is not None and id(one) not in met]
     return found
@@ -226,19 +226,19 @@ def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
 
 def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
     """What a material and those in it state: of each property the outermost."""
-    names = [each.get("id", "") for each in nested]
+    names = [bsdf.get("id", "") for bsdf in nested]
     of_p2040 = [name for name in names if plain_name(name) in ITU_MATERIALS]
     name = of_p2040[0] if of_p2040 else names[0]
     stated, are_several = StatedMaterial(name), len(set(map(plain_name, of_p2040))) > 1
-    for each in nested:
-        _check_properties(each, name, path)
-        material = _material(each, name, path)
+    for bsdf in nested:
+        _check_properties(bsdf, name, path)
+        material = _material(bsdf, name, path)
         are_several |= None not in (material, stated.material) and material != stated.material
         stated = StatedMaterial(
             name,
             stated.material or material,
-            stated.thickness_m or _number(each, "thickness", path, 0.0, MAX_THICKNESS_M),
-            stated.scattering or _scattering(each, name, path),
+            stated.thickness_m or _number(bsdf, "thickness", path, 0.0, MAX_THICKNESS_M),
+            stated.scattering or _scattering(bsdf, name, path),
         )
     if are_several:
         raise SceneError(f"{path}: material {names[0]!r} holds several others, but a surface has one; leave one.")
@@ -255,17 +255,17 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
         raise UnknownNameError(f"type of material, as that of {name!r} in {path}, called", kind, _OWN_PROPERTIES)
     known = {**_PROPERTIES, **_OWN_PROPERTIES.get(kind, _OWN_PROPERTIES["itu-radio-material"])}
     met = set[str]()
-    for each in bsdf:
-        given = each.get("name", "")
-        if each.tag in ("bsdf", "ref") or given in _COLOURS:
+    for child in bsdf:
+        given = child.get("name", "")
+        if child.tag in ("bsdf", "ref") or given in _COLOURS:
             continue
         fault = None
         if given not in known and (kind in _OWN_PROPERTIES or _is_slip(given)):
             if not any(given in own for own in _OWN_PROPERTIES.values()):
                 raise UnknownNameError(f"property of material {name!r} in {path}, called", given, known)
             fault = f"is no property of a material of type {kind!r}; change the type, or remove it"
-        elif given in known and (each.tag != known[given] or "value" not in each.attrib):
-            fault = f"is given as <{each.tag}>; give <{known[given]} name={given!r} value='…'/>"
+        elif given in known and (child.tag != known[given] or "value" not in child.attrib):
+            fault = f"is given as <{child.tag}>; give <{known[given]} name={given!r} value='…'/>"
         elif given in met.intersection(known):
             fault = "is given twice; remove one"
         if fault:
@@ -300,7 +300,7 @@ def _material(bsdf: Element, name: str, path: Path) -> Material | None:
 
 def _scattering(bsdf: Element, name: str, path: Path) -> Scattering | None:
     """How a material scatters, under the names that Sionna RT has for it; raises `SceneError`."""
-    values = {each.get("name", ""): each.get("value", "") for each in bsdf}
+    values = {child.get("name", ""): child.get("value", "") for child in bsdf}
     if "scattering_coefficient" not in values:
         return None
     stated = {key: values[word] for key, word in _SCATTERING.items() if word in values}
@@ -336,7 +336,7 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
 def _check_shape(shape: Element, kind: str, where: str) -> None:
     """Raise `SceneError` or `UnknownNameError` for a property of a shape that would be passed over."""
     known = _OF_SHAPES | _OF_KIND.get(kind, {})
-    given = [(each.get("name", ""), each.tag) for each in shape if each.tag not in _OBJECTS]
+    given = [(child.get("name", ""), child.tag) for child in shape if child.tag not in _OBJECTS]
     for name, tag in given:
         if name not in known:
             raise UnknownNameError(f"property of a {kind}, as in {where}, called", name, known)

@@ -365,10 +365,10 @@ class Scene:
     @model_validator(mode="after")
     def _names_are_unique_and_materials_known(self) -> Scene:
         receivers = self.receivers if self.other_receivers else ()
-        if not all(each.name for each in receivers):
+        if not all(receiver.name for receiver in receivers):
             raise ValueError('of several receivers each needs a name of its own, as in name = "north"')
         for kind, named in (("surface", self.surface), ("material", self.material), ("receiver", receivers)):
-            names = Counter(each.name or "" for each in named)
+            names = Counter(item.name or "" for item in named)
             twice = sorted(name for name, count in names.items() if count > 1)
             if twice:
                 raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
@@ -385,7 +385,7 @@ class Scene:
 
     def with_receiver(self, *names: str) -> Scene:
         """The scene with some of its receivers alone, the first without a name; raises `UnknownNameError`."""
-        by_name = {each.name: each for each in self.receivers if each.name is not None}
+        by_name = {receiver.name: receiver for receiver in self.receivers if receiver.name is not None}
         for name in names:
             if name not in by_name:
                 raise UnknownNameError("receiver", name, by_name)
@@ -400,7 +400,7 @@ class Scene:
         if pair not in POLARIZATION_PAIRS:
             raise UnknownNameError("pair of polarizations", pair, POLARIZATION_PAIRS)
         sent, heard = cast("tuple[Polarization, Polarization]", tuple(pair))
-        first, *others = [replace(each, polarization=heard) for each in self.receivers]
+        first, *others = [replace(receiver, polarization=heard) for receiver in self.receivers]
         turned = replace(self, receiver=first, other_receivers=tuple(others), transmitter_polarization=None)
         is_so = turned.transmitter_antenna.polarization == sent
         return turned if is_so else replace(turned, transmitter_polarization=sent)

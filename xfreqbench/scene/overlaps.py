@@ -143,6 +143,6 @@ def _shared_m(
             across = np.cross(normal, edge)
             across /= np.linalg.norm(across, axis=1, keepdims=True)
             along = [np.einsum("pkc,pc->pk", each_m, across) for each_m in (first_m, second_m)]
-            most, least = (side([each.T for each in along], axis=1) for side in (np.max, np.min))
+            most, least = (side([places.T for places in along], axis=1) for side in (np.max, np.min))
             shared_m = np.minimum(shared_m, most.min(axis=0) - least.max(axis=0))
     return shared_m

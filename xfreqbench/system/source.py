@@ -220,7 +220,7 @@ def _is_idle_statement(node: ast.stmt) -> bool:
         is_lazy = isinstance(value, ast.Call) and _dotted(value.func)[-1] in ("attach", "attach_stub")
         return is_lazy or ast.unparse(node.targets[0]).startswith("__")
     if isinstance(node, ast.If):
-        refuses = all(isinstance(each, ast.Raise) for each in node.body)
+        refuses = all(isinstance(statement, ast.Raise) for statement in node.body)
         return (refuses or _is_type_checking(node.test)) and not node.orelse
     return ast.unparse(node).startswith(_IDLE_BEGINNINGS)
 

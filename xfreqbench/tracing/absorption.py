@@ -22,7 +22,9 @@ def slab_response(
     permittivity = np.array([complex_permittivity(layer.material, carrier_hz, policy) for layer in slab.layers])
     thickness_m = np.array([layer.thickness_m for layer in slab.layers])
     phase_thickness = 2 * np.pi * thickness_m * carrier_hz / SPEED_OF_LIGHT_M_S
-    return np.array([stack_coefficients(each, permittivity, phase_thickness) for each in cosine.tolist()])
+    return np.array(
+        [stack_coefficients(angle_cosine, permittivity, phase_thickness) for angle_cosine in cosine.tolist()]
+    )
 
 
 def slab_absorption(slab: Slab, carrier_hz: float, policy: MaterialPolicy = "error") -> float:
@@ -33,7 +35,7 @@ def slab_absorption(slab: Slab, carrier_hz: float, policy: MaterialPolicy = "err
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     cosine = (1 + nodes) / 2
-    sides = [np.abs(slab_response(each, carrier_hz, cosine, policy)[:, :2]) ** 2 for each in {slab, slab.turned}]
+    sides = [np.abs(slab_response(side, carrier_hz, cosine, policy)[:, :2]) ** 2 for side in {slab, slab.turned}]
     return float(1 - weights / 2 * cosine @ np.mean(sides, axis=0).sum(axis=1))
 
 

@@ -47,16 +47,16 @@ class Paths:
         """
         if len(links) == 1:
             return links[0]
-        points_m = [np.nan_to_num(each.vertices_m, nan=np.inf).reshape(len(each.delay_s), -1) for each in links]
-        met = [np.hstack([each.interactions, each.surfaces, at]) for each, at in zip(links, points_m, strict=True)]
+        points_m = [np.nan_to_num(link.vertices_m, nan=np.inf).reshape(len(link.delay_s), -1) for link in links]
+        met = [np.hstack([link.interactions, link.surfaces, at]) for link, at in zip(links, points_m, strict=True)]
         _, first, number = np.unique(np.concatenate(met), axis=0, return_index=True, return_inverse=True)
-        delay_s = np.concatenate([each.delay_s for each in links])[first]
+        delay_s = np.concatenate([link.delay_s for link in links])[first]
         order = np.lexsort((first, delay_s))
-        place = np.split(np.argsort(order)[number.ravel()], np.cumsum([len(each.delay_s) for each in links])[:-1])
+        place = np.split(np.argsort(order)[number.ravel()], np.cumsum([len(link.delay_s) for link in links])[:-1])
         gain = np.zeros((len(links), len(first), len(links[0].carrier_hz)), np.complex128)
-        for of_link, each, at in zip(gain, links, place, strict=True):
-            np.add.at(of_link, at, each.gain.T)
-        kept = {name: np.concatenate([getattr(each, name) for each in links])[first][order] for name in _OF_A_PATH}
+        for of_link, link, at in zip(gain, links, place, strict=True):
+            np.add.at(of_link, at, link.gain.T)
+        kept = {name: np.concatenate([getattr(link, name) for link in links])[first][order] for name in _OF_A_PATH}
         flat = gain.swapaxes(1, 2).reshape(-1, len(first))
         return cls(np.tile(links[0].carrier_hz, len(links)), flat, delay_s[order], **kept)
 
@@ -99,24 +99,24 @@ class RaggedPaths:
         cls, paths: Sequence[Paths], tx_position_m: Float[FloatArray, "T 3"], receiver_m: Float[FloatArray, "*R 3"]
     ) -> RaggedPaths:
         """The paths of T transmitters, one at least, and of a receiver at `receiver_m`, or of one for each."""
-        is_met: list[Bool[NDArray[np.bool_], "P D"]] = [each.interactions != NO_INTERACTION for each in paths]
+        is_met: list[Bool[NDArray[np.bool_], "P D"]] = [of_tx.interactions != NO_INTERACTION for of_tx in paths]
         ends = zip(paths, tx_position_m, np.broadcast_to(receiver_m, tx_position_m.shape), strict=True)
-        arrival = angles_rad(np.concatenate([each.arrival for each in paths]))
-        departure = angles_rad(np.concatenate([each.departure(tx, rx) for each, tx, rx in ends]))
+        arrival = angles_rad(np.concatenate([of_tx.arrival for of_tx in paths]))
+        departure = angles_rad(np.concatenate([of_tx.departure(tx, rx) for of_tx, tx, rx in ends]))
         kept = list(zip(paths, is_met, strict=True))
         precision = np.float64 if (np.abs(receiver_m) > NEAR_M).any() else np.float32
         return cls(
-            num_paths=np.array([len(each.delay_s) for each in paths], np.int64),
-            gain=np.concatenate([each.gain.T for each in paths]).astype(np.complex64),
-            delay_s=np.concatenate([each.delay_s for each in paths]),
+            num_paths=np.array([len(of_tx.delay_s) for of_tx in paths], np.int64),
+            gain=np.concatenate([of_tx.gain.T for of_tx in paths]).astype(np.complex64),
+            delay_s=np.concatenate([of_tx.delay_s for of_tx in paths]),
             arrival_azimuth_rad=arrival[0].astype(np.float32),
             arrival_elevation_rad=arrival[1].astype(np.float32),
             departure_azimuth_rad=departure[0].astype(np.float32),
             departure_elevation_rad=departure[1].astype(np.float32),
             num_interactions=np.concatenate([met.sum(axis=1) for met in is_met]).astype(np.int64),
-            interaction=np.concatenate([each.interactions[met] for each, met in kept]).astype(np.uint8),
-            surface=np.concatenate([each.surfaces[met] for each, met in kept]).astype(np.int32),
-            vertex_m=np.concatenate([each.vertices_m[met] for each, met in kept]).astype(precision),
+            interaction=np.concatenate([of_tx.interactions[met] for of_tx, met in kept]).astype(np.uint8),
+            surface=np.concatenate([of_tx.surfaces[met] for of_tx, met in kept]).astype(np.int32),
+            vertex_m=np.concatenate([of_tx.vertices_m[met] for of_tx, met in kept]).astype(precision),
         )
 
     def every(self, step: int, first: int) -> RaggedPaths:

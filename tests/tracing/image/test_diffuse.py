@@ -74,7 +74,7 @@ def octant_powers(gain: NDArray[Any], arrival: NDArray[np.float64], interactions
     num_tiles, num_mirrors = ((interactions == code).sum(axis=1) for code in (DIFFUSE, SPECULAR))
     ends = np.where(interactions == REFRACTION, 0, interactions)
     is_last = [row[row > 0][-1:] == [DIFFUSE] for row in ends]
-    last = np.array([len(each) > 0 and bool(each[0]) for each in is_last], bool)
+    last = np.array([len(codes) > 0 and bool(codes[0]) for codes in is_last], bool)
     kinds = (num_mirrors == 0, (num_mirrors == 1) & last, (num_mirrors == 1) & ~last)
     return np.array([np.bincount(octant, np.abs(gain) ** 2 * (kind & (num_tiles == 1)), minlength=8) for kind in kinds])
 
@@ -161,7 +161,7 @@ def test_phases_are_random_so_that_powers_add() -> None:
     tracer = ImageTracer(scene, [CARRIER_HZ], replace(settings, interactions=("diffuse",)))
     total = (np.abs(tracer.paths(TX_M).gain[0]) ** 2)[1:].sum()  # without the line of sight
     seeds = (replace(settings, interactions=("diffuse",), seed=seed) for seed in range(60))
-    cfr = np.array([ImageTracer(scene, [CARRIER_HZ], each).channel(TX_M[None]).cfr[0, 0] for each in seeds])
+    cfr = np.array([ImageTracer(scene, [CARRIER_HZ], settings).channel(TX_M[None]).cfr[0, 0] for settings in seeds])
     spread = cfr - cfr.mean(axis=0)
     np.testing.assert_allclose((np.abs(spread) ** 2).mean(axis=0), total, rtol=0.5)  # 1/√60, four times
     assert (np.abs(spread) ** 2).mean() == pytest.approx(total, rel=0.15)
@@ -176,7 +176,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
             traced(plate(scattering), replace(SETTINGS, interactions=names))
             for scattering, names in ((None, smooth), (Scattering(0.6), asked))
         )
-        kept = [np.abs(each.gain[0, (each.interactions == [SPECULAR, 0]).all(axis=1)]) for each in both]
+        kept = [np.abs(paths.gain[0, (paths.interactions == [SPECULAR, 0]).all(axis=1)]) for paths in both]
         assert len(kept[0])
         np.testing.assert_allclose(kept[1], 0.8 * kept[0], rtol=1e-9)
     assert resolve_solver(PreparedScene.of(plate(Scattering(0.6))).geometry, TraceSettings()).solver == "image"

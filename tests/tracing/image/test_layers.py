@@ -36,7 +36,7 @@ LOSSLESS = [ConstantMaterial(f"eps {value}", value, 0.0) for value in (2.0, 6.5,
 STACKS = {
     "double glazing": PRESETS["double-glazing"].layers,
     "lining": (Layer("plasterboard", 0.0125), Layer("vacuum", 0.03), Layer("wood", 0.02), Layer("concrete", 0.03)),
-    "lossless": tuple(Layer(each, 0.003 * (n + 1)) for n, each in enumerate(LOSSLESS)),
+    "lossless": tuple(Layer(material, 0.003 * (n + 1)) for n, material in enumerate(LOSSLESS)),
     "on metal": (Layer("glass", 0.006), Layer("metal", 0.001)),
 }
 
@@ -71,7 +71,7 @@ def dense(slab: Slab, carrier_hz: float, cosine: float) -> list[complex]:
 @pytest.mark.parametrize("name", STACKS)
 def test_a_stack_reflects_and_passes_what_characteristic_matrices_say(name: str, carrier_hz: float) -> None:
     slab = layered(STACKS[name])
-    found, behind = (slab_response(each, carrier_hz, COSINES) for each in (slab, slab.turned))
+    found, behind = (slab_response(side, carrier_hz, COSINES) for side in (slab, slab.turned))
     np.testing.assert_allclose(behind[:, 2:], found[:, 2:], rtol=0, atol=1e-13)  # both ways alike
     if name != "on metal":  # whose matrices no number holds
         expected = [dense(slab, carrier_hz, cosine) for cosine in COSINES]
@@ -152,7 +152,9 @@ def test_a_scene_of_single_layers_has_the_channel_of_their_slabs() -> None:
     scene, settings = scene_of(plain), TraceSettings(max_depth=2)
     stacked = replace(scene, surface=(replace(plain, material="board", thickness_m=None),), material=(board,))
     tx_m = np.array([[2.0, 0.7, 1.5], [-1.0, 0.2, 1.0], [2.0, -0.5, 1.5]])
-    found, expected = (ImageTracer(each, CARRIERS_HZ, settings).channel(tx_m).cfr for each in (stacked, scene))
+    found, expected = (
+        ImageTracer(traced_scene, CARRIERS_HZ, settings).channel(tx_m).cfr for traced_scene in (stacked, scene)
+    )
     np.testing.assert_array_equal(found, expected)
 
 

@@ -187,7 +187,7 @@ def test_a_concave_polygon_is_the_rectangles_that_make_it_up() -> None:
     corners = [(-4, -4), (4, -4), (4, 0), (0.5, 0), (0.5, 3), (-4, 3)]
     whole = Surface("L", "glass", 0.01, vertices_m=tuple((float(x), float(y), 1.0) for x, y in corners))
     rectangles = [((-4.0, -4.0, 1.0), (4.0, 0.0, 1.0)), ((-4.0, 0.0, 1.0), (0.5, 3.0, 1.0))]
-    parts = [Surface(f"part {n}", "glass", 0.01, *each) for n, each in enumerate(rectangles)]
+    parts = [Surface(f"part {n}", "glass", 0.01, *corners_m) for n, corners_m in enumerate(rectangles)]
     settings = TraceSettings(interactions=("specular", "refraction", "diffraction"), max_depth=2)
     tx_m = np.array([[0.3, 0.2, 0.1], [0.6, 0.1, 1.9], [3.0, -1.0, 1.8]])
     found, expected = (

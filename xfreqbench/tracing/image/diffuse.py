@@ -64,7 +64,7 @@ class DiffuseReflection:
         diameter = 2 * float(np.linalg.norm(element - element.mean(axis=0), axis=1).max())
         tile_rad = min(tile_rad, TILE_BEAMS / max(diameter, 1e-9))
         scattering = [slab.scattering for slab in slabs]
-        is_rough = np.array([each is not None for each in scattering], bool)
+        is_rough = np.array([pattern is not None for pattern in scattering], bool)
         rough = np.flatnonzero(is_rough[facets.slab])
         windows = Windows(mirrors.axis, mirrors.low_m, mirrors.high_m)
         self._rooms = []
@@ -130,7 +130,7 @@ def divided(
         longest = length_m.argmax(axis=0)
         # the longest side becomes u
         turned = [(corner, u, v), (corner, v, u), (corner + u, v - u, -u)]
-        sides_m = np.choose(longest[:, None, None], [np.stack(each, axis=1) for each in turned])
+        sides_m = np.choose(longest[:, None, None], [np.stack(parts, axis=1) for parts in turned])
         reach_m = np.linalg.norm(u, axis=1) + np.linalg.norm(v, axis=1)
         away_m = np.linalg.norm(middles_m(sides_m, triangle) - receiver_m, axis=1) - reach_m / 2
         is_small = length_m.max(axis=0) <= np.clip(tile_rad * away_m, LEAST_TILE_M, tile_m)
@@ -142,7 +142,8 @@ def divided(
         far[:, 0] += half
         far[triangle, 2] -= half[triangle]
         facet, sides_m = np.concatenate([facet, facet]), np.concatenate([near, far])
-    return np.concatenate([facet, *(each for each, _ in done)]), np.concatenate([sides_m, *(each for _, each in done)])
+    facets, sides = zip((facet, sides_m), *done, strict=True)
+    return np.concatenate(facets), np.concatenate(sides)
 
 
 def middles_m(sides_m: Float[FloatArray, "n 3 3"], is_triangle: Bool[NDArray[np.bool_], "n"]) -> FloatArray:
@@ -153,15 +154,15 @@ def middles_m(sides_m: Float[FloatArray, "n 3 3"], is_triangle: Bool[NDArray[np.
 
 def roughness_of(scattering: Sequence[Scattering | None]) -> Roughness:
     """How kinds of slabs scatter, smooth ones not at all."""
-    rough = [each or Scattering(0.0) for each in scattering]
-    alpha = np.array([[each.alpha_r or 0, each.alpha_i or 0] for each in rough]).reshape(-1, 2)
-    share = np.array([1.0 if each.lambda_ is None else each.lambda_ for each in rough])
+    rough = [pattern or Scattering(0.0) for pattern in scattering]
+    alpha = np.array([[pattern.alpha_r or 0, pattern.alpha_i or 0] for pattern in rough]).reshape(-1, 2)
+    share = np.array([1.0 if pattern.lambda_ is None else pattern.lambda_ for pattern in rough])
     norm = np.zeros((len(rough), 2 + alpha.max(initial=0) // 2))
     for row, lobes, first in zip(norm, alpha.tolist(), share, strict=True):
         for part, integral in zip((first, 1 - first), map(_lobe_integral, lobes), strict=True):
             row[: len(integral)] += part * integral
-    kept = np.array([[1 - each.xpd_coefficient, each.xpd_coefficient] for each in rough]).reshape(-1, 2)
-    coefficient = np.array([each.coefficient for each in rough])
+    kept = np.array([[1 - pattern.xpd_coefficient, pattern.xpd_coefficient] for pattern in rough]).reshape(-1, 2)
+    coefficient = np.array([pattern.coefficient for pattern in rough])
     return Roughness(coefficient[:, None] * np.sqrt(kept), alpha.astype(float), share, norm)
 
 

@@ -267,12 +267,12 @@ def media_of(
     lanes = np.ascontiguousarray(lanes)  # of one carrier too: kernels are compiled for each order of axes
     lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
     specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
-    transmitter, receiver = (_antenna(each) for each in (scene.transmitter_antenna, scene.receiver.antenna))
+    transmitter, receiver = (_antenna(antenna) for antenna in (scene.transmitter_antenna, scene.receiver.antenna))
     if abs(np.dot(transmitter.axis, receiver.axis)) > 1 - 1e-12:
         # The ends of a ray beside both axes have opposite azimuths, however often floor and ceiling reflect it.
         x, y, z = transmitter.aside
         receiver = receiver._replace(aside=(-x, -y, -z))
-    antennas = np.array([np.hstack(each) for each in (transmitter, receiver)], dtype=np.float64)
+    antennas = np.array([np.hstack(antenna) for antenna in (transmitter, receiver)], dtype=np.float64)
     media = Media(permittivity, phase_thickness, lanes, first, specular, antennas)
     kind = [[kinds.index(slab) for slab in (mesh.slab, mesh.slab.turned)] for mesh in meshes]
     return media, np.array(kind, dtype=np.int64).reshape(-1, 2).T
@@ -291,7 +291,7 @@ def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
     """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at the lowest carrier, where it passes most."""
     kinds = [slice(*pair) for pair in pairwise(media.first)]
     layers = [(media.permittivity[0, kind], media.phase_thickness[0, kind]) for kind in kinds]
-    return np.array([abs(stack_coefficients(1.0, *each)[2]) < OPAQUE_TRANSMISSION for each in layers], bool)
+    return np.array([abs(stack_coefficients(1.0, *stack)[2]) < OPAQUE_TRANSMISSION for stack in layers], bool)
 
 
 def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:
