@@ -31,6 +31,7 @@ def test_stored_channels_and_maps_are_those_of_the_plane_waves(tmp_path: Path) -
     maps, peak_power = beam.maps(expected[None])
     np.testing.assert_allclose(dataset.pas([row]), maps, atol=PACKED_STEP)
     assert dataset.peak_power[row] == pytest.approx(peak_power[0], rel=1e-5)
+    np.testing.assert_allclose(dataset.grid.directions, beam.grid.directions, atol=1e-12)
 
 
 def test_rows_run_over_carriers_first(tmp_path: Path) -> None:
@@ -50,11 +51,6 @@ def test_a_file_without_maps_derives_the_maps_that_another_stores(tmp_path: Path
     scores = [ssim(dataset.pas()[1:], dataset.pas()[:-1], dataset.grid) for dataset in (derived, stored)]
     np.testing.assert_allclose(*scores, rtol=0, atol=4e-6)  # float16 moves it by up to 1.6e-5
     assert derived.path.stat().st_size < stored.path.stat().st_size / 10
-
-
-def test_the_grid_is_read_from_the_file(tmp_path: Path) -> None:
-    grid = write_dataset(tmp_path / "data.h5").grid
-    np.testing.assert_allclose(grid.directions, AngularGrid.hemisphere().directions, atol=1e-12)
 
 
 def test_a_subset_of_a_subset_keeps_its_maps(tmp_path: Path) -> None:
@@ -99,16 +95,8 @@ def test_maps_that_came_without_channels_are_kept_on_their_grid(tmp_path: Path) 
     np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
     np.testing.assert_array_equal(dataset.num_paths, [-1, -1, -1, -1, -1, 0])
     assert not dataset.header.channels
-
-
-def test_maps_that_came_without_channels_say_that_there_are_none(tmp_path: Path) -> None:
-    dataset, _ = write_maps_alone(tmp_path / "data.h5")
     with pytest.raises(DataError, match="maps alone"):
         _ = dataset.subset([1]).cfr
-
-
-def test_maps_that_came_without_channels_can_be_isolated_and_pickled(tmp_path: Path) -> None:
-    dataset, maps = write_maps_alone(tmp_path / "data.h5")
     view = dataset.subset([1, 3]).isolated()
     np.testing.assert_allclose(view.pas(), maps[[1, 3]], atol=PACKED_STEP)
     assert np.flatnonzero(replace(view, rows=np.arange(6)).peak_power).tolist() == [1, 3]

@@ -34,26 +34,14 @@ def test_bad_input_is_refused_before_any_ray() -> None:
         plan_generation(office, [1e9], pas_kind="powr")
     with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
         plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
-    for settings, message in (
-        (
-            TraceSettings(interactions=("specular", "refraction"), max_depth=-1),
-            "depth is -1; give a number from 0 to 16",
-        ),
-        (
-            TraceSettings(interactions=("specular", "refraction"), max_depth=1_000_000),
-            "depth is 1,000,000; give a number from 0 to 16",
-        ),
-        (
-            TraceSettings(interactions=("specular", "refraction"), rays=10**12),
-            "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000",
-        ),
-        (
-            TraceSettings(interactions=("specular", "refraction"), seed=2**32),
-            "seed is 4,294,967,296; give a number from 0 to 4,294,967,295",
-        ),
+    for limits, message in (
+        ({"max_depth": -1}, "depth is -1; give a number from 0 to 16"),
+        ({"max_depth": 1_000_000}, "depth is 1,000,000; give a number from 0 to 16"),
+        ({"rays": 10**12}, "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000"),
+        ({"seed": 2**32}, "seed is 4,294,967,296; give a number from 0 to 4,294,967,295"),
     ):
         with pytest.raises(XFreqBenchError, match=message):
-            plan_generation(office, [1e9], settings)
+            plan_generation(office, [1e9], TraceSettings(**limits))
 
 
 def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> None:

@@ -260,23 +260,6 @@ def test_a_users_mitsuba_scene_gives_the_same_meshes(tmp_path: Path) -> None:
         np.testing.assert_allclose(mesh.corners_m, original.corners_m, atol=1e-6)  # PLY holds float32
 
 
-def test_a_mitsuba_scene_that_cannot_be_used_says_why(tmp_path: Path) -> None:
-    def load(xml: str) -> None:
-        (tmp_path / "scene.xml").write_text(xml)
-        text = BOX[: BOX.index("[[surface]]")].replace('"box"', '"box"\nscene = "scene.xml"')
-        surface_meshes(parse_scene(text, tmp_path))
-
-    with pytest.raises(SceneError, match="cannot be read"):
-        load("<scene>")
-    with pytest.raises(SceneError, match="no ITU material"):
-        load(
-            '<scene><bsdf type="diffuse" id="red"/>'
-            '<shape type="ply" id="wall"><string name="filename" value="w.ply"/><ref id="red"/></shape></scene>'
-        )
-    with pytest.raises(SceneError, match="world coordinates"):
-        load('<scene><shape type="cylinder" id="ball"/></scene>')
-
-
 def test_a_cabinet_encloses_whichever_way_its_faces_are_turned_and_however_often_they_are_given() -> None:
     whole = surface_meshes(parse_scene(BOX))[0]
     turned = whole.triangles[:, ::-1]

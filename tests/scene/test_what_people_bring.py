@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ thickness_m = 0.1
 min_m = [0.0, 0.0, 0.0]
 max_m = [0.0, 4.0, 3.0]
 """
+PLAIN = TraceSettings(interactions=("specular", "refraction"))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -78,12 +80,7 @@ def test_a_scene_that_sionna_rt_does_not_bring_names_the_nearest(tmp_path: Path)
 
 
 def test_sionnas_box_is_a_room(tmp_path: Path) -> None:
-    plan = plan_generation(
-        scene_of_file(tmp_path, "sionna:box"),
-        [2.4e9],
-        TraceSettings(interactions=("specular", "refraction"), max_depth=2),
-        maps=False,
-    )
+    plan = plan_generation(scene_of_file(tmp_path, "sionna:box"), [2.4e9], replace(PLAIN, max_depth=2), maps=False)
     assert len(plan.tx_position_m) == 2
 
 
@@ -102,11 +99,7 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}')
     tx_position_m, carriers_hz = np.array([[3.5, 3.0, 1.5]]), [1e9, 30e9]
     image, sionna = (
-        tracer_of(
-            PreparedScene.of(scene),
-            carriers_hz,
-            TraceSettings(interactions=("specular", "refraction"), solver=solver, max_depth=1, rays=10_000),
-        )
+        tracer_of(PreparedScene.of(scene), carriers_hz, replace(PLAIN, solver=solver, max_depth=1, rays=10_000))
         .channel(tx_position_m)
         .cfr
         for solver in ("image", "sionna")
@@ -114,11 +107,7 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     assert np.abs(image - sionna).max() < 2e-3 * np.abs(image).max()  # Sionna's float32
     vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
     nothing = (
-        tracer_of(
-            PreparedScene.of(vacuum),
-            carriers_hz,
-            TraceSettings(interactions=("specular", "refraction"), solver="image", max_depth=1),
-        )
+        tracer_of(PreparedScene.of(vacuum), carriers_hz, replace(PLAIN, solver="image", max_depth=1))
         .channel(tx_position_m)
         .cfr
     )
@@ -129,11 +118,7 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
 def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
     thick = FOAM.replace("thickness_m = 0.1", "thickness_m = 1000.0")
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "1e9")}{thick}')
-    tracer = tracer_of(
-        PreparedScene.of(scene),
-        [94e9],
-        TraceSettings(interactions=("specular", "refraction"), solver="sionna", max_depth=1, rays=10_000),
-    )
+    tracer = tracer_of(PreparedScene.of(scene), [94e9], replace(PLAIN, solver="sionna", max_depth=1, rays=10_000))
     with pytest.raises(SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"):
         tracer.channel(np.array([[3.5, 3.0, 1.5]]))
 

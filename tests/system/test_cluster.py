@@ -334,9 +334,9 @@ def test_an_error_of_a_call_is_the_error_that_was_raised(running: Started) -> No
 def test_workers_with_other_versions_are_refused_before_any_work(
     running: Started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    version = cluster._version
+    version = cluster.installed_version
     cluster.fingerprint.cache_clear()
-    monkeypatch.setattr(cluster, "_version", lambda name: "1.0" if name == "numpy" else version(name))
+    monkeypatch.setattr(cluster, "installed_version", lambda name: "1.0" if name == "numpy" else version(name))
     words = r"Worker tcp://.* has other software: numpy 2.* \(here 1.0\)"
     with pytest.raises(ClusterError, match=words), dask_workers(running.address):
         pass
@@ -357,7 +357,9 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
     (results := tmp_path / "results").mkdir()
     (other := tmp_path / "other" / "xfreqbench").mkdir(parents=True)
     (other / "__init__.py").write_text("raise ImportError('not installed')")
-    (tmp_path / "older.py").write_text("from xfreqbench.system import cluster\ncluster._version = lambda name: '0.1'")
+    (tmp_path / "older.py").write_text(
+        "from xfreqbench.system import cluster\ncluster.installed_version = lambda name: '0.1'"
+    )
     ways: dict[str, dict[str, Any]] = {
         "blind": {"before": (*HIDES, str(results))},
         "bare": {"variables": {"PYTHONPATH": str(other.parent)}},

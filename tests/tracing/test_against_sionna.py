@@ -162,9 +162,7 @@ def test_the_field_right_below_an_element_is_that_beside_it(
     receiver = replace(RECEIVER, rows=elements_per_side, cols=elements_per_side, polarization=polarization)
     prepared = PreparedScene.of(scene_of(CONCRETE_WALL, floor, receiver=receiver))
     tx = np.array([[2.0, 1.5 + aside, z] for z in (0.7, 2.9) for aside in (0.0, 1e-7, 5e-6)])
-    beside = np.array(
-        [[2.0, 1.5 + 1e-4, z] for z in (0.7, 2.9) for _ in range(3)]
-    )  # no path is longer by more than 1e-8
+    beside = np.array([[2.0, 1.5 + 1e-4, z] for z in (0.7, 2.9) for _ in range(3)])  # paths as long but for 1e-8
     truth = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver="image")).channel(beside).cfr
     tracer = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver=solver))
     largest = np.abs(truth).max(axis=(0, 2), keepdims=True)

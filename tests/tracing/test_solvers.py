@@ -16,18 +16,11 @@ from xfreqbench.tracing.tracer import TraceSettings
 
 def test_auto_takes_the_image_method_where_scene_and_interactions_allow_it() -> None:
     meshes = surface_meshes(load_scene("office"))
-    office = Geometry(meshes)
-    assert resolve_solver(office, TraceSettings(interactions=("specular", "refraction"))).solver == "image"
-    assert resolve_solver(office, TraceSettings(interactions=("specular", "diffraction"))).solver == "image"
-    many_facets = Geometry([replace(meshes[0], triangles=np.tile(meshes[0].triangles, (450, 1)))])
-    assert resolve_solver(many_facets, TraceSettings(interactions=("specular", "refraction"))).solver == "image"
-    diffracting = TraceSettings(interactions=("specular", "diffraction"))
-    assert resolve_solver(many_facets, diffracting).solver == "image"
-    round_table = replace(meshes[0], triangles=np.tile(meshes[0].triangles, (1000, 1)))
-    assert (
-        resolve_solver(Geometry([round_table]), TraceSettings(interactions=("specular", "refraction"))).solver
-        == "sionna"
-    )
+    many, too_many = (replace(meshes[0], triangles=np.tile(meshes[0].triangles, (n, 1))) for n in (450, 1000))
+    for second in ("refraction", "diffraction"):
+        settings = TraceSettings(interactions=("specular", second))
+        solvers = [resolve_solver(Geometry(scene), settings).solver for scene in (meshes, [many], [too_many])]
+        assert solvers == ["image", "image", "sionna"]
 
 
 @pytest.mark.parametrize("solver", ["image", "sionna"])

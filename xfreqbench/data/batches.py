@@ -95,7 +95,9 @@ def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
     folder = batch_folder(output)
     with sole_writer(output):
         _require_ours(folder)
-        _mark(folder, plan)
+        advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
+        if not require_own(folder / _MARKER, lambda file: _fault_of_marker(file, plan), advice):
+            write_text(folder / _MARKER, json.dumps(plan.job))
         yield BatchStore(folder, plan)
         with storage_errors(folder):
             _remove(folder)
@@ -139,13 +141,6 @@ def _require_ours(folder: Path) -> None:
             raise OutputExistsError(
                 f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is no folder of unfinished batches. {_ADVICE}"
             )
-
-
-def _mark(folder: Path, plan: Plan) -> None:
-    """Make a folder this job's, or raise `OutputExistsError` where it is another's."""
-    advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
-    if not require_own(folder / _MARKER, lambda file: _fault_of_marker(file, plan), advice):
-        write_text(folder / _MARKER, json.dumps(plan.job))
 
 
 def _remove(folder: Path) -> None:

@@ -22,8 +22,6 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from xfreqbench.data.hdf5 import (
@@ -67,6 +65,7 @@ from xfreqbench.maps.bartlett import BartlettBeam, power_of
 from xfreqbench.maps.drawing import map_figure
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
+from xfreqbench.scene.patches import components
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_own
@@ -225,8 +224,10 @@ class PasDataset:
         """
         try:
             scene = TypeAdapter(Scene).validate_json(self.header.scene_json)
-            told = {name: self.header.settings[name] for name in scene.mirror_settings if name in self.header.settings}
-            return replace(scene, **(told or {"mirrors": "facets"})) if scene.scene else scene
+            stated = {
+                name: self.header.settings[name] for name in scene.mirror_settings if name in self.header.settings
+            }
+            return replace(scene, **(stated or {"mirrors": "facets"})) if scene.scene else scene
         except ValidationError as error:
             raise DataError(
                 f"{self.path} does not say which scene it was traced in, as data that others published. Use a "
@@ -237,8 +238,8 @@ class PasDataset:
     def trace_settings(self) -> TraceSettings:
         """What was asked of the rays; raises `DataError` where not all of it is stored."""
         try:
-            told = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
-            return TypeAdapter(TraceSettings).validate_python(told)
+            stated = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
+            return TypeAdapter(TraceSettings).validate_python(stated)
         except (KeyError, ValidationError) as error:
             raise DataError(f"{self.path} does not say how it was traced. Generate it anew.") from error
 
@@ -267,8 +268,7 @@ class PasDataset:
         """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
         position_m, of_tx = np.unique(self.tables["tx_position_m"], axis=0, return_inverse=True)
         near = KDTree(position_m).query_pairs(SAME_PLACE_M, output_type="ndarray")
-        joined = coo_array((np.ones(len(near)), tuple(near.T)), shape=(len(position_m),) * 2)
-        place_of_tx = connected_components(joined, directed=False)[1][of_tx.ravel()]
+        place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]
         _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
         return first[place][self.tx_index]
 
@@ -380,7 +380,7 @@ class PasDataset:
         except ImportError as error:
             raise XFreqBenchError("to_xarray needs xarray. Run: pip install xarray") from error
         dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
-        told = {variable.name: variable for variable in variables(self.header, self.grid)}
+        of_file = {variable.name: variable for variable in variables(self.header, self.grid)}
         where = {TX: self.tx_index, CARRIER: self.carrier_hz, "tx_position_m": self.tx_position_m}
         of_samples = where | {
             "line_of_sight": self.line_of_sight,
@@ -390,11 +390,15 @@ class PasDataset:
             "pas": self.pas(),
         }
         arrays = {
-            name: (dims.get(name, "sample"), values, {"units": told[name].units, "long_name": told[name].long_name})
+            name: (
+                dims.get(name, "sample"),
+                values,
+                {"units": of_file[name].units, "long_name": of_file[name].long_name},
+            )
             for name, values in of_samples.items()
         }
         angles = {ELEVATION: np.degrees(self.grid.elevation_rad), AZIMUTH: np.degrees(self.grid.azimuth_rad)}
-        axes = {name: (name, values, {"units": told[name].units}) for name, values in angles.items()}
+        axes = {name: (name, values, {"units": of_file[name].units}) for name, values in angles.items()}
         title = {"scene": self.header.scene_name, "recipe": self.recipe.name, "source": str(self.path)}
         return xarray.Dataset(arrays, axes | {AXIS: ["x", "y", "z"], "sample": self.rows}, title).set_coords(
             list(where)

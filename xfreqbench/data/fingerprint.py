@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.recipe import Recipe, micrometres
 from xfreqbench.errors import DataError
+from xfreqbench.scene.model import shipped_folder
 from xfreqbench.system.array_files import read_arrays
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz
@@ -146,7 +146,7 @@ def field_differences(
 
 def fingerprint_path(scene_name: str, *, diffraction: bool = True) -> Path:
     """The file with the fingerprint of a shipped scene, as `generate` traces it, or without diffraction."""
-    return _folder() / f"{scene_name}{'' if diffraction else '_without_diffraction'}{_ENDING}"
+    return shipped_folder() / f"{scene_name}{'' if diffraction else '_without_diffraction'}{_ENDING}"
 
 
 def read_fingerprint(path: Path) -> Fingerprint:
@@ -163,12 +163,8 @@ def read_fingerprint(path: Path) -> Fingerprint:
 @cache
 def _shipped() -> dict[str, Fingerprint]:
     """The fingerprint of every shipped scene, by the hash of its physics."""
-    fingerprints = map(read_fingerprint, sorted(_folder().glob(f"*{_ENDING}")))
+    fingerprints = map(read_fingerprint, sorted(shipped_folder().glob(f"*{_ENDING}")))
     return {fingerprint.physics_sha256: fingerprint for fingerprint in fingerprints}
-
-
-def _folder() -> Path:
-    return Path(str(files("xfreqbench.scenes")))
 
 
 def _places(tx_position_m: Float[FloatArray, "T 3"]) -> list[tuple[int, ...]]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -109,29 +110,18 @@ def plan_of(
     freqs_ghz: Sequence[float],
     settings: TraceSettings,
     *,
-    tx: int | None,
-    tx_positions: Float[FloatArray, "T 3"] | None,
-    pas_kind: str,
-    maps: bool,
-    paths: bool,
-    receiver: Sequence[str] | None,
+    tx: int | None = None,
+    tx_positions: Float[FloatArray, "T 3"] | None = None,
+    receiver: Sequence[str] | None = None,
     polarization: Sequence[str] | None = None,
+    **options: Any,
 ) -> Plan:
     """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
     if tx is not None and tx_positions is not None:
         raise XFreqBenchError("tx chooses from the scene's grid and tx_positions replaces it; give one of them.")
-    return plan_generation(
-        scene if isinstance(scene, Scene) else load_scene(scene),
-        [ghz_to_hz(carrier) for carrier in freqs_ghz],
-        settings,
-        num_transmitters=tx,
-        tx_position_m=tx_positions,
-        pas_kind=pas_kind,
-        maps=maps,
-        paths=paths,
-        receivers=receiver,
-        polarizations=polarization,
-    )
+    scene, carriers_hz = scene if isinstance(scene, Scene) else load_scene(scene), list(map(ghz_to_hz, freqs_ghz))
+    options |= {"num_transmitters": tx, "tx_position_m": tx_positions}
+    return plan_generation(scene, carriers_hz, settings, receivers=receiver, polarizations=polarization, **options)
 
 
 def generate_planned(
@@ -156,8 +146,12 @@ def generate_planned(
     num_tx = len(plan.tx_position_m)
     is_whole = holds_same_job(path, plan.header, plan.tx_position_m)
     if not is_whole:
-        require_space(path, plan.num_bytes)
-        _require_same_software(plan, workers)
+        require_space(path, plan.header.num_bytes)
+        for worker, software in workers.ask(software_versions, plan.settings.solver).items():
+            if differing := differences(plan.header.software, software):
+                raise ClusterError(
+                    f"Worker {worker} traces with other software: {differing}. Install the same versions on both."
+                )
     if not is_whole or holds_batches_of(path, plan):
         try:
             with claimed_batches(path, plan) as store:
@@ -169,15 +163,6 @@ def generate_planned(
     progress(num_tx, num_tx)
     write_progress(num_tx, num_tx)
     return path
-
-
-def _require_same_software(plan: Plan, workers: Workers) -> None:
-    for worker, software in workers.ask(software_versions, plan.settings.solver).items():
-        differing = differences(plan.header.software, software)
-        if differing:
-            raise ClusterError(
-                f"Worker {worker} traces with other software: {differing}. Install the same versions on both."
-            )
 
 
 def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, workers: Workers) -> None:

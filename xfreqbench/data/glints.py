@@ -61,9 +61,8 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
     found = [
         _paths(dataset, mirrored, positions_m[np.sort(rows)]) for mirrored in (scene, replace(scene, mirrors="facets"))
     ]
-    return Glints(
-        dataset.header.carrier_hz, np.array([counts for counts, _ in found]), np.array([power for _, power in found])
-    )
+    counts, power = (np.array(values) for values in zip(*found, strict=True))
+    return Glints(dataset.header.carrier_hz, counts, power)
 
 
 def _paths(

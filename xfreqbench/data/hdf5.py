@@ -96,7 +96,8 @@ class SealedWriter:
         for variable in variables:
             _create(file, variable)
         for variable in variables:
-            _attach_axes(file, variable)
+            for position, axis in enumerate(() if variable.axes == (variable.name,) else variable.axes):
+                file[variable.name].dims[position].attach_scale(file[axis])
         self._digests = {name: _description_digest(file[name]) for name in self._variables}
 
     def append(self, name: str, rows: NDArray[Any]) -> None:
@@ -151,7 +152,9 @@ def create_sealed(
             with storage_errors(path, num_bytes):
                 writer.seal()
                 file.close()
-                _append_trailer(temporary)
+                with temporary.open("r+b") as stored:
+                    digest = hashlib.file_digest(stored, "sha256").hexdigest()
+                    stored.write(_TRAILER + digest.encode())
             if prove:
                 prove(temporary)
         finally:
@@ -196,7 +199,7 @@ def _bytes_of(path: Path) -> AbstractContextManager[Any]:
 def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
     """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
 
-    Raises what `_readable` does, too.
+    Errors that speak of a lock or a missing permission become a `StorageError`.
     """
     try:
         with _readable(path):
@@ -321,12 +324,6 @@ def verify_sealed(path: Path, schema: str) -> None:
     raise DataError(f"{path} is damaged: its bytes differ from the sha256 at its end. Generate it again.")
 
 
-def _append_trailer(path: Path) -> None:
-    with path.open("r+b") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        file.write(_TRAILER + digest.encode())
-
-
 def _is_whole(path: Path) -> bool:
     """Whether the trailer of a file has the hash of all bytes before it."""
     digest = hashlib.sha256()
@@ -379,13 +376,6 @@ def _create(file: Any, variable: Variable) -> None:
         _set_texts(dataset, {"coordinates": " ".join(variable.coordinates)})
     if variable.axes == (variable.name,):
         dataset.make_scale(variable.name.rpartition("/")[2])
-
-
-def _attach_axes(file: Any, variable: Variable) -> None:
-    if variable.axes == (variable.name,):
-        return
-    for position, axis in enumerate(variable.axes):
-        file[variable.name].dims[position].attach_scale(file[axis])
 
 
 def _description_digest(dataset: Any) -> Any:

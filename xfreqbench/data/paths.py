@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,26 +14,19 @@ from xfreqbench.data.hdf5 import Variable, read_array, text_attributes
 from xfreqbench.data.schema import CARRIER, POLARIZATION, DatasetHeader
 from xfreqbench.errors import DataError
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.tracing.paths import (
-    DIFFRACTION,
-    DIFFUSE,
-    NO_INTERACTION,
-    REFRACTION,
-    SPECULAR,
-    RaggedPaths,
-    directions,
-    element_delays_s,
-)
+from xfreqbench.tracing import paths as traced
+from xfreqbench.tracing.paths import NO_INTERACTION, RaggedPaths, directions, element_delays_s
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 GROUP = "paths"
 RAGGED = tuple(field.name for field in fields(RaggedPaths) if not field.name.startswith("num_"))
 OFFSET, INTERACTION_OFFSET = f"{GROUP}/offset", f"{GROUP}/interaction_offset"
-INTERACTION_CODES = {"specular": SPECULAR, "diffuse": DIFFUSE, "refraction": REFRACTION}
-INTERACTION_CODES["diffraction"] = DIFFRACTION
+_INTERACTIONS = ("specular", "diffuse", "refraction", "diffraction")
+INTERACTION_CODES: dict[str, int] = {name: getattr(traced, name.upper()) for name in _INTERACTIONS}
 _PATH, _POINT = f"{GROUP}/path", f"{GROUP}/point"  # axes, and the variables that are their coordinates
 _CHUNK = 4096  # rows that are compressed together
+_KEPT = ("delay_s", *(f"{end}_{angle}_rad" for end in ("arrival", "departure") for angle in ("azimuth", "elevation")))
 
 
 class PathTotals(NamedTuple):
@@ -152,17 +145,13 @@ class SamplePaths:
         interactions[is_met], surfaces[is_met] = paths.interaction, paths.surface
         vertices_m[is_met] = paths.vertex_m
         return cls(
-            carrier_hz,
-            paths.gain[:, carrier].astype(np.complex128),
-            paths.delay_s,
-            paths.arrival_azimuth_rad,
-            paths.arrival_elevation_rad,
-            paths.departure_azimuth_rad,
-            paths.departure_elevation_rad,
-            interactions,
-            surfaces,
-            vertices_m,
-            surface_names,
+            carrier_hz=carrier_hz,
+            gain=paths.gain[:, carrier].astype(np.complex128),
+            interactions=interactions,
+            surfaces=surfaces,
+            vertices_m=vertices_m,
+            surface_names=surface_names,
+            **{name: getattr(paths, name) for name in _KEPT},
         )
 
 
@@ -172,46 +161,35 @@ def path_variables(header: DatasetHeader, totals: PathTotals) -> list[Variable]:
     pairs = [POLARIZATION] if header.polarizations else []
     away = "from the receiver to where the path comes from, world axes"
     ahead = "in which the path leaves the transmitter, world axes"
-    of_paths: list[tuple[str, str, tuple[str, ...], str, str]] = [
-        ("gain", "<c8", (_PATH, *pairs, CARRIER), "1", "gain at the array centre, without travel phase"),
-        ("delay_s", "<f8", (_PATH,), "s", "travel time to the array centre"),
-        ("arrival_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {away}"),
-        ("arrival_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {away}"),
-        ("departure_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {ahead}"),
-        ("departure_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {ahead}"),
-        ("interaction", "u1", (_POINT,), "1", "code of an interaction, in order from the transmitter"),
-        ("surface", "<i4", (_POINT,), "1", "surface that is met, by its place in surfaces_json"),
-        (
-            "vertex_m",
-            "<f8" if totals.has_double_vertices else "<f4",
-            (_POINT, "axis"),
-            "m",
-            "where it is met in the world",
-        ),
-    ]
     size = {_PATH: P, _POINT: N, CARRIER: len(header.carrier_hz), "axis": 3, **header.link_axes}
+    size |= {INTERACTION_OFFSET: P + 1}
     at_each = " at each receiver" if header.receivers else ""
     first_path = f"first path of each transmitter{at_each}, then the number of all paths"
     first_point = "first interaction of each path, then the number of all interactions"
     codes = tuple((code, name) for name, code in INTERACTION_CODES.items())
+
+    def rows(name: str, dtype: str, axes: tuple[str, ...], units: str, long_name: str, flags: Any = ()) -> Variable:
+        shape = tuple(size[axis] for axis in axes)
+        chunk = (min(_CHUNK, shape[0]), *shape[1:]) if shape[0] else None
+        return Variable(name, dtype, shape, axes, units, long_name, chunk, chunk is not None, flags)
+
+    vertex_type = "<f8" if totals.has_double_vertices else "<f4"
+    code = "code of an interaction, in order from the transmitter"
     return [
         Variable(OFFSET, "<i8", (header.num_tx * R + 1,), (OFFSET,), "1", first_path),
-        _rows(INTERACTION_OFFSET, "<i8", (P + 1,), (INTERACTION_OFFSET,), "1", first_point),
-        _rows(_PATH, "<i8", (P,), (_PATH,), "1", "path index"),
-        _rows(_POINT, "<i8", (N,), (_POINT,), "1", "interaction index"),
-        *(
-            replace(
-                _rows(f"{GROUP}/{name}", dtype, tuple(size[axis] for axis in axes), axes, units, long_name),
-                flags=codes if name == "interaction" else (),
-            )
-            for name, dtype, axes, units, long_name in of_paths
-        ),
+        rows(INTERACTION_OFFSET, "<i8", (INTERACTION_OFFSET,), "1", first_point),
+        rows(_PATH, "<i8", (_PATH,), "1", "path index"),
+        rows(_POINT, "<i8", (_POINT,), "1", "interaction index"),
+        rows(f"{GROUP}/gain", "<c8", (_PATH, *pairs, CARRIER), "1", "gain at the array centre, without travel phase"),
+        rows(f"{GROUP}/delay_s", "<f8", (_PATH,), "s", "travel time to the array centre"),
+        rows(f"{GROUP}/arrival_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {away}"),
+        rows(f"{GROUP}/arrival_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {away}"),
+        rows(f"{GROUP}/departure_azimuth_rad", "<f4", (_PATH,), "rad", f"azimuth of the direction {ahead}"),
+        rows(f"{GROUP}/departure_elevation_rad", "<f4", (_PATH,), "rad", f"elevation of the direction {ahead}"),
+        rows(f"{GROUP}/interaction", "u1", (_POINT,), "1", code, codes),
+        rows(f"{GROUP}/surface", "<i4", (_POINT,), "1", "surface that is met, by its place in surfaces_json"),
+        rows(f"{GROUP}/vertex_m", vertex_type, (_POINT, "axis"), "m", "where it is met in the world"),
     ]
-
-
-def _rows(name: str, dtype: str, shape: tuple[int, ...], axes: tuple[str, ...], units: str, long_name: str) -> Variable:
-    chunk = (min(_CHUNK, shape[0]), *shape[1:]) if shape[0] else None
-    return Variable(name, dtype, shape, axes, units, long_name, chunk, compressed=chunk is not None)
 
 
 def stored_totals(file: Any) -> PathTotals:

@@ -51,9 +51,9 @@ BATCH = 16  # transmitters a batch: the most that a killed process has to trace 
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked job: nothing in it can fail for a reason that is known before the first ray.
+    """A job whose input is checked: whatever can be refused before the first ray has been.
 
-    `tracing` is what workers are told, `header` what the file will say about itself.
+    `tracing` is what workers get, `header` what the file will say about itself.
     """
 
     tracing: Tracing
@@ -87,37 +87,27 @@ class Plan:
         return prod(self.header.link_axes.values())
 
     @property
-    def num_bytes(self) -> int:
-        """Size of the finished file in bytes, without the paths: how many there are is not known yet."""
-        return self.header.num_bytes
-
-    @property
     def summary(self) -> str:
         """Counts and size in a few lines, for a user to check before the work starts."""
-        rejected = sum(self.header.rejected.values())
-        reasons = ", ".join(f"{count} {reason}" for reason, count in self.header.rejected.items() if count)
+        header, settings = self.header, self.settings
+        rejected = sum(header.rejected.values())
+        reasons = ", ".join(f"{count} {reason}" for reason, count in header.rejected.items() if count)
         in_sight = ", ".join(map(str, np.atleast_1d(self.line_of_sight.sum(axis=0)).tolist()))
         links = "".join(
             f"× {len(names)} {what} ({', '.join(names)}) "
-            for what, names in (("receivers", self.header.receivers), ("pairs", self.header.polarizations))
+            for what, names in (("receivers", header.receivers), ("pairs", header.polarizations))
             if names
         )
         return (
             f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({in_sight} in sight) {links}"
-            f"× {len(self.header.carrier_hz)} carriers = {self.num_samples} samples, {self.num_bytes / 1e6:.0f} MB"
-            f"{' and the paths' if self.header.paths else ''}\n"
-            f"solver {self.settings.solver}, {' and '.join(self.settings.named_interactions)}, depth "
-            f"{self.settings.max_depth}, {self.settings.rays:,} rays, seed {self.settings.seed}\n"
+            f"× {len(header.carrier_hz)} carriers = {self.num_samples} samples, {header.num_bytes / 1e6:.0f} MB"
+            f"{' and the paths' if header.paths else ''}\n"
+            f"solver {settings.solver}, {' and '.join(settings.named_interactions)}, depth {settings.max_depth}, "
+            f"{settings.rays:,} rays, seed {settings.seed}\n"
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
-            + self._mesh_notes
-            + self._thin_notes
-            + self._near_notes
-            + self._material_notes
-            + (
-                ""
-                if self.header.receiver.resolves_directions
-                else "\nmaps are nearly constant: the array has hardly any extent"
-            )
+            f"{self._mesh_notes}{self._thin_notes}{self._near_notes}{self._material_notes}"
+        ) + (
+            "" if header.receiver.resolves_directions else "\nmaps are nearly constant: the array has hardly any extent"
         )
 
     @property
@@ -150,9 +140,9 @@ class Plan:
             and mesh.material != "metal"
             and is_closed(mesh)
         ]
-        told = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
+        note = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
         advice = "a rectangle with its thickness_m, or solver image, lets through what it should"
-        return f"{told}{', '.join(thin)}; {advice}" if thin else ""
+        return f"{note}{', '.join(thin)}; {advice}" if thin else ""
 
     @property
     def _near_notes(self) -> str:
@@ -165,20 +155,15 @@ class Plan:
         """Lines on materials that the scene defines itself, and on those that scatter; empty where there are none."""
         layers = [layer for slab in slabs_of(self.geometry.meshes) for layer in slab.layers]
         own = {layer.material for layer in layers if isinstance(layer.material, ConstantMaterial)}
-        told = [
+        constant = ", ".join(
             f"{material.name} (ε′ {material.relative_permittivity:g}, σ {material.conductivity_s_m:g} S/m)"
             for material in sorted(own, key=str)
-        ]
-        rough = [
-            f"{name} (S {scattering.coefficient:g}, {scattering.pattern})"
-            for name, scattering in self.geometry.scattering
-        ]
-        is_traced = "diffuse" in self.settings.named_interactions
-        return (f"\nthe same at every carrier: {', '.join(told)}" if told else "") + (
-            f"\nscattering: {', '.join(rough)}{'' if is_traced else ', of which the interaction diffuse is not traced'}"
-            if rough
-            else ""
         )
+        rough = ", ".join(f"{name} (S {how.coefficient:g}, {how.pattern})" for name, how in self.geometry.scattering)
+        is_traced = "diffuse" in self.settings.named_interactions
+        untraced = "" if is_traced else ", of which the interaction diffuse is not traced"
+        constant_note = f"\nthe same at every carrier: {constant}" if constant else ""
+        return constant_note + (f"\nscattering: {rough}{untraced}" if rough else "")
 
     @cached_property
     def job(self) -> dict[str, str]:
@@ -310,8 +295,10 @@ def _header(
 ) -> DatasetHeader:
     """What the file will say about itself."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    told = [{"material": name, **scattering.stated} for name, scattering in tracing.prepared().geometry.scattering]
-    rough = {"scattering": told} if told else {}
+    scattering_of = [
+        {"material": name, **scattering.stated} for name, scattering in tracing.prepared().geometry.scattering
+    ]
+    rough = {"scattering": scattering_of} if scattering_of else {}
     return DatasetHeader(
         scene_name=tracing.scene.name,
         scene_json=tracing.scene.canonical_json,

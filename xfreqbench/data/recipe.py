@@ -20,8 +20,8 @@ from xfreqbench.types import FloatArray
 
 OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
 _SHOWN_DIGITS = 8
-_SHOWN_LETTERS = 40  # of a value in a message; a longer one is told by its hash
-# Positions of transmitters are told by the data, and their antenna by the settings.
+_SHOWN_LETTERS = 40  # of a value in a message; a longer one is shown as its hash
+# Positions of transmitters are in the data, and their antenna is in the settings.
 _NOT_PHYSICS = {"name", "description", "transmitters", "transmitter_polarization", "folder"}
 _TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
 
@@ -101,7 +101,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and what of
     the scene's file changes no channel.
     """
-    told = {field.name: getattr(header, field.name) for field in fields(header)} | {
+    content = {field.name: getattr(header, field.name) for field in fields(header)} | {
         "scene_json": json.loads(header.scene_json),
         "receiver": asdict(header.receiver),
         "carrier_hz": header.carrier_hz.tolist(),
@@ -111,7 +111,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     left_out = ("software", "references", "rejected", *of_scene)
     return {
         name: text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
-        for name, text in _flat("", told)
+        for name, text in _flat("", content)
         if not any(name == other or name.startswith(f"{other}.") for other in left_out)
     }
 

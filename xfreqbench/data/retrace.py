@@ -1,8 +1,9 @@
-"""A data set proves its origin: some of its samples are traced again, from what its own header says, and compared."""
+"""The check of a data set's origin: some of its samples are traced again, as its header says, and compared with it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -75,19 +76,13 @@ def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
     scene = dataset.scene
     for place in [folder] if folder else [dataset.path.parent, Path.cwd(), shipped_folder()]:
         placed = replace(scene, folder=place.absolute())
-        if _are_the_meshes(placed, dataset.header.scene_sha256):
-            return placed
+        with suppress(SceneError):
+            if meshes_sha256(surface_meshes(placed)) == dataset.header.scene_sha256:
+                return placed
     raise SceneError(
         f"The surfaces of scene {scene.name!r} are not those that the data were traced among"
         + (f": {scene.scene} is missing or another. Put it beside the data." if scene.scene else ".")
     )
-
-
-def _are_the_meshes(scene: Scene, sha256: str) -> bool:
-    try:
-        return meshes_sha256(surface_meshes(scene)) == sha256
-    except SceneError:
-        return False
 
 
 def _retraced(

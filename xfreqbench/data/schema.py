@@ -41,12 +41,7 @@ ELEMENT_POSITION = "element_position_wavelengths"
 UNKNOWN_NUM_PATHS = -1
 
 
-def _parsed(value: Any) -> Any:
-    """The value in the JSON text of a header attribute; what is no text is a value already, and is returned."""
-    return pydantic_core.from_json(value) if isinstance(value, str) else value
-
-
-_READ = BeforeValidator(_parsed)
+_READ = BeforeValidator(lambda value: pydantic_core.from_json(value) if isinstance(value, str) else value)
 _WRITTEN = PlainSerializer(lambda value: json.dumps(value, sort_keys=True))
 _RECEIVER_WRITTEN = PlainSerializer(lambda value: TypeAdapter(ReceiverArray).dump_json(value).decode())
 
@@ -173,8 +168,9 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
     rx = {axis: count for axis, count in header.link_axes.items() if axis == RECEIVER}
     receiver_axis = "axis of the receiver's frame; 2 is the pole"
     sent_and_heard = "polarization of the transmitter, then of the receiver"
-    told = {RECEIVER: (header.receivers, "receiver"), POLARIZATION: (header.polarizations, sent_and_heard)}
+    named = {RECEIVER: (header.receivers, "receiver"), POLARIZATION: (header.polarizations, sent_and_heard)}
     element_position = "element position about the array centre, in wavelengths, in the receiver's frame"
+    frame_axes, frame_shape = (*rx, AXIS, RECEIVER_AXIS), (*rx.values(), 3, 3)
     return [
         Variable(TX, "<i4", (T,), (TX,), "1", "transmitter index"),
         Variable(CARRIER, "<f8", (F,), (CARRIER,), "Hz", "carrier frequency"),
@@ -186,11 +182,9 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
         Variable("tx_position_m", "<f8", (T, 3), (TX, AXIS), "m", "transmitter position"),
         Variable("rx_position_m", "<f8", (*rx.values(), 3), (*rx, AXIS), "m", "position of the array centre"),
         Variable(ELEMENT_POSITION, "<f8", (M, 3), (ELEMENT, RECEIVER_AXIS), "1", element_position),
-        Variable(
-            "frame_rotation", "<f8", (*rx.values(), 3, 3), (*rx, AXIS, RECEIVER_AXIS), "1", "receiver's frame to world"
-        ),
+        Variable("frame_rotation", "<f8", frame_shape, frame_axes, "1", "receiver's frame to world"),
         *(
-            Variable(axis, "<i4", (count,), (axis,), "1", told[axis][1], flags=_words(*told[axis][0]))
+            Variable(axis, "<i4", (count,), (axis,), "1", named[axis][1], flags=_words(*named[axis][0]))
             for axis, count in header.link_axes.items()
         ),
     ]
@@ -206,32 +200,16 @@ def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable
     in_sight, traced = _words("blocked", "visible"), _words("missing", "traced")
     where = ("tx_position_m", "line_of_sight")
     cfr = Variable("cfr", "<c8", (T, *counts, F, M), channel, "1", response, coordinates=where)
-    num_paths = "paths that reach at least one element"
-    pas = Variable(
-        "pas",
-        PACKED,
-        (T, *counts, F, *grid.shape),
-        (*sample, *angles),
-        "1",
-        f"power angular spectrum ({header.pas_kind}), peak 1",
-        chunk=(1, *(1 for _ in links), 1, *grid.shape),
-        coordinates=where,
-    )
+    num_paths, direct = "paths that reach at least one element", "1 where nothing blocks the direct path"
+    pas, chunk = f"power angular spectrum ({header.pas_kind}), peak 1", (1, *(1 for _ in links), 1, *grid.shape)
+    pas_shape, of_map, seen = (T, *counts, F, *grid.shape), (*sample, *angles), (TX, *links[:of_receiver])
     return [
         *([cfr] if header.channels else []),
         Variable("peak_power", "<f8", (T, *counts, F), sample, "1", peak, coordinates=where),
-        Variable(
-            "line_of_sight",
-            "u1",
-            (T, *counts[:of_receiver]),
-            (TX, *links[:of_receiver]),
-            "1",
-            "1 where nothing blocks the direct path",
-            flags=in_sight,
-        ),
+        Variable("line_of_sight", "u1", (T, *counts[:of_receiver]), seen, "1", direct, flags=in_sight),
         Variable("num_paths", "<i4", (T, *counts, F), sample, "1", num_paths, coordinates=where),
         Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced", flags=traced),
-        *([pas] if header.maps else []),
+        *([Variable("pas", PACKED, pas_shape, of_map, "1", pas, chunk, coordinates=where)] if header.maps else []),
     ]
 
 

@@ -107,14 +107,7 @@ class Split:
     receivers: tuple[tuple[str, str], ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        dataset: PasDataset,
-        name: str,
-        protocol: str,
-        trained: Bool[NDArray[np.bool_], "N"],
-        tested: Bool[NDArray[np.bool_], "N"],
-    ) -> Split:
+    def of(cls, dataset: PasDataset, name: str, protocol: str, trained: Mask, tested: Mask) -> Split:
         """The split that trains and tests on these of the N samples, as far as a path reaches them.
 
         Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
@@ -175,34 +168,22 @@ def _require_directions(dataset: PasDataset) -> None:
 
 
 def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
-    """Leave one frequency out: test all samples at one carrier, train on all at the others.
-
-    Returns one split for each carrier in `targets_hz`. It leaks places: every tested transmitter is trained on at
-    the other carriers. Raises `ProtocolError` where the data lack a target, or have no other carrier.
-    """
+    """A split for each carrier in `targets_hz`; raises `ProtocolError` where the data lack it, or have no other."""
     return _lofo_splits(dataset, "lofo", targets_hz, np.ones(len(dataset), bool), np.zeros(len(dataset), bool))
 
 
 def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
-    """Train on all samples at two, three or five carriers (the paper's), test all at another carrier.
-
-    Returns the splits of which the data have all carriers. It leaks places: every tested transmitter is trained on at
-    the training carriers. Raises `ProtocolError` where there is no such split.
-    """
-    trainings = list(map(_in_hz, SPARSE_TRAINING_GHZ))
+    """The splits of which the data have all carriers; raises `ProtocolError` where there is none."""
+    trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ]
     served = [training_hz for training_hz in trainings if np.isin([test_hz, *training_hz], dataset.carrier_hz).all()]
     if not served:
         raise _sparse_error(dataset, test_hz, trainings)
     splits = []
     for training_hz in served:
-        name = f"sparse-{_dense(format_ghz(test_hz))}-from-{_dense(format_ghz_list(training_hz))}"
+        name = f"sparse-{format_ghz(test_hz)}-from-{format_ghz_list(training_hz).replace(', ', '-')}".replace(" ", "")
         trained = np.isin(dataset.carrier_hz, training_hz)
         splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == test_hz))
     return splits
-
-
-def _in_hz(carriers_ghz: Sequence[float]) -> list[float]:
-    return list(map(ghz_to_hz, carriers_ghz))
 
 
 def _sparse_error(dataset: PasDataset, test_hz: float, trainings: Sequence[Sequence[float]]) -> ProtocolError:
@@ -217,55 +198,35 @@ def _sparse_error(dataset: PasDataset, test_hz: float, trainings: Sequence[Seque
 
 
 def held_out_tx(dataset: PasDataset) -> list[Split]:
-    """Test a fifth of the transmitters at every carrier, train on the other transmitters at every carrier.
-
-    Returns one split. It leaks carriers: every tested carrier is trained on, from other transmitters. The fifth is
-    drawn at random, the same at every call for the same number of transmitters. Raises `ProtocolError` for fewer
-    than two transmitters.
-    """
+    """One split, its fifth the same at every call; raises `ProtocolError` for fewer than two transmitters."""
     unseen = _is_unseen(dataset)
     return [Split.of(dataset, "held-out-tx", "held-out-tx", ~unseen, unseen)]
 
 
 def lofo_unseen_tx(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
-    """Test the transmitters of `held_out_tx` at one carrier, train on the other transmitters at the other carriers.
-
-    Returns one split for each carrier in `targets_hz`. Nothing leaks: neither the tested carrier nor a tested
-    transmitter is trained on. Raises `ProtocolError` as `lofo` and `held_out_tx` do.
-    """
+    """A split for each carrier in `targets_hz`, of the transmitters of `held_out_tx`; raises as both."""
     unseen = _is_unseen(dataset)
     return _lofo_splits(dataset, "lofo-unseen-tx", targets_hz, unseen, unseen)
 
 
 def held_out_block(dataset: PasDataset) -> list[Split]:
-    """Test the transmitters of two of ten regions at every carrier, train on those half a metre or more away.
+    """One split, the same at every call; raises `ProtocolError` where no transmitter is left to train on.
 
-    Returns one split. The floor is halved again and again across its longer side into ten regions of equally many
-    transmitters, of which two are drawn at random, the same at every call. Of fewer than ten transmitters each is a
-    region. It leaks carriers: every tested carrier is trained on, from other transmitters. Raises `ProtocolError`
-    where no transmitter is left to train on.
+    The floor is halved again and again across its longer side into ten regions of equally many transmitters. Of fewer
+    than ten transmitters each is a region.
     """
     masks = _block_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
     return [Split.of(dataset, "held-out-block", "held-out-block", *masks)]
 
 
 def random_samples(dataset: PasDataset) -> list[Split]:
-    """Test a fifth of the samples, each a transmitter at a carrier, and train on the others.
-
-    Returns one split. It leaks places and carriers: nearly every tested transmitter is trained on at other carriers,
-    and every tested carrier at other transmitters. The fifth is drawn at random, the same at every call for the same
-    number of samples. Raises `ProtocolError` where no sample is left to train or to test on.
-    """
+    """One split, its fifth the same at every call; raises `ProtocolError` where no sample is left for a part."""
     masks = _sample_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
     return [Split.of(dataset, "random-samples", "random-samples", *masks)]
 
 
 def held_out_receiver(dataset: PasDataset) -> list[Split]:
-    """Test all samples at the receiver that is shown, train on all that the other receivers of the file hear.
-
-    Returns one split. It leaks transmitters and carriers, at other receivers. Raises `ProtocolError` for a file of one
-    receiver, and where nothing is heard.
-    """
+    """One split, of the receiver that is shown; raises `ProtocolError` for a file of one, or where nothing is heard."""
     held_out = dataset.link_names[0]
     if held_out is None:
         raise ProtocolError(
@@ -334,7 +295,8 @@ def make_splits(
     if protocol == "sparse":
         inner = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
         if not inner:
-            raise _sparse_error(dataset, SPARSE_TEST_HZ, list(map(_in_hz, SPARSE_TRAINING_GHZ[1:])))
+            trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ[1:]]
+            raise _sparse_error(dataset, SPARSE_TEST_HZ, trainings)
         splits = inner
     return [_validation_split(dataset, split) for split in splits]
 
@@ -371,7 +333,12 @@ def _lofo_splits(
     dataset: PasDataset, protocol: str, targets_hz: Sequence[float], tested: Mask, never_trained: Mask
 ) -> list[Split]:
     """A split for each target: some samples are tested there, and some are trained on nowhere."""
-    _require_carriers(dataset, protocol, targets_hz)
+    present_hz = np.unique(dataset.carrier_hz)
+    if missing_hz := [carrier for carrier in targets_hz if carrier not in present_hz]:
+        raise ProtocolError(
+            f"Protocol {protocol!r} needs {format_ghz_list(missing_hz)}, but the data set has "
+            f"{format_ghz_list(present_hz)}. Choose targets that it has, or generate those carriers too."
+        )
     splits = []
     for target_hz in targets_hz:
         is_left = ~_is_alike(dataset.carrier_hz, target_hz)
@@ -380,10 +347,8 @@ def _lofo_splits(
                 f"{protocol!r} needs two carriers or more, but the data set has {format_ghz(target_hz)} alone. "
                 "Generate more."
             )
-        name = _target_name(dataset, protocol, target_hz)
-        splits.append(
-            Split.of(dataset, name, protocol, is_left & ~never_trained, (dataset.carrier_hz == target_hz) & tested)
-        )
+        is_tested, name = (dataset.carrier_hz == target_hz) & tested, _target_name(dataset, protocol, target_hz)
+        splits.append(Split.of(dataset, name, protocol, is_left & ~never_trained, is_tested))
     return splits
 
 
@@ -491,17 +456,3 @@ def _validation_carrier_hz(train: PasDataset, name: str, tested_hz: float) -> fl
             "Generate more carriers."
         )
     return float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])
-
-
-def _require_carriers(dataset: PasDataset, protocol: str, needed_hz: Sequence[float]) -> None:
-    present: FloatArray = np.unique(dataset.carrier_hz)
-    missing = [carrier for carrier in needed_hz if carrier not in present]
-    if missing:
-        raise ProtocolError(
-            f"Protocol {protocol!r} needs {format_ghz_list(missing)}, but the data set has "
-            f"{format_ghz_list(present)}. Choose targets that it has, or generate those carriers too."
-        )
-
-
-def _dense(carriers: str) -> str:
-    return carriers.replace(", ", "-").replace(" ", "")

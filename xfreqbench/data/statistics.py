@@ -120,7 +120,8 @@ class ChannelStatistics:
         absorption = float(self.absorption[carrier])
         row["delay_spread_room_decay_ns"] = room_decay_s(self.volume_m3, self.surface_m2, absorption) * 1e9
         shares = links.power_share[rows, carrier]
-        return {**row, **{f"share_{name}": _mean(share) for name, share in zip(MECHANISMS, shares.T, strict=True)}}
+        means = shares.mean(axis=0) if len(rows) else np.full(len(MECHANISMS), np.nan)
+        return {**row, **{f"share_{name}": mean for name, mean in zip(MECHANISMS, means.tolist(), strict=True)}}
 
     def __str__(self) -> str:
         parts = [f"statistics of {self.source}; spreads, K and paths within {WINDOW_DB:g} dB of the strongest"]
@@ -129,7 +130,7 @@ class ChannelStatistics:
         for in_sight, title in ((True, "in sight"), (False, "not in sight")):
             rows = [row for row in self.rows if row["in_sight"] == in_sight]
             if rows:
-                for header, cells in ((_POWER_HEADER, _power_cells), (_SPREAD_HEADER, _spread_cells)):
+                for header, cells in (((*_POWER_HEADER, *MECHANISMS), _power_cells), (_SPREAD_HEADER, _spread_cells)):
                     parts.append("\n" + _aligned([(title, *header), *map(cells, rows)]))
         return "\n".join(parts)
 
@@ -142,22 +143,10 @@ _SPREADS = {
     "arrival_zenith_spread_deg": "lgZSD",
     "departure_zenith_spread_deg": "lgZSA",
 }
-_POWER_HEADER = (
-    "links",
-    "path loss dB",
-    "over 38.901",
-    "over P.1238",
-    "exponent",
-    "K dB (38.901, mmMAGIC)",
-    *MECHANISMS,
-)
+_POWER_HEADER = ("links", "path loss dB", "over 38.901", "over P.1238", "exponent", "K dB (38.901, mmMAGIC)")
 _SPREAD_HEADER = (
-    "paths",
-    "delay ns (38.901, mmMAGIC, small room, decay)",
-    "azimuth° at array (38.901)",
-    "at transmitter (38.901, mmMAGIC)",
-    "zenith° at array",
-    "at transmitter",
+    *("paths", "delay ns (38.901, mmMAGIC, small room, decay)", "azimuth° at array (38.901)"),
+    *("at transmitter (38.901, mmMAGIC)", "zenith° at array", "at transmitter"),
 )
 
 
@@ -168,15 +157,8 @@ def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
     ]
     k = _beside([row[f"k_factor{name}_db"] for name in ("", "_38901", "_mmmagic")])
     shares = [f"{row[f'share_{name}']:.1%}" for name in MECHANISMS]
-    return (
-        format_ghz(row["carrier_ghz"] * 1e9),
-        str(row["links"]),
-        f"{row['path_loss_db']:.1f}",
-        *above,
-        f"{row['path_loss_exponent']:.2f}",
-        k,
-        *shares,
-    )
+    loss_db, exponent = f"{row['path_loss_db']:.1f}", f"{row['path_loss_exponent']:.2f}"
+    return format_ghz(row["carrier_ghz"] * 1e9), str(row["links"]), loss_db, *above, exponent, k, *shares
 
 
 def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
@@ -197,12 +179,9 @@ def _beside(values: list[float]) -> str:
 
 
 def _aligned(rows: list[tuple[str, ...]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(cell.rjust(width) if place else cell.ljust(width) for place, (cell, width) in enumerate(pairs))
-        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
-    ]
-    return "\n".join(lines)
+    first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    form = f"{{:<{first}}}" + "".join(f"  {{:>{width}}}" for width in others)
+    return "\n".join(form.format(*row) for row in rows)
 
 
 def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) -> ChannelStatistics:
@@ -312,10 +291,6 @@ def _mechanism(paths: RaggedPaths) -> Int[IntArray, "P"]:
 def _median(values: Float[FloatArray, "n"]) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else float("nan")
-
-
-def _mean(values: Float[FloatArray, "n"]) -> float:
-    return float(values.mean()) if len(values) else float("nan")
 
 
 def _exponent(loss_db: Float[FloatArray, "n"], distance_m: Float[FloatArray, "n"]) -> float:

@@ -42,8 +42,8 @@ class Tracing:
     known_geometry: Geometry | None = field(default=None, compare=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        told = self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths, self.polarizations
-        return Tracing, told
+        fields = self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths, self.polarizations
+        return Tracing, fields
 
     def prepared(self) -> PreparedScene:
         """The scene with its geometry; raises `ClusterError` where a worker finds other meshes than planned."""

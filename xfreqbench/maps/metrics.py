@@ -31,6 +31,8 @@ LEAST_PEAK = 1e-3  # of maps that are not constant: SSIM and PSNR of absolute po
 structural_similarity: Any = _untyped_structural_similarity
 
 ScoreFunction = Callable[[Maps, Maps, AngularGrid], FloatArray]
+SampleMaps = Float[Maps, "N E A"]  # of N samples
+Scores = Float[FloatArray, "N"]
 
 
 @dataclass(frozen=True)
@@ -77,23 +79,19 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
 
 
 @_of_maps
-def ssim(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid) -> Float[FloatArray, "N"]:
+def ssim(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1."""
     return _ssim(predicted, truth)
 
 
-def _ssim(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"]) -> Float[FloatArray, "N"]:
-    scores = [
-        float(structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0))
-        for pair in zip(predicted, truth, strict=True)
-    ]
+def _ssim(predicted: SampleMaps, truth: SampleMaps) -> Scores:
+    pairs = zip(predicted, truth, strict=True)
+    scores = [structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0) for pair in pairs]
     return np.array(scores, dtype=np.float64)
 
 
 @_of_maps
-def ssim_wrapped(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def ssim_wrapped(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """`ssim` with the azimuth periodic, which does not change when the scene is turned about the pole."""
     margin = SSIM_WINDOW // 2  # scikit-image crops it again, so that every column counts once
     padding = ((0, 0), (0, 0), (margin, margin))
@@ -101,7 +99,7 @@ def ssim_wrapped(
 
 
 @_of_maps
-def psnr(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid) -> Float[FloatArray, "N"]:
+def psnr(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Peak signal-to-noise ratio in dB with a peak of 1; infinite for identical maps."""
     error = predicted.astype(np.float64) - truth
     with np.errstate(divide="ignore"):
@@ -109,9 +107,7 @@ def psnr(predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: Ang
 
 
 @_of_maps
-def power_error(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def power_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Mean absolute error in dB over the directions where the truth is within 30 dB of its peak.
 
     Powers below −40 dB count as −40 dB.
@@ -122,9 +118,7 @@ def power_error(
 
 
 @_of_maps
-def aoa_error(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def aoa_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Great-circle angle in degrees between the directions of the two peaks.
 
     180 where the prediction is flat and has no peak, 0 where the truth is flat and any direction is right.
@@ -137,9 +131,7 @@ def aoa_error(
 
 
 @_of_maps
-def beam_loss(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid
-) -> Float[FloatArray, "N"]:
+def beam_loss(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Power in dB that steering at the predicted peak instead of the true one loses, at most 40.
 
     40 where the prediction is flat and has no peak to steer at, 0 where the truth is flat.
@@ -150,36 +142,22 @@ def beam_loss(
     return np.where(_is_flat(truth), 0.0, np.where(_is_flat(predicted), -POWER_FLOOR_DB, loss_db))
 
 
-METRICS: dict[str, Metric] = {
-    metric.name: metric
-    for metric in (
-        Metric("ssim", "", True, "structural similarity, 7×7 uniform window, data range 1", ssim),
-        Metric("ssim_wrapped", "", True, "the same with the azimuth periodic", ssim_wrapped),
-        Metric("psnr", "dB", True, "peak signal-to-noise ratio of each map, peak 1", psnr),
-        Metric(
-            "power_error",
-            "dB",
-            False,
-            "mean absolute error where the truth is within 30 dB of its peak, predictions floored at −40 dB",
-            power_error,
-            takes_power=True,
-        ),
-        Metric("aoa_error", "°", False, "great-circle angle between predicted and true peak", aoa_error),
-        Metric(
-            "beam_loss",
-            "dB",
-            False,
-            "power lost by steering at the predicted peak, at most 40",
-            beam_loss,
-            takes_power=True,
-        ),
-    )
-}
+_POWER_ERROR = "mean absolute error where the truth is within 30 dB of its peak, predictions floored at −40 dB"
+_BEAM_LOSS = "power lost by steering at the predicted peak, at most 40"
+_ALL = (
+    Metric("ssim", "", True, "structural similarity, 7×7 uniform window, data range 1", ssim),
+    Metric("ssim_wrapped", "", True, "the same with the azimuth periodic", ssim_wrapped),
+    Metric("psnr", "dB", True, "peak signal-to-noise ratio of each map, peak 1", psnr),
+    Metric("power_error", "dB", False, _POWER_ERROR, power_error, takes_power=True),
+    Metric("aoa_error", "°", False, "great-circle angle between predicted and true peak", aoa_error),
+    Metric("beam_loss", "dB", False, _BEAM_LOSS, beam_loss, takes_power=True),
+)
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
 def score_all(
-    predicted: Float[Maps, "N E A"], truth: Float[Maps, "N E A"], grid: AngularGrid, kind: PasKind = "power"
-) -> dict[str, Float[FloatArray, "N"]]:
+    predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid, kind: PasKind = "power"
+) -> dict[str, Scores]:
     """Scores of N maps of one kind by every metric; metrics in dB are given the maps' power."""
     power = power_of(predicted, kind), power_of(truth, kind)
     return {

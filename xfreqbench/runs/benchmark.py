@@ -326,4 +326,4 @@ def _data_line(benchmark: Benchmark, scene: str) -> str:
     path, plan = benchmark.data_path(scene), benchmark.plans[scene]
     if path.exists():
         return f"{path} is there already and is used"
-    return f"{path}: {plan.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"
+    return f"{path}: {plan.header.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"

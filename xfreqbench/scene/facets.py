@@ -84,8 +84,9 @@ def planar_facets(meshes: Sequence[SurfaceMesh]) -> list[PlanarFacet]:
 def group_by_plane(facets: Sequence[PlanarFacet]) -> tuple[Float[FloatArray, "P 4"], Int[IntArray, "Q"]]:
     """The P distinct planes of Q facets, each as unit normal n and offset n·x, and each facet's plane.
 
-    The largest facet left, whose plane is known best, claims every facet left whose normal and corners
-    are within `PLANE_TOLERANCE` of its plane. Planes come in lexicographic order.
+    Facets are taken in turn, the largest first, since its plane is known best. One that has no plane yet makes a new
+    plane, for itself and for all others without one whose normals and corners are within `PLANE_TOLERANCE` of it.
+    Planes come in lexicographic order.
     """
     if not facets:
         return np.zeros((0, 4)), np.zeros(0, dtype=np.int64)

@@ -8,28 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count, pairwise
-from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    PositiveFloat,
-    PositiveInt,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass as record
 
-from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
+from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.materials import SceneMaterial, Thickness
 from xfreqbench.scene.model import (
     Point,
@@ -37,11 +26,13 @@ from xfreqbench.scene.model import (
     ReceiverArray,
     Scene,
     Surface,
+    read_toml,
     shipped_families,
-    shipped_folder,
+    toml_content,
+    toml_path,
+    validated,
 )
 from xfreqbench.system.arguments import FilePath, checked, only_given
-from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 DRAWING = 1  # version of what a seed makes of a family; part of the family's hash
@@ -68,7 +59,9 @@ def _ascends(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
-Span = Annotated[tuple[PositiveMetres, PositiveMetres], AfterValidator(_ascends)]  # anything between is as likely
+Span = Annotated[
+    tuple[PositiveMetres, PositiveMetres], AfterValidator(_ascends)
+]  # all values between are equally likely
 Numbers = Annotated[tuple[Number, Number], AfterValidator(_ascends)]
 Fraction3 = tuple[Share, Share, Share]
 
@@ -83,7 +76,7 @@ class SlabChoice:
     _json = only_given
 
 
-Slabs = Annotated[tuple[SlabChoice, ...], Field(min_length=1)]  # one of them, each as likely
+Slabs = Annotated[tuple[SlabChoice, ...], Field(min_length=1)]  # one is drawn, all are equally likely
 
 
 @record(frozen=True, config=_STRICT)
@@ -226,8 +219,8 @@ class Family:
     @property
     def recipe(self) -> dict[str, Any]:
         """The family as JSON holds it, with the version of what a seed makes of it."""
-        told: dict[str, Any] = TypeAdapter(Family).dump_python(self, mode="json", exclude={"description"})
-        return {**told, "drawing": DRAWING}
+        content: dict[str, Any] = TypeAdapter(Family).dump_python(self, mode="json", exclude={"description"})
+        return {**content, "drawing": DRAWING}
 
     @property
     def sha256(self) -> str:
@@ -317,23 +310,8 @@ def load_family(name_or_path: FilePath) -> Family:
 
     Raises `UnknownNameError`, and `SceneError` that names the faults of a file which describes no family.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        if str(name_or_path) not in (shipped := shipped_families()):
-            raise UnknownNameError("family of rooms", str(name_or_path), [*shipped, "PATH.toml"])
-        path = shipped_folder() / f"{name_or_path}.toml"
-    try:
-        return TypeAdapter(Family).validate_python(tomllib.loads(read_text(path)))
-    except ValidationError as error:
-        faults = "\n".join(
-            f"  {'.'.join(map(str, fault['loc'])) or 'family'}: {fault['msg'].removeprefix('Value error, ')}"
-            for fault in error.errors()
-        )
-        raise SceneError(f"{path}: the family has no valid form:\n{faults}") from error
-    except OSError as error:
-        raise SceneError(f"The file {path} cannot be read: {error.strerror}.") from error
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"{path}: this is not TOML: {error}") from error
+    path = toml_path(name_or_path, "family of rooms", shipped_families())
+    return read_toml(path, lambda text: validated(Family, toml_content(text), "family"))
 
 
 def family_schema() -> dict[str, Any]:
@@ -631,7 +609,7 @@ def _is_free(solid: Solid, outline_m: Float[FloatArray, "n 2"], solids: Sequence
 
 
 def _apart_m(first_m: Float[FloatArray, "n 2"], second_m: Float[FloatArray, "k 2"]) -> float:
-    """By how much a line between two convex outlines, along a side of one or across it, keeps them apart at most."""
+    """The widest gap between two convex outlines along and across all their sides; negative where they overlap."""
     sides_m = np.concatenate(
         [np.roll(corners_m, -1, axis=0) - corners_m for corners_m in (first_m, second_m) if len(corners_m) > 1]
     )
@@ -666,7 +644,7 @@ def _inward(wall_m: Float[FloatArray, "2 2"]) -> Float[FloatArray, "2"]:
 
 
 def _point(x: float, y: float, z: float, reach_m: float = 0.0) -> Solid:
-    """A point as what takes up space, up to so far above and below it."""
+    """A solid about a point: a square that reaches so far to every side, and as far above and below."""
     reach = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * reach_m
     return Solid(np.array([[x, y]]) + (reach if reach_m else 0), z - reach_m, z + reach_m)
 

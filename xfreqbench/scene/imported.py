@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import trimesh
 from jaxtyping import Float, Int
 
 from xfreqbench.errors import SceneError
@@ -34,6 +35,11 @@ class Triangles(NamedTuple):
 
     vertices_m: Float[FloatArray, "V 3"]
     triangles: Int[IntArray, "K 3"]
+
+    @classmethod
+    def of(cls, mesh: trimesh.Trimesh) -> Triangles:
+        """Those of a mesh of trimesh."""
+        return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
 
 
 @dataclass(frozen=True)
@@ -142,6 +148,4 @@ def rough(scattering: Scattering | None) -> Scattering | None:
 
 def plain_name(name: str) -> str:
     """Name of a material without `mat-` and `itu_`, which exports put before it, and `.001` of Blender's copies."""
-    bare = name.removeprefix("mat-")
-    bare = bare.removeprefix("itu_").removeprefix("itu-")
-    return re.sub(r"(\.\d{3,})+$", "", bare)
+    return re.sub(r"^(mat-)?(itu_)?(itu-)?|(\.\d{3,})+$", "", name)

@@ -233,8 +233,8 @@ class SceneMaterial:
     @model_validator(mode="after")
     def _is_one_material(self) -> SceneMaterial:
         is_own = self.relative_permittivity is not None
-        others = ("itu", "relative_permittivity", "conductivity_s_m", "thickness_m")
         if self.layers is not None:
+            others = ("itu", "relative_permittivity", "conductivity_s_m", "thickness_m")
             stated = [name for name in others if getattr(self, name) is not None]
             if stated:
                 raise ValueError(f"material {self.name!r} has layers and {' and '.join(stated)}; state one of them")
@@ -260,20 +260,15 @@ class SceneMaterial:
         return ConstantMaterial(self.name, self.relative_permittivity, self.conductivity_s_m or 0.0)
 
 
-def _preset(name: str, *layers: tuple[str, float]) -> tuple[str, LayeredMaterial]:
-    return name, LayeredMaterial(name, tuple(Layer(*layer) for layer in layers))
-
-
 # Parts of buildings that any scene may name. docs/new-scene.md says where their dimensions are from.
-PRESETS: dict[str, LayeredMaterial] = dict(
-    [
-        _preset("double-glazing", ("glass", 0.004), ("vacuum", 0.016), ("glass", 0.004)),
-        _preset("brick-wall", ("plasterboard", 0.015), ("brick", 0.115), ("plasterboard", 0.015)),
-        _preset("stud-wall", ("plasterboard", 0.0125), ("vacuum", 0.075), ("plasterboard", 0.0125)),
-        _preset("solid-door", ("wood", 0.04)),
-        _preset("hollow-door", ("chipboard", 0.003), ("vacuum", 0.034), ("chipboard", 0.003)),
-    ]
-)
+_PRESETS: dict[str, list[tuple[str, float]]] = {
+    "double-glazing": [("glass", 0.004), ("vacuum", 0.016), ("glass", 0.004)],
+    "brick-wall": [("plasterboard", 0.015), ("brick", 0.115), ("plasterboard", 0.015)],
+    "stud-wall": [("plasterboard", 0.0125), ("vacuum", 0.075), ("plasterboard", 0.0125)],
+    "solid-door": [("wood", 0.04)],
+    "hollow-door": [("chipboard", 0.003), ("vacuum", 0.034), ("chipboard", 0.003)],
+}
+PRESETS = {name: LayeredMaterial(name, tuple(Layer(*layer) for layer in layers)) for name, layers in _PRESETS.items()}
 
 
 def material_named(name: str, table: Mapping[str, SceneMaterial]) -> SlabMaterial:

@@ -45,10 +45,10 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
 
 
 def _loaded(mesh: trimesh.Trimesh) -> Triangles:
-    vertices_m, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    if vertices_m.shape[1:] != (3,) or triangles.shape[1:] != (3,):
+    found = Triangles.of(mesh)
+    if any(array.shape[1:] != (3,) for array in found):
         raise ValueError("it is no list of triangles")
-    return Triangles(vertices_m, triangles)
+    return found
 
 
 def _in_utf8(content: bytes) -> bytes:
@@ -242,9 +242,14 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
                 vertices.append((x, y, z))
             elif keyword == "f":
                 part = parts.get((name, material)) or parts.setdefault((name, material), _ObjPart(name, material))
-                part.faces.append([_obj_index(word, len(vertices)) for word in rest.split()])
-                if len(part.faces[-1]) < 3:
-                    raise ValueError("it is cut")
+                numbers = [int(word.partition("/")[0]) for word in rest.split()]
+                part.faces.append([index - 1 if index > 0 else len(vertices) + index for index in numbers])
+                if (
+                    len(numbers) < 3
+                    or 0 in numbers
+                    or not 0 <= min(part.faces[-1]) <= max(part.faces[-1]) < len(vertices)
+                ):
+                    raise ValueError("it is cut, or there is no such vertex")
         except ValueError as error:
             raise ValueError(f"line {number} is no vertex, or no face of three vertices or more before it") from error
         if keyword in ("o", "g"):
@@ -263,11 +268,3 @@ def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
         words = re.sub(r"\s+", " ", line.partition("#")[0]).strip()
         if words:
             yield number, words
-
-
-def _obj_index(word: str, num_vertices: int) -> int:
-    index = int(word.partition("/")[0])
-    counted = index - 1 if index > 0 else num_vertices + index
-    if index == 0 or not 0 <= counted < num_vertices:
-        raise ValueError("no such vertex")
-    return counted

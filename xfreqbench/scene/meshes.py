@@ -7,7 +7,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -117,12 +117,8 @@ def triangle_corners_m(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "K 3 
 
 def bounds_m(meshes: Sequence[SurfaceMesh]) -> Float[FloatArray, "2 3"]:
     """The lowest and the highest corner of the box about some meshes, one at least."""
-    return np.array(
-        [
-            np.min([mesh.vertices_m.min(axis=0) for mesh in meshes], axis=0),
-            np.max([mesh.vertices_m.max(axis=0) for mesh in meshes], axis=0),
-        ]
-    )
+    ends_m = np.array([[mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)] for mesh in meshes])
+    return np.array([ends_m[:, 0].min(axis=0), ends_m[:, 1].max(axis=0)])
 
 
 def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
@@ -130,14 +126,11 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
 
     Raises `SceneError` for meshes that cannot be read.
     """
-    meshes = [_mesh_of(surface, scene.slab_of(surface)) for surface in scene.surface]
-    imported = [_imported_mesh(shape) for shape in _imported_shapes(scene)]
-    return meshes + [replace(mesh, least_patch=scene.least_patch) for mesh in imported]
-
-
-def _mesh_of(surface: Surface, slab: Slab) -> SurfaceMesh:
-    mesh = _surface_mesh(surface.name, slab, _triangles(surface))
-    return mesh if surface.mirrors is None else replace(mesh, least_patch=NONE_MIRRORS)
+    meshes = []
+    for surface in scene.surface:
+        least_patch = None if surface.mirrors is None else NONE_MIRRORS
+        meshes.append(_surface_mesh(surface.name, scene.slab_of(surface), _triangles(surface), least_patch))
+    return meshes + [_imported_mesh(shape, scene.least_patch) for shape in _imported_shapes(scene)]
 
 
 def _triangles(surface: Surface) -> Triangles:
@@ -145,23 +138,19 @@ def _triangles(surface: Surface) -> Triangles:
         return Triangles(*flat_polygon(surface.corners_m))
     bounds = surface.corners_m
     flat = np.flatnonzero(bounds[0] == bounds[1])
-    shape = _rectangle(bounds, int(flat[0])) if len(flat) else trimesh.creation.box(bounds=bounds)
-    return Triangles(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
+    if not len(flat):
+        return Triangles.of(trimesh.creation.box(bounds=bounds))
+    u, v = np.delete(np.arange(3), flat[0])
+    corners_m = np.repeat(bounds[:1], 4, axis=0)
+    corners_m[1:3, u] = bounds[1, u]
+    corners_m[2:4, v] = bounds[1, v]
+    return Triangles(corners_m, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def _rectangle(bounds: Float[FloatArray, "2 3"], normal_axis: int) -> trimesh.Trimesh:
-    u, v = [axis for axis in range(3) if axis != normal_axis]
-    corners = np.repeat(bounds[:1], 4, axis=0)
-    corners[1:3, u] = bounds[1, u]
-    corners[2:4, v] = bounds[1, v]
-    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-
-
-def _surface_mesh(name: str, slab: Slab, shape: Triangles) -> SurfaceMesh:
+def _surface_mesh(name: str, slab: Slab, shape: Triangles, least_patch: PatchSize | None) -> SurfaceMesh:
     """Mesh of a shape, without triangles of no area, which have no normal."""
-    has_area = _have_area(shape.vertices_m[shape.triangles])
-    material, thickness_m, scattering = slab
-    return SurfaceMesh(name, material, thickness_m, shape.vertices_m, shape.triangles[has_area], scattering)
+    triangles = shape.triangles[_have_area(shape.vertices_m[shape.triangles])]
+    return SurfaceMesh(name, *slab[:2], shape.vertices_m, triangles, slab.scattering, least_patch)
 
 
 def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_], "K"]:
@@ -236,12 +225,12 @@ def _mesh_file(name: str, folder: Path) -> Path:
     return shipped[name.removeprefix(SIONNA)]
 
 
-def _imported_mesh(shape: ImportedShape) -> SurfaceMesh:
+def _imported_mesh(shape: ImportedShape, least_patch: PatchSize | None) -> SurfaceMesh:
     vertices_m, triangles = shape.triangles
     if not ((triangles >= 0) & (triangles < len(vertices_m))).all():
         raise SceneError(f"{shape.source} cannot be read: a face has a vertex that is not there.")
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
-        mesh = _surface_mesh(shape.name, shape.slab, shape.triangles)
+        mesh = _surface_mesh(shape.name, shape.slab, shape.triangles, least_patch)
     if not (np.abs(mesh.vertices_m) <= FAR_M).all():
         raise SceneError(f"{shape.source} has vertices that are not finite, or beyond {FAR_M:g} m.")
     if len(mesh.triangles) == 0:
@@ -279,7 +268,7 @@ def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
     kinds = slabs_of(meshes)
     identifiers = []
     for index, slab in enumerate(kinds):
-        material, thickness_m = slab.homogeneous, slab.thickness_m
+        material = slab.homogeneous
         if isinstance(material, ConstantMaterial):
             bsdf = ElementTree.SubElement(root, "bsdf", type="radio-material", id=f"mat-own-{index}")
             for name in ("relative_permittivity", "conductivity_s_m"):
@@ -288,7 +277,7 @@ def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
         else:
             bsdf = ElementTree.SubElement(root, "bsdf", type="itu-radio-material", id=f"mat-{material}-{index}")
             ElementTree.SubElement(bsdf, "string", name="type", value=material)
-        ElementTree.SubElement(bsdf, "float", name="thickness", value=repr(thickness_m))
+        ElementTree.SubElement(bsdf, "float", name="thickness", value=repr(slab.thickness_m))
         identifiers.append(bsdf.get("id", ""))
     for number, (mesh, identifier) in enumerate(zip(meshes, shape_ids(meshes), strict=True)):
         filename = f"meshes/{number:05d}.ply"

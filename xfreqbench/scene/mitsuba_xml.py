@@ -46,13 +46,11 @@ MAX_EXPANDED = 1_000_000  # characters that `$name` may become in all
 _SPHERE_SUBDIVISIONS = 3  # 1,280 triangles
 _SCATTERING = {  # fields of `Scattering`, and their names in Sionna RT
     "coefficient": "scattering_coefficient",
-    "xpd_coefficient": "xpd_coefficient",
     "pattern": "scattering_pattern",
-    **{name: name for name in ("alpha_r", "alpha_i", "lambda_")},
+    **{name: name for name in ("xpd_coefficient", "alpha_r", "alpha_i", "lambda_")},
 }
 _PROPERTIES = {  # of the types of material that Sionna RT has, and the element of each
-    "thickness": "float",
-    **dict.fromkeys(("scattering_coefficient", "xpd_coefficient", "lambda_"), "float"),
+    **dict.fromkeys(("thickness", "scattering_coefficient", "xpd_coefficient", "lambda_"), "float"),
     **dict.fromkeys(("alpha_r", "alpha_i"), "integer"),
     "scattering_pattern": "string",
 }
@@ -82,7 +80,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
     """
     elements = list(_Document(path).elements(path))
     bsdfs = _bsdfs(elements, path)
-    meshes = cache(lambda file, kind: read_mesh(file, kind))
+    meshes = cache(read_mesh)
     stated = cache(lambda bsdf: _stated_material(_nested(bsdf, bsdfs), path))
     shapes = [shape for element in elements for shape in element.iter("shape")]
     if not shapes:
@@ -198,10 +196,7 @@ def _bsdfs(elements: list[Element], path: Path) -> dict[str, Element]:
 
 
 def _are_alike(first: Element, second: Element) -> bool:
-    pairs = zip(first.iter(), second.iter(), strict=False)
-    return len(list(first.iter())) == len(list(second.iter())) and all(
-        (a.tag, a.attrib) == (b.tag, b.attrib) for a, b in pairs
-    )
+    return [(part.tag, part.attrib) for part in first.iter()] == [(part.tag, part.attrib) for part in second.iter()]
 
 
 def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
@@ -274,8 +269,8 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
 
 
 def _is_slip(given: str) -> bool:
-    """Whether the name of a property, among any others, is meant for one of radio materials."""
-    longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # of which looks have none like them
+    """Whether a name that is no property of radio materials was most likely meant to be one of them."""
+    longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # materials of looks have no similar names
     is_own = any(word in given.lower() for word in ("permittivity", "conductivity"))
     return is_own or bool(difflib.get_close_matches(given.lower(), longer, n=1, cutoff=0.75))
 
@@ -352,7 +347,7 @@ def _form(shape: Element, kind: str, where: str) -> Triangles:
         corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         return Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     if kind == "cube":
-        return _triangles(trimesh.creation.box(extents=(2, 2, 2)))
+        return Triangles.of(trimesh.creation.box(extents=(2, 2, 2)))
     unit = _unit_sphere()
     centre, radius = shape.find("./point[@name='center']"), shape.find("./float[@name='radius']")
     centre_m = vector(centre, where) if centre is not None else np.zeros(3)
@@ -362,13 +357,7 @@ def _form(shape: Element, kind: str, where: str) -> Triangles:
     return Triangles(unit.vertices_m * radius_m + centre_m, unit.triangles)
 
 
-@cache
-def _unit_sphere() -> Triangles:
-    return _triangles(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS))
-
-
-def _triangles(mesh: trimesh.Trimesh) -> Triangles:
-    return Triangles(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+_unit_sphere = cache(lambda: Triangles.of(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS)))
 
 
 def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
@@ -395,23 +384,10 @@ def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatA
     `where` begins the message of the `SceneError` for a step that is unknown, has no sound numbers, or is not affine,
     and for steps that leave nothing of a shape.
     """
-    steps = {
-        "translate": _translate,
-        "rotate": _rotate,
-        "scale": _scale,
-        "matrix": _matrix,
-        "lookat": _look_at,
-        "lookAt": _look_at,
-    }
     whole = np.eye(4)
     for element in transform:
-        if element.tag not in steps:
-            raise SceneError(
-                f"{where} has a <transform> with the step {element.tag!r}; use translate, rotate, scale, matrix "
-                "or lookat."
-            )
         with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
-            whole = steps[element.tag](element, where) @ whole
+            whole = _step(element, where) @ whole
     if not np.isfinite(whole).all():
         raise SceneError(f"{where} has a <transform> that moves it beyond every number.")
     lengths = np.linalg.norm(whole[:3, :3], axis=0)
@@ -442,44 +418,32 @@ def _numbers(text: str, element: ElementTree.Element, where: str, *counts: int) 
     return numbers
 
 
-def _translate(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    matrix = np.eye(4)
-    matrix[:3, 3] = vector(element, where)
-    return matrix
-
-
-def _rotate(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    axis = vector(element, where)
-    angle_deg = _numbers(element.get("angle", ""), element, where, 1)[0]
-    matrix = np.eye(4)
-    turn = Rotation.from_rotvec(np.radians(angle_deg) * _direction(axis, "axis", where))
-    matrix[:3, :3] = turn.as_matrix()
-    return matrix
-
-
-def _scale(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    return np.diag([*vector(element, where, default=1.0), 1.0])
-
-
-def _matrix(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    values = _numbers(element.get("value", ""), element, where, 9, 16)
-    matrix = np.eye(4)
-    if len(values) == 9:
-        matrix[:3, :3] = values.reshape(3, 3)
-        return matrix
-    matrix = values.reshape(4, 4)
-    if matrix[3].tolist() != [0, 0, 0, 1]:
-        raise SceneError(f"{where} has a <matrix> whose last row is {matrix[3].tolist()}; it must be 0 0 0 1.")
-    return matrix
-
-
-def _look_at(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    """The frame at `origin` whose z looks to `target`, and whose y leans towards `up`."""
-    origin, target, up = (_numbers(element.get(key, ""), element, where, 3) for key in ("origin", "target", "up"))
-    forward = _direction(target - origin, "way to its target", where)
-    left = _direction(np.cross(up, forward), "turn about its way to the target", where)
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+def _step(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
+    """Matrix of one step; that of `lookat` is the frame at `origin` whose z looks to `target`, its y towards `up`."""
+    matrix, kind = np.eye(4), element.tag
+    if kind == "translate":
+        matrix[:3, 3] = vector(element, where)
+    elif kind == "rotate":
+        axis = _direction(vector(element, where), "axis", where)
+        angle_deg = _numbers(element.get("angle", ""), element, where, 1)[0]
+        matrix[:3, :3] = Rotation.from_rotvec(np.radians(angle_deg) * axis).as_matrix()
+    elif kind == "scale":
+        matrix[:3, :3] = np.diag(vector(element, where, default=1.0))
+    elif kind == "matrix":
+        values = _numbers(element.get("value", ""), element, where, 9, 16)
+        size = 3 if len(values) == 9 else 4
+        matrix[:size, :size] = values.reshape(size, size)
+        if matrix[3].tolist() != [0, 0, 0, 1]:
+            raise SceneError(f"{where} has a <matrix> whose last row is {matrix[3].tolist()}; it must be 0 0 0 1.")
+    elif kind in ("lookat", "lookAt"):
+        origin, target, up = (_numbers(element.get(key, ""), element, where, 3) for key in ("origin", "target", "up"))
+        forward = _direction(target - origin, "way to its target", where)
+        left = _direction(np.cross(up, forward), "turn about its way to the target", where)
+        matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+    else:
+        raise SceneError(
+            f"{where} has a <transform> with the step {kind!r}; use translate, rotate, scale, matrix or lookat."
+        )
     return matrix
 
 

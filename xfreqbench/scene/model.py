@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 from math import atan2, degrees, hypot, isclose, prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +38,7 @@ LEAST_EXTENT_WAVELENGTHS = 0.05  # of an array; any two maps of a smaller one ha
 NEAR_M = 32.0  # from the origin, where single precision holds coordinates to 4 µm
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
+Parsed = TypeVar("Parsed")
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]
 Quaternion = tuple[Metres, Metres, Metres, Metres]
@@ -52,20 +54,7 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
-_SAID_IF_GIVEN = {
-    "other_receivers",
-    "transmitters",
-    "transmitter_polarization",
-    "up",
-    "unit",
-    "outside",
-    "material",
-    "rooms",
-    "closed",
-    "mirrors",
-    "least_patch_area_m2",
-    "least_patch_width_m",
-}  # what the JSON of a scene says only where it is given
+_ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -351,7 +340,7 @@ class Scene:
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if key not in _SAID_IF_GIVEN or value}
+        return {key: value for key, value in serialize(self).items() if key in _ALWAYS_WRITTEN or value}
 
     @model_validator(mode="after")
     def _receiver_faces_its_pole(self) -> Scene:
@@ -463,8 +452,8 @@ class Scene:
         if self.scene is None:
             return {}
         size = self.least_patch
-        told = {} if size is None else {f"least_patch_{name}": value for name, value in size._asdict().items()}
-        return {"mirrors": self.mirrors or "patches", **told}
+        least = {} if size is None else {f"least_patch_{name}": value for name, value in size._asdict().items()}
+        return {"mirrors": self.mirrors or "patches", **least}
 
     @property
     def canonical_json(self) -> str:
@@ -474,16 +463,16 @@ class Scene:
 
 def shipped_scenes() -> dict[str, str]:
     """Names and descriptions of the scenes that ship with the toolkit."""
-    return {name: content["description"] for name, content in _shipped_contents() if "type" not in content}
+    return {name: content["description"] for name, content in _shipped().items() if "type" not in content}
 
 
 def shipped_families() -> dict[str, str]:
     """Names and descriptions of the families of rooms that ship with the toolkit."""
-    return {name: content["description"] for name, content in _shipped_contents() if "type" in content}
+    return {name: content["description"] for name, content in _shipped().items() if "type" in content}
 
 
-def _shipped_contents() -> Iterator[tuple[str, dict[str, Any]]]:
-    return ((path.stem, tomllib.loads(read_text(path))) for path in _shipped_files())
+def _shipped() -> dict[str, dict[str, Any]]:
+    return {path.stem: tomllib.loads(read_text(path)) for path in sorted(shipped_folder().glob("*.toml"))}
 
 
 def shipped_folder() -> Path:
@@ -491,8 +480,48 @@ def shipped_folder() -> Path:
     return Path(str(files("xfreqbench.scenes")))
 
 
-def _shipped_files() -> Iterator[Path]:
-    return iter(sorted(shipped_folder().glob("*.toml")))
+def toml_path(name_or_path: str | Path, kind: str, shipped: Iterable[str]) -> Path:
+    """The path of a TOML file as it is given, or of the one that ships by that name; raises `UnknownNameError`."""
+    given = str(name_or_path)
+    if given.endswith(".toml"):
+        return Path(given)
+    if given not in (names := list(shipped)):
+        raise UnknownNameError(kind, given, [*names, "PATH.toml"])
+    return shipped_folder() / f"{given}.toml"
+
+
+def read_toml(path: Path, parse: Callable[[str], Parsed]) -> Parsed:
+    """What `parse` makes of the text of a file; raises `SceneError` that names the file."""
+    try:
+        return parse(read_text(path))
+    except OSError as error:
+        raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path} is no text in UTF-8 ({error}). Save it in that encoding.") from error
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def toml_content(text: str) -> dict[str, Any]:
+    """The content of TOML text; raises `SceneError`."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
+    except ValueError as error:  # not TOML, or numbers of thousands of digits
+        raise SceneError(f"this is not TOML: {error}") from error
+
+
+def validated(kind: type[Parsed], content: dict[str, Any], what: str) -> Parsed:
+    """The content of a file of scenes as a scene or a family; raises `SceneError` that lists every fault."""
+    try:
+        return TypeAdapter(kind).validate_python(content)
+    except ValidationError as error:
+        faults = "\n".join(
+            f"  {'.'.join(map(str, fault['loc'])) or what}: {fault['msg'].removeprefix('Value error, ')}"
+            for fault in error.errors()
+        )
+        raise SceneError(f"the {what} has no valid form:\n{faults}") from error
 
 
 @checked
@@ -502,37 +531,14 @@ def load_scene(name_or_path: FilePath) -> Scene:
     Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
     read or that describes no valid scene, every fault listed with its place in the file.
     """
-    given = str(name_or_path)
-    if given.endswith(".toml"):
-        path = Path(given)
-    else:
-        shipped = {path.stem: path for path in _shipped_files()}
-        if given not in shipped:
-            raise UnknownNameError("scene", given, [*shipped, "PATH.toml"])
-        path = shipped[given]
-    try:
-        return parse_scene(read_text(path), folder=path.parent)
-    except OSError as error:
-        raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path} is no text in UTF-8 ({error}). Save it in that encoding.") from error
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from error
+    path = toml_path(name_or_path, "scene", _shipped())
+    return read_toml(path, partial(parse_scene, folder=path.parent))
 
 
 @checked
 def parse_scene(text: str, folder: Path = Path()) -> Scene:
     """Scene from TOML text. Relative paths of meshes start at `folder`. Raises `SceneError`."""
-    try:
-        content: dict[str, Any] = tomllib.loads(text)
-    except RecursionError as error:
-        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
-    except ValueError as error:  # not TOML, or numbers of thousands of digits
-        raise SceneError(f"this is not TOML: {error}") from error
-    return _validated(content, folder)
-
-
-def _validated(content: dict[str, Any], folder: Path) -> Scene:
+    content = toml_content(text)
     if "type" in content:
         raise SceneError(
             "this describes a family of rooms, not a scene. Generate rooms of it with `xfreqbench generate FAMILY "
@@ -543,13 +549,7 @@ def _validated(content: dict[str, Any], folder: Path) -> Scene:
     if isinstance(content.get("receiver"), list):  # [[receiver]], once or several times
         first, *others = content["receiver"] or [{}]
         content = {**content, "receiver": first, "other_receivers": others}
-    try:
-        return TypeAdapter(Scene).validate_python({**content, "folder": folder})
-    except ValidationError as error:
-        faults = "\n".join(
-            f"  {'.'.join(map(str, fault['loc'])) or 'scene'}: {fault['msg']}" for fault in error.errors()
-        )
-        raise SceneError(f"the scene has no valid form:\n{faults}") from error
+    return validated(Scene, {**content, "folder": folder}, "scene")
 
 
 def scene_schema() -> dict[str, Any]:

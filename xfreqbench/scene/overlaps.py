@@ -50,9 +50,9 @@ def check_overlaps(geometry: Geometry) -> None:
 
 
 def nearly_in_one_plane(geometry: Geometry) -> str | None:
-    """Words on two objects of which surfaces lie on each other but for less than `NEAR_M`, or None.
+    """A text that names two objects with parallel surfaces less than `NEAR_M` apart, or None where there are none.
 
-    A path passes both of them, or is reflected between them: a pane in front of a wall, or an object given twice.
+    They may be a pane in front of a wall, or one object that is given twice. A path passes both surfaces.
     """
     corners_m = triangle_corners_m(geometry.meshes)
     if not len(corners_m):

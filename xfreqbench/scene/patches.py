@@ -92,7 +92,7 @@ def _coplanar(
     by_area, largest = np.argsort(doubled_m2, kind="stable"), np.zeros(len(normal), dtype=np.int64)
     while True:
         near, far = near[joined], far[joined]
-        patch = _components(near, far, len(normal))
+        patch = components(near, far, len(normal))
         largest[patch[by_area]] = by_area
         claimant = largest[patch]
         upwards = np.sign(np.einsum("kc,kc->k", normal, normal[claimant])) * doubled_m2
@@ -138,10 +138,10 @@ def _welded(corners_m: Float[FloatArray, "K 3 3"]) -> Int[IntArray, "K 3"]:
     if not len(first):
         return np.zeros((0, 3), dtype=np.int64)
     near = cKDTree(place_m[first]).query_pairs(2.0 * rounding_m(corners_m), output_type="ndarray")
-    return _components(near[:, 0], near[:, 1], len(first))[vertex].reshape(-1, 3)
+    return components(near[:, 0], near[:, 1], len(first))[vertex].reshape(-1, 3)
 
 
-def _components(first: IntArray, second: IntArray, number: int) -> Int[IntArray, "n"]:
+def components(first: IntArray, second: IntArray, number: int) -> Int[IntArray, "n"]:
     """Index of the connected component of each of so many things, from pairs that are connected."""
     links = coo_array((np.ones(len(first)), (first, second)), shape=(number, number))
     return connected_components(links, directed=False)[1].astype(np.int64)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
-from xfreqbench.scene.model import FAR_M, ReceiverArray, Scene
+from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
@@ -47,9 +48,11 @@ def place_transmitters(
     inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
     near_receiver = np.zeros_like(inside)
+    wavelength_m = 0.0 if lowest_carrier_hz is None else SPEED_OF_LIGHT_M_S / lowest_carrier_hz
     for receiver in scene.receivers:
         to_receiver_m = np.linalg.norm(lattice_m - np.asarray(receiver.position_m), axis=1)
-        near_receiver |= to_receiver_m < clearance_m + _half_aperture_m(receiver, lowest_carrier_hz)
+        half_aperture_m = wavelength_m * np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()
+        near_receiver |= to_receiver_m < clearance_m + half_aperture_m
     near_receiver &= ~inside & ~near_surface
     usable = ~(inside | near_surface | near_receiver)
     rejected = {
@@ -83,13 +86,6 @@ def choose_transmitters(placement: Placement, num_transmitters: int | None, seed
     return usable[np.sort(chosen)]
 
 
-def _half_aperture_m(receiver: ReceiverArray, carrier_hz: float | None) -> float:
-    if carrier_hz is None:
-        return 0.0
-    offset_m = receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
-    return float(np.linalg.norm(offset_m, axis=1).max())
-
-
 def check_transmitters(
     scene: Scene, meshes: Sequence[SurfaceMesh], tx_position_m: Float[FloatArray, "T 3"], carrier_hz: Sequence[float]
 ) -> None:
@@ -108,21 +104,27 @@ def check_transmitters(
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
     _check_inside(scene, meshes, tx_position_m, "Every transmitter")
-    for receiver in scene.receivers:
-        for carrier in carrier_hz:
-            _check_off_the_array(receiver, tx_position_m, carrier)
+    for receiver, carrier in product(scene.receivers, carrier_hz):
+        element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier)
+        points_m = np.vstack([receiver.position_m, element_m])
+        distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
+        _check_distance(distance_m, tx_position_m, "Transmitter", "the receiver array", carrier)
 
 
-def _check_off_the_array(receiver: ReceiverArray, tx_position_m: Float[FloatArray, "T 3"], carrier_hz: float) -> None:
-    element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
-    points_m = np.vstack([receiver.position_m, element_m])
-    distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
-    if (distance_m < MIN_SEPARATION_M).any():
-        index = int(distance_m.argmin())
+def _check_distance(
+    distance_m: Float[FloatArray, "N"],
+    points_m: Float[FloatArray, "N 3"],
+    what: str,
+    of: str,
+    carrier_hz: float | None = None,
+) -> None:
+    """Raise `PlacementError` for the nearest point where it is nearer than `MIN_SEPARATION_M`."""
+    index = int(distance_m.argmin())
+    if distance_m[index] < MIN_SEPARATION_M:
+        at = f" at {format_ghz(carrier_hz)}" if carrier_hz else ""
         raise PlacementError(
-            f"Transmitter {index} stands {distance_m[index] * 1e3:.1f} mm from the receiver array, at "
-            f"{format_point(tx_position_m[index])} m at {format_ghz(carrier_hz)}. Keep at least "
-            f"{MIN_SEPARATION_M * 1e3:g} mm away."
+            f"{what} {index} stands {distance_m[index] * 1e3:.1f} mm from {of}, at {format_point(points_m[index])} m"
+            f"{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
         )
 
 
@@ -204,13 +206,7 @@ def _check_free(
             f"{what} {index} stands inside {name!r}, at {format_point(points_m[index])} m{at}. "
             f"Move it into free space, or, where that is a room, say rooms = [{name!r}] in the scene's TOML."
         )
-    distance_m = distance_to_surfaces(meshes, points_m)
-    if (distance_m < MIN_SEPARATION_M).any():
-        index = int(distance_m.argmin())
-        raise PlacementError(
-            f"{what} {index} stands {distance_m[index] * 1e3:.1f} mm from a surface, at "
-            f"{format_point(points_m[index])} m{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
-        )
+    _check_distance(distance_to_surfaces(meshes, points_m), points_m, what, "a surface", carrier_hz)
 
 
 def median_transmitter(tx_position_m: Float[FloatArray, "T 3"]) -> int:

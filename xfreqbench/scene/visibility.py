@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from xfreqbench.scene import visibility_kernels
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
+from xfreqbench.scene.patches import components
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 
@@ -45,9 +44,9 @@ def is_closed(mesh: SurfaceMesh) -> bool:
 
 
 def _shell(mesh: SurfaceMesh) -> trimesh.Trimesh:
-    """A mesh with every vertex and every triangle once, whichever side the others of a triangle show.
+    """A mesh with each vertex and each triangle once, though the mesh may have a triangle several times, in any order.
 
-    Parts that have an edge of one triangle alone, or of more than two, are left out: flaps and shelves.
+    Connected parts with an edge that does not belong to exactly two triangles, such as flaps and shelves, are left out.
     """
     shell = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
     if not shell.is_watertight:
@@ -57,17 +56,16 @@ def _shell(mesh: SurfaceMesh) -> trimesh.Trimesh:
         is_open = (np.bincount(edge) != 2)[edge].reshape(-1, 3).any(axis=1)
         if not is_open.all():
             ends = np.repeat(np.arange(number), 3), number + edge
-            links = coo_array((np.ones(len(edge)), ends), shape=(number + edge.max() + 1,) * 2)
-            part = connected_components(links, directed=False)[1][:number]
+            part = components(*ends, number + int(edge.max()) + 1)[:number]
             shell.update_faces(~np.isin(part, part[is_open]))
     return shell
 
 
 def _turned_alike(triangles: Int[IntArray, "K 3"], area_m2: Float[FloatArray, "K"]) -> Int[IntArray, "K 3"]:
-    """Triangles of a closed mesh, those turned round that face another side than most of their connected part, by area.
+    """Triangles of a closed mesh; those of a connected part that face the other way than most of its area are turned.
 
-    Two triangles of one edge are turned alike where they run along it in opposite directions. The graph has each
-    triangle twice, as it is and turned round, and links those that go together.
+    Two triangles of one edge face the same way where they run along it in opposite directions. The graph has two nodes
+    for each triangle, as it is and turned round, and links the nodes of neighbours that face the same way.
     """
     edge, number = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(triangles)
     is_ascending = edge[:, 0] < edge[:, 1]
@@ -75,8 +73,7 @@ def _turned_alike(triangles: Int[IntArray, "K 3"], area_m2: Float[FloatArray, "K
     first, second = pair.T // 3
     other = number * (is_ascending[pair[:, 0]] == is_ascending[pair[:, 1]])
     ends = np.concatenate([first, first + number]), np.concatenate([second + other, second + number - other])
-    links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * number, 2 * number))
-    as_it_is, turned = connected_components(links, directed=False)[1].reshape(2, number)
+    as_it_is, turned = components(*ends, 2 * number).reshape(2, number)
     area_of_part_m2 = np.bincount(as_it_is, weights=area_m2, minlength=2 * number)
     more_m2 = area_of_part_m2[turned] - area_of_part_m2[as_it_is]
     is_turned = (more_m2 > 0) | ((more_m2 == 0) & (turned < as_it_is))
@@ -87,18 +84,14 @@ def _winding_number(
     corners_m: Float[FloatArray, "K 3 3"], points_m: Float[FloatArray, "N 3"]
 ) -> Float[FloatArray, "N"]:
     """Solid angle that the triangles subtend at each point, over 4π (van Oosterom and Strackee, 1983)."""
-    number = [np.arctan2(*_triple_and_denominator(corners_m - point)).sum() for point in points_m]
-    return np.array(number) / (2 * np.pi)
-
-
-def _triple_and_denominator(
-    corners_m: Float[FloatArray, "K 3 3"],
-) -> tuple[Float[FloatArray, "K"], Float[FloatArray, "K"]]:
-    """Opposite and adjacent side of half the solid angle of each triangle, seen from the origin."""
-    a, b, c = np.moveaxis(corners_m, 1, 0)
-    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-    ab, bc, ca = (np.einsum("ki,ki->k", *pair) for pair in ((a, b), (b, c), (c, a)))
-    return np.einsum("ki,ki->k", a, np.cross(b, c)), la * lb * lc + ab * lc + bc * la + ca * lb
+    numbers = list[float]()
+    for point_m in points_m:
+        a, b, c = np.moveaxis(corners_m - point_m, 1, 0)
+        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        ab, bc, ca = (np.einsum("ki,ki->k", *pair) for pair in ((a, b), (b, c), (c, a)))
+        triple, denominator = np.einsum("ki,ki->k", a, np.cross(b, c)), la * lb * lc + ab * lc + bc * la + ca * lb
+        numbers.append(np.arctan2(triple, denominator).sum())
+    return np.array(numbers) / (2 * np.pi)
 
 
 def sees(

@@ -78,8 +78,8 @@ def unpacked(path: Path, content: bytes, names: Iterable[str] | None, advice: st
 
 def _of_numpy(content: bytes, names: Iterable[str] | None) -> dict[str, NDArray[Any]]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        every = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-        members = {name: every[name] for name in (every if names is None else names)}
+        held = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        members = {name: held[name] for name in (held if names is None else names)}
         if sum(member.file_size for member in members.values()) / 2**20 > available_memory_mib():
             raise MemoryError
         return {name: _of_member(archive.read(member)) for name, member in members.items()}  # to its end: sums hold

@@ -11,11 +11,11 @@ _VARIABLES = {"NUMBA_CACHE_DIR": "numba", "MPLCONFIGDIR": "matplotlib"}
 
 
 def settle_caches() -> None:
-    """Name folders for what libraries keep where there is no home to write to, as in a container with a user id alone.
+    """Choose folders for the caches of libraries where the user has no home folder to write to, as in some containers.
 
-    There they would fail, or make a folder `~` in each working folder. Ours is `xfreqbench-UID` in the folder for
-    temporary files. Where that cannot be this user's alone, what is compiled goes with this process, and a warning says
-    so. Variables that are set stay as they are.
+    Without one, libraries fail, or make a folder `~` in each working folder. Ours is `xfreqbench-UID` in the folder for
+    temporary files. Where another user may own that, compiled code is kept in a folder that is removed with this
+    process, and a warning says so. Variables that are set stay as they are.
     """
     if all(map(_is_writable, _home_folders())):
         return

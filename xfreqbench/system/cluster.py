@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any, TypeVar, no_type_check
 
 from xfreqbench.errors import ClusterError
-from xfreqbench.system.machine import safe_path
+from xfreqbench.system.machine import installed_version, safe_path
 from xfreqbench.system.source import package_sha256
 
 Argument = TypeVar("Argument")
@@ -47,7 +46,7 @@ class DaskWorkers:
         self._address = address
         self._executor = client.get_executor(pure=False)
         self._sent: tuple[Any, Any] = (None, None)
-        self._left_out = set[str]()  # workers of which was told why
+        self._left_out = set[str]()  # workers whose reason was printed
 
     @property
     def num_places(self) -> int:
@@ -111,7 +110,7 @@ class DaskWorkers:
         _settle(worded, outcome)
 
     def _note(self, worker: str, words: str, refusals: dict[str, str]) -> None:
-        """Note why a worker refused a call, and tell it once of every worker."""
+        """Note why a worker refused a call, and print the reason once for each worker."""
         refusals[worker] = words
         if worker not in self._left_out:
             print(f"xfreqbench: worker {worker} {words} Others do its work.", file=sys.stderr, flush=True)
@@ -177,7 +176,7 @@ async def _require_scheduler(distributed: Any, address: str) -> None:
 
 @contextmanager
 def _quiet(*names: str) -> Iterator[None]:
-    """A block in which loggers tell of nothing but what is critical."""
+    """A block in which loggers report critical errors only."""
     loggers = [logging.getLogger(name) for name in names]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -207,8 +206,8 @@ def local_cluster(num_workers: int) -> Iterator[str]:
 @cache
 def fingerprint() -> Mapping[str, str]:
     """What has to be the same wherever a call is made: versions of Python, libraries and this package, and its code."""
-    versions = {name: _version(name) for name in _LIBRARIES}
-    own = f"{_version('xfreqbench')} ({package_sha256()[:12]})"  # an edited checkout keeps its version
+    versions = {name: installed_version(name) or "none" for name in _LIBRARIES}
+    own = f"{installed_version('xfreqbench')} ({package_sha256()[:12]})"  # an edited checkout keeps its version
     return {"python": platform.python_version(), "xfreqbench": own} | versions
 
 
@@ -332,10 +331,3 @@ def _killed(error: Any) -> ClusterError | None:
     if not isinstance(error, KilledWorker):
         return None
     return ClusterError(lost_workers(error.allowed_failures + 1, f", the last at {error.last_worker.address}"))
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"

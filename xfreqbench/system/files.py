@@ -87,13 +87,10 @@ def _remove_abandoned(target: Path) -> None:
     """Remove partial files of `target` whose processes, on this machine, have ended; others may still be writing."""
     ours = re.compile(rf"{re.escape(f'.{target.name}.{platform.node()}')}-(\d+)\.partial")
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
-        found = ours.fullmatch(path.name)
-        if found and (int(found[1]) == os.getpid() or _has_ended(found[1])):
-            remove(path)
-
-
-def _has_ended(pid: str) -> bool:
-    return Path("/proc/self").exists() and not Path(f"/proc/{pid}").exists()
+        if found := ours.fullmatch(path.name):
+            has_ended = Path("/proc/self").exists() and not Path(f"/proc/{found[1]}").exists()
+            if has_ended or int(found[1]) == os.getpid():
+                remove(path)
 
 
 def remove(path: Path) -> None:

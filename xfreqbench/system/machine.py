@@ -48,10 +48,10 @@ def require_thread_count() -> None:
 
 @contextmanager
 def safe_path() -> Iterator[None]:
-    """A block in which interpreters start that import nothing from the working folder before they are told a path.
+    """While the block runs, Python interpreters that are started do not import from the working folder.
 
-    What multiprocessing starts is told the path of its parent, and so imports what that can import. They pass this on
-    to interpreters of their own. Several threads may be in such a block.
+    A process of multiprocessing gets the path of its parent, and imports what its parent can import. Interpreters that
+    these start themselves do the same. Several threads may be in such a block.
     """
     global _num_starting, _safe_path_before
     with _STARTING:
@@ -95,9 +95,8 @@ def reset_peak_memory() -> None:
 def peak_memory_mib() -> float:
     """Largest resident memory of this process since `reset_peak_memory`, in MiB, with interpreter and libraries."""
     try:
-        lines = _STATUS.read_text(encoding="utf-8").splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
+        return int(_stated(_STATUS, "VmHWM")[0].split()[0]) / 1024
+    except (OSError, IndexError):
         import resource  # which Windows lacks
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -107,9 +106,8 @@ def peak_memory_mib() -> float:
 def available_memory_mib() -> float:
     """Memory that a program could still take without the system swapping, in MiB; infinite where nothing tells."""
     try:
-        lines = _MEMORY.read_text(encoding="utf-8").splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
-    except (OSError, StopIteration):
+        return int(_stated(_MEMORY, "MemAvailable")[0].split()[0]) / 1024
+    except (OSError, IndexError):
         return float("inf")
 
 
@@ -119,26 +117,22 @@ def hardware() -> dict[str, str]:
     # on Linux; `taskset` keeps a process from some of the cores
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
-    return {
-        "processor": _processor(),
-        "cores": str(cores),
-        "system": f"{platform.system()} {platform.machine()}",
-    } | _gpus()
+    system = f"{platform.system()} {platform.machine()}"
+    gpus = [name for path in sorted(_GPUS.glob("*/information")) for name in _stated(path, "Model:")]
+    known = {"processor": _processor(), "cores": str(cores), "system": system}
+    return known | ({"gpu": " + ".join(gpus)} if gpus else {})
 
 
-def _gpus() -> dict[str, str]:
-    """Names of the GPUs, as the NVIDIA driver has them; empty without that driver."""
-    lines = [
-        line for path in sorted(_GPUS.glob("*/information")) for line in path.read_text(encoding="utf-8").splitlines()
-    ]
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
-    return {"gpu": " + ".join(names)} if names else {}
+def _stated(path: Path, name: str) -> list[str]:
+    """What the lines of a file say that begin with a name, after the colon."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return [line.partition(":")[2].strip() for line in lines if line.startswith(name)]
 
 
 @cache
 def software() -> dict[str, str]:
     """Versions of Python and of the installed libraries that scores and times depend on, by name."""
-    versions = {name: _version(name) for name in _LIBRARIES}
+    versions = {name: installed_version(name) for name in _LIBRARIES}
     return {"python": platform.python_version()} | {name: text for name, text in versions.items() if text}
 
 
@@ -160,7 +154,8 @@ def _git(folder: Path, *arguments: str) -> str | None:
     return answer.stdout.strip()
 
 
-def _version(name: str) -> str | None:
+def installed_version(name: str) -> str | None:
+    """The version of an installed package, or None."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -169,8 +164,6 @@ def _version(name: str) -> str | None:
 
 def _processor() -> str:
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
+        return _stated(Path("/proc/cpuinfo"), "model name")[0]
+    except (OSError, IndexError):
         return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

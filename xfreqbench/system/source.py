@@ -18,6 +18,7 @@ import sysconfig
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.machinery import ModuleSpec
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ PACKAGE = "xfreqbench"
 _DATA = ("examples", "scenes")  # in an editable install not within the package's folder either
 _BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder is not within the package's
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
+_TYPE_CHECKING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 _STANDARD_LIBRARY = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib"))
 
 
@@ -91,8 +93,7 @@ def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
         found[module] = path, source
         if _is_idle(path, source) or not _is_followed(module, own):
             continue
-        parts = module.split(".")
-        waiting += [".".join(parts[:number]) for number in range(1, len(parts))]
+        waiting += accumulate(module.split(".")[:-1], "{}.{}".format)
         for asked in _imports(source, module, path.name == "__init__.py") if path.suffix == ".py" else ():
             if _is_followed(asked.module, own):
                 waiting += _modules_of(asked)
@@ -123,11 +124,10 @@ def _offered(package: str) -> dict[str, _Import]:
     if init is None or init.name != "__init__.py" or not _is_idle(init, _read(init) or b""):
         return {}
     stub = init.with_suffix(".pyi")
-    tree = _parsed(_read(stub if stub.exists() else init) or b"")
-    statements = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     return {
         alias.asname or alias.name: _Import(_absolute(node, package, is_init=True), alias.name)
-        for node in statements
+        for node in ast.walk(_parsed(_read(stub if stub.exists() else init) or b""))
+        if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
 
@@ -163,14 +163,10 @@ def _executed(tree: ast.Module) -> Iterator[ast.AST]:
     while waiting:
         node = waiting.pop()
         yield node
-        if isinstance(node, ast.If) and _is_type_checking(node.test):
+        if isinstance(node, ast.If) and ast.unparse(node.test) in _TYPE_CHECKING:
             waiting += node.orelse
         else:
             waiting += ast.iter_child_nodes(node)
-
-
-def _is_type_checking(test: ast.expr) -> bool:
-    return ast.unparse(test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 
 
 def _absolute(node: ast.ImportFrom, module: str, is_init: bool) -> str:
@@ -178,8 +174,7 @@ def _absolute(node: ast.ImportFrom, module: str, is_init: bool) -> str:
     if not node.level:
         return node.module or ""
     above = module.split(".")[: None if is_init else -1]
-    above = above[: len(above) - node.level + 1]
-    return ".".join([*above, *filter(None, [node.module])])
+    return ".".join([*above[: len(above) - node.level + 1], *filter(None, [node.module])])
 
 
 def _dotted(node: ast.expr) -> list[str]:
@@ -193,9 +188,7 @@ def _dotted(node: ast.expr) -> list[str]:
 
 def _is_idle(path: Path, source: bytes) -> bool:
     """Whether a file is an `__init__` that computes nothing: docstring, version, and names offered lazily."""
-    if path.name != "__init__.py":
-        return False
-    return all(map(_is_idle_statement, _parsed(source).body))
+    return path.name == "__init__.py" and all(map(_is_idle_statement, _parsed(source).body))
 
 
 _IDLE_BEGINNINGS = (
@@ -221,7 +214,7 @@ def _is_idle_statement(node: ast.stmt) -> bool:
         return is_lazy or ast.unparse(node.targets[0]).startswith("__")
     if isinstance(node, ast.If):
         refuses = all(isinstance(statement, ast.Raise) for statement in node.body)
-        return (refuses or _is_type_checking(node.test)) and not node.orelse
+        return (refuses or ast.unparse(node.test) in _TYPE_CHECKING) and not node.orelse
     return ast.unparse(node).startswith(_IDLE_BEGINNINGS)
 
 

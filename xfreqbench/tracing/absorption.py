@@ -1,4 +1,4 @@
-"""What slabs reflect and let through, and how much of the diffuse power in a room they take."""
+"""What slabs reflect and transmit, and how much of a room's diffuse power its surfaces absorb."""
 
 from __future__ import annotations
 

@@ -39,8 +39,9 @@ class Edge(NamedTuple):
 
 
 class _Flat:
-    """Facets as arrays (Q, ...): unit normal, a corner, two sides' dual vectors, bounding box in metres, mesh, and
-    whether the normal points to the back.
+    """Facets as arrays (Q, …): normal, corner, dual vectors of two sides, bounding box, mesh, and whether it is turned.
+
+    One is turned where its unit normal points to its back.
     """
 
     def __init__(

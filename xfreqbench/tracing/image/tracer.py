@@ -254,7 +254,7 @@ def media_of(
 ) -> tuple[Media, Int[IntArray, "2 S"]]:
     """Slabs of every material and thickness, one lane a carrier, with the antennas; and the slab of each mesh.
 
-    The slab of a mesh is told as it is, and with its back to the front.
+    The slab of a mesh stands as it is, and with its back to the front.
     """
     kinds = kinds_of(meshes)
     layers = [layer for slab in kinds for layer in slab.layers]

@@ -16,13 +16,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from xfreqbench.scene.facets import PLANE_TOLERANCE
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
+from xfreqbench.scene.patches import components
 from xfreqbench.scene.visibility import fibonacci_sphere
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f
@@ -71,8 +70,7 @@ def _coplanar(normal: Float[FloatArray, "K 3"], offset_m: Float[FloatArray, "K"]
     signless = np.hstack([projector, offset_m[:, None] * normal])
     distinct, of_distinct = np.unique(np.round(signless, 9) + 0.0, axis=0, return_inverse=True)
     near = cKDTree(distinct).query_pairs(PLANE_TOLERANCE, output_type="ndarray")
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(distinct),) * 2)
-    return connected_components(links, directed=False)[1][of_distinct].astype(np.int64)
+    return components(near[:, 0], near[:, 1], len(distinct))[of_distinct]
 
 
 @dataclass(frozen=True)
@@ -112,17 +110,14 @@ def opaque_meshes(
     meshes: Sequence[SurfaceMesh], carrier_hz: Sequence[float], policy: MaterialPolicy
 ) -> Bool[NDArray[np.bool_], "S"]:
     """Whether each mesh absorbs more than `OPAQUE_DB` at every carrier, as metal does."""
-    return np.array(
-        [min(_absorption_db(mesh, carrier, policy) for carrier in carrier_hz) > OPAQUE_DB for mesh in meshes],
-        dtype=bool,
-    )
 
+    def absorption_db(mesh: SurfaceMesh, carrier: float) -> float:
+        """Loss of one straight passage through the slab, without its two faces."""
+        index = np.sqrt(complex_permittivity(mesh.slab.homogeneous, carrier, policy))
+        neper = -index.imag * 2 * np.pi * carrier / SPEED_OF_LIGHT_M_S * mesh.thickness_m
+        return float(20 * np.log10(math.e) * neper)
 
-def _absorption_db(mesh: SurfaceMesh, carrier_hz: float, policy: MaterialPolicy) -> float:
-    """Loss of one straight passage through the slab, without its two faces."""
-    index = np.sqrt(complex_permittivity(mesh.slab.homogeneous, carrier_hz, policy))
-    neper = -index.imag * 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * mesh.thickness_m
-    return float(20 * np.log10(math.e) * neper)
+    return np.array([min(absorption_db(mesh, f) for f in carrier_hz) > OPAQUE_DB for mesh in meshes], dtype=bool)
 
 
 def shoot(
@@ -167,7 +162,8 @@ def _run_rays(
         triangle = tree.first_triangle[mesh] + hit.prim_index.numpy() * active.numpy()
         is_mirror = mirrors[triangle]
         reflected = _choose_reflection(rng, opaque[mesh], settings) & is_mirror
-        active &= mi.Bool(is_mirror | ~_must_reflect(opaque[mesh], settings))
+        passes = ~opaque[mesh] & ("refraction" in settings.named_interactions)
+        active &= mi.Bool(is_mirror | passes)
         direction = dr.select(mi.Bool(reflected), ray.d - 2 * dr.dot(ray.d, hit.n) * hit.n, ray.d)
         side = dr.select(dr.dot(direction, hit.n) > 0, hit.n, -hit.n)
         tree.grow(active.numpy(), reflected, triangle, hit.p.numpy().T, side.numpy().T)
@@ -184,11 +180,6 @@ def _choose_reflection(
     if "specular" not in settings.named_interactions:
         return np.zeros(len(opaque), dtype=bool)
     return (rng.random(len(opaque)) < REFLECTION_PROBABILITY) | opaque
-
-
-def _must_reflect(opaque: NDArray[np.bool_], settings: TraceSettings) -> NDArray[np.bool_]:
-    """Whether nothing passes what each ray met."""
-    return opaque if "refraction" in settings.named_interactions else np.ones(len(opaque), dtype=bool)
 
 
 class _ChainTree:

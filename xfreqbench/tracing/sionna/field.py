@@ -6,14 +6,15 @@ tests compare them with the public solver.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from xfreqbench.errors import SceneError
-from xfreqbench.scene.model import Antenna
-from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR
+from xfreqbench.scene.model import Antenna, ReceiverArray
+from xfreqbench.tracing.paths import NO_INTERACTION, SPECULAR, Paths
 from xfreqbench.tracing.sionna.scene import RadioScene, antenna_array, dr, mi, orientation_rad, point3f, rt
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
@@ -111,6 +112,37 @@ class Field:
                 "precision. Make thick ones thinner; through a metre of metal nothing passes either."
             )
         return gains
+
+
+class Rays:
+    """What rays from the receiver and rays from transmitters have in common: scene, array, carriers and fields."""
+
+    def __init__(
+        self, radio_scene: RadioScene, receiver: ReceiverArray, sent_by: Antenna, carrier_hz: Float[FloatArray, "F"]
+    ) -> None:
+        self.radio_scene, self.receiver, self.carrier_hz = radio_scene, receiver, carrier_hz
+        self.field = Field(radio_scene, sent_by, receiver.antenna)
+
+    def sorted_paths(
+        self,
+        buffer: Any,
+        gain: Sequence[Complex[NDArray[np.complex128], "P"]],
+        length_m: Float[FloatArray, "P"],
+        arrival: Float[FloatArray, "P 3"],
+        interactions: Int[NDArray[np.int64], "P D"],
+        vertices_m: Float[FloatArray, "P D 3"],
+    ) -> Paths:
+        """The P paths of a buffer with their gains at each carrier, the earliest first."""
+        order = np.argsort(length_m, kind="stable")
+        return Paths(
+            carrier_hz=self.carrier_hz,
+            gain=np.array(gain).reshape(len(self.carrier_hz), -1)[:, order],
+            delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
+            arrival=arrival[order],
+            interactions=interactions[order],
+            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
+            vertices_m=vertices_m[order],
+        )
 
 
 def _sources(tx_position_m: Float[FloatArray, "T 3"], target_m: Float[FloatArray, "R 3"]) -> Any:

@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float
 
 from xfreqbench.scene.model import Antenna, ReceiverArray
 from xfreqbench.tracing.paths import Paths
-from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
+from xfreqbench.tracing.sionna.field import Rays, path_interactions, with_travel_phase
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, point3f, roomy_hash_table, rt
 from xfreqbench.tracing.tracer import MAX_DIFFUSE_PATHS, Channel, TraceSettings
 from xfreqbench.types import FloatArray, NDArray
@@ -26,7 +26,7 @@ MAX_PATHS = 1_000_000
 MAX_LANES = 30_000_000  # rays × depth × targets in one call of the deterministic generator: about 1.5 GB
 
 
-class ForwardRays:
+class ForwardRays(Rays):
     """Rays of one scene, shot anew for every transmitter and carrier, with each array element a target.
 
     A diffuse path stands for all directions into which its ray might have been scattered: its gain holds the solid
@@ -42,11 +42,8 @@ class ForwardRays:
         carrier_hz: Float[FloatArray, "F"],
         settings: TraceSettings,
     ) -> None:
-        self.radio_scene = radio_scene
-        self.receiver = receiver
-        self.carrier_hz = carrier_hz
+        super().__init__(radio_scene, receiver, transmitter, carrier_hz)
         self.settings = settings
-        self.field = Field(radio_scene, transmitter, receiver.antenna)
         self._diffraction = "diffraction" in settings.named_interactions
         self._diffuse = "diffuse" in settings.named_interactions
 
@@ -71,16 +68,8 @@ class ForwardRays:
         gain = [self._gains(carrier, buffer, tx, centre) for carrier in self.carrier_hz.tolist()]
         interactions, vertices_m = path_interactions(buffer, max(1, self.settings.max_depth))
         length_m = _lengths_m(vertices_m, tx[0], np.repeat(centre, len(vertices_m), axis=0))
-        order = np.argsort(length_m, kind="stable")
-        return Paths(
-            carrier_hz=self.carrier_hz,
-            gain=np.array(gain).reshape(len(self.carrier_hz), -1)[:, order],
-            delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
-            arrival=_arrivals(vertices_m, tx[0], centre[0])[order],
-            interactions=interactions[order],
-            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
-            vertices_m=vertices_m[order],
-        )
+        arrival = _arrivals(vertices_m, tx[0], centre[0])
+        return self.sorted_paths(buffer, gain, length_m, arrival, interactions, vertices_m)
 
     def _channel_at(
         self, carrier_hz: float, tx: Float[FloatArray, "1 3"]
@@ -112,12 +101,13 @@ class ForwardRays:
 
     def _candidates(self, tx: Float[FloatArray, "1 3"], target_m: FloatArray) -> Any:
         interactions = self.settings.named_interactions
+        num_diffuse = len(target_m) * self.settings.rays * self.settings.max_depth if self._diffuse else 0
         buffer = Generator()(
             mi_scene=self.radio_scene.mitsuba,
             src_positions=point3f(tx),
             tgt_positions=point3f(target_m),
             samples_per_src=self.settings.rays,
-            max_num_paths_per_src=self._most_paths(len(target_m)),
+            max_num_paths_per_src=MAX_PATHS + num_diffuse,
             max_depth=self.settings.max_depth,
             los=True,
             specular_reflection="specular" in interactions,
@@ -132,12 +122,6 @@ class ForwardRays:
         buffer.shrink()
         buffer.detach_geometry()
         return buffer
-
-    def _most_paths(self, num_targets: int) -> int:
-        """Room for all paths of one call: a diffuse one for each ray, depth and target, and the others beside them."""
-        if not self._diffuse:
-            return MAX_PATHS
-        return MAX_PATHS + num_targets * self.settings.rays * self.settings.max_depth
 
     def _gains(
         self, carrier_hz: float, buffer: Any, tx: FloatArray, target_m: FloatArray

@@ -19,7 +19,7 @@ from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import Antenna, ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
 from xfreqbench.tracing.sionna.chains import Chains, opaque_meshes, planes_of, shoot
-from xfreqbench.tracing.sionna.field import Field, path_interactions, surfaces_met, with_travel_phase
+from xfreqbench.tracing.sionna.field import Rays, path_interactions, with_travel_phase
 from xfreqbench.tracing.sionna.reach import PlaneBoxes, Reach
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f, rt
 from xfreqbench.tracing.tracer import Channel, TraceSettings
@@ -53,7 +53,7 @@ class _Candidates:
         return np.linalg.norm(image_m - tx_position_m[self.tx[pair]], axis=1)
 
 
-class ReceiverRays:
+class ReceiverRays(Rays):
     """Chains of rays from the receiver of one scene, ready to be solved for any transmitter."""
 
     def __init__(
@@ -64,9 +64,7 @@ class ReceiverRays:
         carrier_hz: Float[FloatArray, "F"],
         settings: TraceSettings,
     ) -> None:
-        self.radio_scene = radio_scene
-        self.receiver = receiver
-        self.carrier_hz = carrier_hz
+        super().__init__(radio_scene, receiver, transmitter, carrier_hz)
         self.planes = planes_of(radio_scene.meshes)
         opaque = opaque_meshes(radio_scene.meshes, carrier_hz.tolist(), radio_scene.policy)
         wavelength_m = SPEED_OF_LIGHT_M_S / float(carrier_hz.min())
@@ -79,7 +77,6 @@ class ReceiverRays:
             np.asarray(receiver.position_m),
             radius_m=float(np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()) * wavelength_m,
         )
-        self.field = Field(radio_scene, transmitter, receiver.antenna)
         self._buffer = _forward_buffer(self.chains, radio_scene)
         self._hits = _LastPoints(self.chains)
 
@@ -107,16 +104,7 @@ class ReceiverRays:
         image_m = candidates.rotation[pair] @ centre[0] + candidates.shift_m[pair]
         arrival = np.einsum("rab,ra->rb", candidates.rotation[pair], tx - image_m) / length_m[:, None]
         interactions, vertices_m = path_interactions(buffer, self.chains.interaction.shape[1])
-        order = np.argsort(length_m, kind="stable")
-        return Paths(
-            carrier_hz=self.carrier_hz,
-            gain=np.array(gain).reshape(len(self.carrier_hz), -1)[:, order],
-            delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
-            arrival=arrival[order],
-            interactions=interactions[order],
-            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
-            vertices_m=vertices_m[order],
-        )
+        return self.sorted_paths(buffer, gain, length_m, arrival, interactions, vertices_m)
 
     def _candidates(self, tx_position_m: Float[FloatArray, "T 3"]) -> _Candidates:
         """Pairs of a transmitter and a chain whose path may reach some element at some carrier."""
@@ -219,16 +207,10 @@ def _forward_buffer(chains: Chains, radio_scene: RadioScene) -> Any:
     buffer = PathsBuffer(num_chains, max_depth, False)
     buffer._interaction_types = mi.TensorXu(interaction)
     if radio_scene.meshes:
-        shape, primitive = _shape_and_primitive(radio_scene, triangle)
-        buffer._shapes, buffer._primitives = mi.TensorXu(shape), mi.TensorXu(primitive)
+        num_triangles = [len(mesh.triangles) for mesh in radio_scene.meshes]
+        shape = np.repeat(radio_scene.shape_pointer, num_triangles)  # Dr.Jit's pointer to that of each triangle
+        primitive = np.concatenate([np.arange(number, dtype=np.uint32) for number in num_triangles])
+        buffer._shapes, buffer._primitives = mi.TensorXu(shape[triangle]), mi.TensorXu(primitive[triangle])
     x, y, z = np.moveaxis(vertex_m, -1, 0)
     buffer._vertices_x, buffer._vertices_y, buffer._vertices_z = (mi.TensorXf(x), mi.TensorXf(y), mi.TensorXf(z))
     return buffer
-
-
-def _shape_and_primitive(radio_scene: RadioScene, triangle: IntArray) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Dr.Jit's shape pointer of each triangle, and its index within the shape."""
-    num_triangles = [len(mesh.triangles) for mesh in radio_scene.meshes]
-    shape = np.repeat(radio_scene.shape_pointer, num_triangles)
-    primitive = np.concatenate([np.arange(number, dtype=np.uint32) for number in num_triangles])
-    return shape[triangle], primitive[triangle]

@@ -92,7 +92,7 @@ class RadioScene:
     def __init__(self, meshes: Sequence[SurfaceMesh], policy: MaterialPolicy = "error") -> None:
         self.meshes = list(meshes)
         self.policy = policy
-        self.sionna = _load(self.meshes)
+        self.sionna = _load(self.meshes) if self.meshes else rt.load_scene()
         slabs = slabs_of(self.meshes)
         for name, material in self.sionna.radio_materials.items():
             scattering = slabs[int(name.rpartition("-")[2])].scattering
@@ -135,19 +135,13 @@ class RadioScene:
 
 
 def _load(meshes: Sequence[SurfaceMesh]) -> Any:
-    if not meshes:
-        return rt.load_scene()
+    """Sionna's scene of some meshes, its ITU materials as plain ones of the same name and thickness."""
     with tempfile.TemporaryDirectory(prefix="xfreqbench-") as folder:
         xml = write_mitsuba(meshes, Path(folder))
-        _use_plain_materials(xml)
+        tree = ElementTree.parse(xml)
+        for bsdf in tree.getroot().iter("bsdf"):
+            bsdf.set("type", "radio-material")
+            for itu_name in bsdf.findall("./string[@name='type']"):
+                bsdf.remove(itu_name)
+        tree.write(xml)
         return rt.load_scene(str(xml), merge_shapes=False)
-
-
-def _use_plain_materials(xml: Path) -> None:
-    """Turn ITU materials into plain ones of the same name and thickness."""
-    tree = ElementTree.parse(xml)
-    for bsdf in tree.getroot().iter("bsdf"):
-        bsdf.set("type", "radio-material")
-        for itu_name in bsdf.findall("./string[@name='type']"):
-            bsdf.remove(itu_name)
-    tree.write(xml)
