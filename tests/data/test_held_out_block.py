@@ -7,8 +7,8 @@ import pytest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, find_split, held_out_block, make_splits
-from xfreqbench.errors import ProtocolError, UnknownNameError
+from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, held_out_block, make_splits
+from xfreqbench.errors import ProtocolError
 
 NUM_TX = 60
 
@@ -76,14 +76,3 @@ def test_of_few_transmitters_each_is_a_region(tmp_path: Path) -> None:
     alone = write_dataset(tmp_path / "alone.h5", 1, (1.0,))
     with pytest.raises(ProtocolError, match="0 samples to train on"):
         held_out_block(alone)
-
-
-def test_names_and_targets_that_there_are_not_are_refused(dataset: PasDataset) -> None:
-    with pytest.raises(UnknownNameError, match="Did you mean 'held-out-block'"):
-        make_splits(dataset, "held-out-blok")
-    with pytest.raises(UnknownNameError, match="Did you mean 'held-out-block'"):
-        find_split(dataset, "held-out-blok", "held-out-block")
-    with pytest.raises(UnknownNameError, match="split of 'held-out-block'"):
-        find_split(dataset, "held-out-block", "held-out-block-validation")
-    with pytest.raises(ProtocolError, match="'held-out-block' chooses what it tests"):
-        make_splits(dataset, "held-out-block", [1])

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
 
-from xfreqbench.errors import UnknownNameError
 from xfreqbench.maps.bartlett import PAS_KINDS, BartlettBeam, cfr_of_plane_waves, pas_kind_named
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import frame_rotation, planar_array, steering_vector
@@ -84,11 +83,6 @@ def test_a_channel_of_denormal_numbers_has_the_map_of_any_other(precision: type,
         np.testing.assert_array_equal(
             BEAM.maps((levels * faintest).astype(precision), kind)[0], BEAM.maps(levels, kind)[0]
         )
-
-
-def test_an_unknown_kind_names_the_nearest() -> None:
-    with pytest.raises(UnknownNameError, match="Did you mean 'amplitude'"):
-        pas_kind_named("amplitud")
 
 
 def test_a_half_wavelength_four_by_four_array_has_49_degrees_of_freedom() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.found_box import SCENE as BOX_ROOM
 from tests.support.furnished_room import TX_M, furnished_room
 from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.scene.meshes import surface_meshes
@@ -15,7 +16,15 @@ from xfreqbench.scene.model import Scene, Surface, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.image.tracer import ImageTracer
-from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION, RaggedPaths, angles_rad, directions, element_delays_s
+from xfreqbench.tracing.paths import (
+    DIFFRACTION,
+    NO_INTERACTION,
+    RaggedPaths,
+    angles_rad,
+    directions,
+    element_delays_s,
+    spherical_waves,
+)
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import SolverName, Tracer, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
@@ -113,3 +122,13 @@ def test_a_wave_reaches_each_element_at_the_distance_of_the_image() -> None:
     delays = element_delays_s(np.array([length_m / SPEED_OF_LIGHT_M_S]), offset_m[None] / length_m, element_m)
     distance_m = np.linalg.norm(receiver_m + element_m - image_m, axis=1)
     np.testing.assert_allclose(delays[0] * SPEED_OF_LIGHT_M_S, distance_m, rtol=1e-13)
+
+
+def test_a_spherical_wave_reaches_each_element_after_its_own_distance() -> None:
+    tx_m = np.array([1.1, 2.9, 0.9])
+    direct = spherical_waves(ImageTracer(BOX_ROOM, [2.4e9], SETTINGS).paths(tx_m), 0, BOX_ROOM.receiver)[0]
+    wavelength_m = SPEED_OF_LIGHT_M_S / 2.4e9
+    distance_m = np.linalg.norm(tx_m - BOX_ROOM.receiver.element_position_m(wavelength_m), axis=1)
+    turned_back = direct * np.exp(2j * np.pi * distance_m / wavelength_m)
+    assert np.abs(np.angle(turned_back / turned_back[0])).max() < 1e-9  # some 20 turns in double precision
+    np.testing.assert_allclose(np.abs(direct), np.abs(direct[0]))

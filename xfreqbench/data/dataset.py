@@ -24,18 +24,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 from scipy.spatial import KDTree
 
-from xfreqbench.data.hdf5 import (
-    Variable,
-    open_sealed,
-    read_array,
-    read_errors,
-    require_layout,
-    sealed_sha256,
-    text_attributes,
-    unpacked,
-    values_sha256,
-    verify_sealed,
-)
+from xfreqbench.data import hdf5
 from xfreqbench.data.paths import (
     GROUP,
     OFFSET,
@@ -249,8 +238,8 @@ class PasDataset:
         try:
             how = self.scene, self.trace_settings
         except DataError:
-            with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, "hashes"):
-                return Recipe.of_content(self.header.scene_name, values_sha256(file))
+            with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "hashes"):
+                return Recipe.of_content(self.header.scene_name, hdf5.values_sha256(file))
         return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
     @property
@@ -361,11 +350,11 @@ class PasDataset:
             return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
         asked = self.rows[rows].tolist()
         maps = np.empty((len(asked), *self.grid.shape), np.float32)
-        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, "dataset 'pas'"):
+        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "dataset 'pas'"):
             stored = file["pas"]
             for index, row in enumerate(asked):
                 tx, carrier = divmod(row, self.num_carriers)
-                maps[index] = unpacked(stored[(tx, *_at(self.file_header, self.link), carrier)])
+                maps[index] = hdf5.unpacked(stored[(tx, *_at(self.file_header, self.link), carrier)])
         return maps
 
     def to_xarray(self) -> Any:
@@ -423,7 +412,7 @@ class PasDataset:
         (row,) = self.subset(sample).rows
         tx, carrier = divmod(int(row), self.num_carriers)
         self._require_paths()
-        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
+        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
             first = tx * max(1, len(self.receivers)) + self.link[0]
             stored = self._of_link(read_paths(file, totals, self.tables[OFFSET][first : first + 2]))
@@ -432,7 +421,7 @@ class PasDataset:
     def stored_paths(self) -> tuple[RaggedPaths, tuple[str, ...]]:
         """All paths of the whole data set, one behind the other, and the surfaces' names; raises as `paths` does."""
         self._require_paths()
-        with open_sealed(self.path, SCHEMA) as file, read_errors(self.path, f"group {GROUP!r}"):
+        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
             of_all = read_paths(file, totals, self.tables[OFFSET])
             return self._of_link(of_all.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names
@@ -524,21 +513,21 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
     for, in ranges of bytes; each is compared with its hash or checksum. Needs `pip install "xfreqbench[remote]"`.
     """
     path = located(path)
-    with open_sealed(path, SCHEMA) as file:
-        whole = DatasetHeader.from_attributes(text_attributes(file), read_array(file, "carrier_hz"))
+    with hdf5.open_sealed(path, SCHEMA) as file:
+        whole = DatasetHeader.from_attributes(hdf5.text_attributes(file), hdf5.read_array(file, "carrier_hz"))
         link = whole.link(receiver, polarization)
         header = whole.at(*link)
-        grid = AngularGrid(*(np.radians(read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
-        require_layout(file, variables(whole, grid))
+        grid = AngularGrid(*(np.radians(hdf5.read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
+        hdf5.require_layout(file, variables(whole, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
-        tables = {name: read_array(file, name) for name in names if header.channels or name != "cfr"}
+        tables = {name: hdf5.read_array(file, name) for name in names if header.channels or name != "cfr"}
         for name in ("rx_position_m", "frame_rotation"):  # the header holds them too; other programs read these
-            read_array(file, name)
+            hdf5.read_array(file, name)
         if header.paths:
             totals = stored_totals(file)
-            require_layout(file, path_variables(whole, totals))
+            hdf5.require_layout(file, path_variables(whole, totals))
             tables[OFFSET] = stored_offsets(file, totals.num_paths)
-        beam = BartlettBeam(read_array(file, "element_position_wavelengths"), grid)
+        beam = BartlettBeam(hdf5.read_array(file, "element_position_wavelengths"), grid)
         angles = {"elevation_deg": grid.elevation_rad, "azimuth_deg": grid.azimuth_rad}
         elements = {"element_position_wavelengths": beam.element_position_wavelengths}
         _require_meaning({CARRIER: header.carrier_hz, **angles, **elements, **tables})
@@ -549,7 +538,7 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
             if whole.receivers:
                 tables["line_of_sight"] = np.ascontiguousarray(tables["line_of_sight"][:, link[0]])
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
-        return PasDataset(path.resolve(), header, sealed_sha256(file), beam, tables, rows, whole, link)
+        return PasDataset(path.resolve(), header, hdf5.sealed_sha256(file), beam, tables, rows, whole, link)
 
 
 def _at(whole: DatasetHeader, link: tuple[int, int]) -> tuple[int, ...]:
@@ -589,7 +578,7 @@ def reopen(
 
 def verify(path: str | Path) -> None:
     """Compare every byte of a data set with its hashes, and raise `DataError` naming the first damaged part."""
-    verify_sealed(located(path), SCHEMA)
+    hdf5.verify_sealed(located(path), SCHEMA)
 
 
 def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> bool:
@@ -612,7 +601,7 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
     return require_own(path, fault_of)
 
 
-def geometry(dataset: PasDataset) -> list[tuple[Variable, NDArray[Any]]]:
+def geometry(dataset: PasDataset) -> list[tuple[hdf5.Variable, NDArray[Any]]]:
     """Axes, grid and receiver as a data set stores them, each variable with its values: what every method may know."""
     known = constants(dataset.header, dataset.grid)
     stored = variables(dataset.header, dataset.grid)

@@ -14,19 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from xfreqbench.data import standards
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
-from xfreqbench.data.standards import (
-    MMMAGIC_SPREADS,
-    TR38901_K_DB,
-    TR38901_SPREADS,
-    mmmagic_k_db,
-    p1238_path_loss_db,
-    room_decay_s,
-    small_room_delay_spread_s,
-    spread_by,
-    tr38901_path_loss_db,
-)
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.absorption import mean_absorption
@@ -102,23 +92,23 @@ class ChannelStatistics:
         row: dict[str, Any] = {"in_sight": in_sight, "carrier_ghz": carrier_hz / 1e9, "links": len(rows)}
         row["path_loss_db"] = _median(loss_db)
         row["path_loss_exponent"] = _exponent(loss_db, distance_m)
-        for name, model in (("38901", tr38901_path_loss_db), ("p1238", p1238_path_loss_db)):
+        for name, model in (("38901", standards.tr38901_path_loss_db), ("p1238", standards.p1238_path_loss_db)):
             above_db = loss_db - model(distance_m, carrier_hz, in_sight)
             row[f"path_loss_above_{name}_db"] = float(above_db.mean()) if len(rows) else np.nan
             row[f"path_loss_above_{name}_sd_db"] = float(above_db.std()) if len(rows) else np.nan
         row["k_factor_db"] = _median(links.k_factor_db[rows, carrier])
-        row["k_factor_38901_db"] = TR38901_K_DB if in_sight else np.nan
-        row["k_factor_mmmagic_db"] = mmmagic_k_db(carrier_hz) if in_sight else np.nan
+        row["k_factor_38901_db"] = standards.TR38901_K_DB if in_sight else np.nan
+        row["k_factor_mmmagic_db"] = standards.mmmagic_k_db(carrier_hz) if in_sight else np.nan
         row["num_paths"] = _median(links.num_paths[rows, carrier])
         for name, standard in _SPREADS.items():
             unit, scale = ("ns", 1e9) if name == "delay_spread_s" else ("deg", 1.0)
             stem = name.rpartition("_")[0]
             row[f"{stem}_{unit}"] = _median(getattr(links, name)[rows, carrier]) * scale
-            row[f"{stem}_38901_{unit}"] = spread_by(TR38901_SPREADS, standard, carrier_hz, in_sight) * scale
-            row[f"{stem}_mmmagic_{unit}"] = spread_by(MMMAGIC_SPREADS, standard, carrier_hz, in_sight) * scale
-        row["delay_spread_small_room_ns"] = small_room_delay_spread_s(self.volume_m3, self.surface_m2) * 1e9
+            for kind, table in (("38901", standards.TR38901_SPREADS), ("mmmagic", standards.MMMAGIC_SPREADS)):
+                row[f"{stem}_{kind}_{unit}"] = standards.spread_by(table, standard, carrier_hz, in_sight) * scale
+        row["delay_spread_small_room_ns"] = standards.small_room_delay_spread_s(self.volume_m3, self.surface_m2) * 1e9
         absorption = float(self.absorption[carrier])
-        row["delay_spread_room_decay_ns"] = room_decay_s(self.volume_m3, self.surface_m2, absorption) * 1e9
+        row["delay_spread_room_decay_ns"] = standards.room_decay_s(self.volume_m3, self.surface_m2, absorption) * 1e9
         shares = links.power_share[rows, carrier]
         means = shares.mean(axis=0) if len(rows) else np.full(len(MECHANISMS), np.nan)
         return {**row, **{f"share_{name}": mean for name, mean in zip(MECHANISMS, means.tolist(), strict=True)}}

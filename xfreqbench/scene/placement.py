@@ -48,11 +48,11 @@ def place_transmitters(
     inside = enclosing_mesh(objects_of(scene, meshes), lattice_m) >= 0
     near_surface = ~inside & (distance_to_surfaces(meshes, lattice_m) < clearance_m)
     near_receiver = np.zeros_like(inside)
-    wavelength_m = 0.0 if lowest_carrier_hz is None else SPEED_OF_LIGHT_M_S / lowest_carrier_hz
+    carrier_hz = np.inf if lowest_carrier_hz is None else lowest_carrier_hz
     for receiver in scene.receivers:
         to_receiver_m = np.linalg.norm(lattice_m - np.asarray(receiver.position_m), axis=1)
-        half_aperture_m = wavelength_m * np.linalg.norm(receiver.element_position_wavelengths, axis=1).max()
-        near_receiver |= to_receiver_m < clearance_m + half_aperture_m
+        offset_m = receiver.element_position_wavelengths * SPEED_OF_LIGHT_M_S / carrier_hz
+        near_receiver |= to_receiver_m < clearance_m + np.linalg.norm(offset_m, axis=1).max()
     near_receiver &= ~inside & ~near_surface
     usable = ~(inside | near_surface | near_receiver)
     rejected = {

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Complex, Float, Int, UInt8
 from scipy.spatial.distance import cdist
 from scipy.special import j1
 
-from xfreqbench.scene.model import NEAR_M
+from xfreqbench.scene.model import NEAR_M, ReceiverArray
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -180,3 +180,15 @@ def element_delays_s(
     """
     source_m = (delay_s * SPEED_OF_LIGHT_M_S)[:, None] * arrival
     return np.linalg.norm(source_m[:, None] - element_m, axis=-1) / SPEED_OF_LIGHT_M_S
+
+
+def spherical_waves(paths: Paths, carrier: int, receiver: ReceiverArray) -> Complex[NDArray[np.complex128], "P M"]:
+    """Channel of each path at the array's elements as one spherical wave, at the carrier of that number.
+
+    The wave comes from the path's source as the array centre sees it; power and polarisation are those at the
+    centre for all elements.
+    """
+    carrier_hz = float(paths.carrier_hz[carrier])
+    element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz) - np.asarray(receiver.position_m)
+    turns = carrier_hz * element_delays_s(paths.delay_s, paths.arrival, element_m)
+    return paths.gain[carrier][:, None] * np.exp(-2j * np.pi * turns)

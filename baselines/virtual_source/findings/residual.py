@@ -26,9 +26,8 @@ from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.system.files import require_own, require_space, write_text
 from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
-from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths
+from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths, spherical_waves
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.tracing.waves import spherical_waves
 from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback
 
 from ..search.planes import Vector
