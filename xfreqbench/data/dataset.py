@@ -389,9 +389,8 @@ class PasDataset:
         angles = {ELEVATION: np.degrees(self.grid.elevation_rad), AZIMUTH: np.degrees(self.grid.azimuth_rad)}
         axes = {name: (name, values, {"units": of_file[name].units}) for name, values in angles.items()}
         title = {"scene": self.header.scene_name, "recipe": self.recipe.name, "source": str(self.path)}
-        return xarray.Dataset(arrays, axes | {AXIS: ["x", "y", "z"], "sample": self.rows}, title).set_coords(
-            list(where)
-        )
+        shown = xarray.Dataset(arrays, axes | {AXIS: ["x", "y", "z"], "sample": self.rows}, title)
+        return shown.set_coords(list(where))
 
     def plot(self, sample: int) -> Any:
         """A Matplotlib figure of the map of a sample, by its number: a disc seen from the pole, in dB below the peak.

@@ -58,9 +58,8 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
         )
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
-    found = [
-        _paths(dataset, mirrored, positions_m[np.sort(rows)]) for mirrored in (scene, replace(scene, mirrors="facets"))
-    ]
+    both, tx_m = (scene, replace(scene, mirrors="facets")), positions_m[np.sort(rows)]
+    found = [_paths(dataset, mirrored, tx_m) for mirrored in both]
     counts, power = (np.array(values) for values in zip(*found, strict=True))
     return Glints(dataset.header.carrier_hz, counts, power)
 

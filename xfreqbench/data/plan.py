@@ -234,9 +234,7 @@ def plan_generation(
     several = pairs if len(pairs) > 1 else ()
     tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
-    in_sight = [
-        sees(geometry.meshes, placed.tx_position_m, np.asarray(receiver.position_m)) for receiver in scene.receivers
-    ]
+    in_sight = [sees(geometry.meshes, placed.tx_position_m, np.asarray(rx.position_m)) for rx in scene.receivers]
     line_of_sight = np.stack(in_sight, axis=1) if header.receivers else in_sight[0]
     return Plan(tracing, placed.tx_position_m, line_of_sight, header)
 
@@ -295,10 +293,7 @@ def _header(
 ) -> DatasetHeader:
     """What the file will say about itself."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    scattering_of = [
-        {"material": name, **scattering.stated} for name, scattering in tracing.prepared().geometry.scattering
-    ]
-    rough = {"scattering": scattering_of} if scattering_of else {}
+    rough = [{"material": name, **how.stated} for name, how in tracing.prepared().geometry.scattering]
     return DatasetHeader(
         scene_name=tracing.scene.name,
         scene_json=tracing.scene.canonical_json,
@@ -311,7 +306,7 @@ def _header(
         settings={
             **settings,
             "extrapolated_materials": extrapolated_materials,
-            **rough,
+            **({"scattering": rough} if rough else {}),
             **tracing.scene.mirror_settings,
             **tracing.scene.antenna_settings,
         },

@@ -140,9 +140,8 @@ def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
     """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
     content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
     content["receiver"].pop("name", None)
-    content["surface"] = [
-        {key: value for key, value in surface.items() if key != "name"} for surface in content["surface"]
-    ]
+    for surface in content["surface"]:
+        del surface["name"]
     meshes = {"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {}
     return content | meshes | scene.antenna_settings
 

@@ -52,9 +52,8 @@ def require_origin(
     `DataError` where a sample differs by more than `TOLERANCE` or nothing says how it was traced, and `SceneError`
     where the scene's meshes are not at hand.
     """
-    worst = max(
-        _retraced(dataset, rows, folder, workers), key=lambda sample: (np.isnan(sample.difference), sample.difference)
-    )
+    samples = _retraced(dataset, rows, folder, workers)
+    worst = max(samples, key=lambda sample: (np.isnan(sample.difference), sample.difference))
     if not worst.difference <= TOLERANCE:
         raise DataError(
             f"{dataset.path} does not hold what its header says: traced again, {worst}, more than {TOLERANCE:g}. "

@@ -254,6 +254,7 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
     both = (direct > 0) & (others > 0)
     k_factor_db = np.full(num_tx, np.nan)
     k_factor_db[both] = 10 * np.log10(direct[both] / others[both])
+    shares = [total(power * (mechanism == kind)) / all_power for kind in range(len(MECHANISMS))]
     return {
         "path_loss_db": -10 * np.log10(all_power),
         "delay_spread_s": np.sqrt(total(near * late_s**2) / near_power),
@@ -263,9 +264,7 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
         "departure_zenith_spread_deg": angular_spread_deg(paths.departure_elevation_rad),
         "k_factor_db": k_factor_db,
         "num_paths": np.where(strongest > 0, total((power >= least).astype(np.float64)), np.nan),
-        "power_share": np.stack(
-            [total(power * (mechanism == kind)) / all_power for kind in range(len(MECHANISMS))], axis=-1
-        ),
+        "power_share": np.stack(shares, axis=-1),
     }
 
 

@@ -615,9 +615,7 @@ def _apart_m(first_m: Float[FloatArray, "n 2"], second_m: Float[FloatArray, "k 2
     )
     across = np.concatenate([sides_m, np.column_stack([-sides_m[:, 1], sides_m[:, 0]])])
     across /= np.sqrt((across**2).sum(axis=1))[:, None]
-    first, second = (
-        across[:, :1] * corners_m[:, 0] + across[:, 1:] * corners_m[:, 1] for corners_m in (first_m, second_m)
-    )
+    first, second = (across[:, :1] * ring[:, 0] + across[:, 1:] * ring[:, 1] for ring in (first_m, second_m))
     return float(np.maximum(first.min(axis=1) - second.max(axis=1), second.min(axis=1) - first.max(axis=1)).max())
 
 

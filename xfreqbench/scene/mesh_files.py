@@ -113,9 +113,8 @@ def _read_ply(content: bytes) -> Triangles:
         faces, vertices_m = _binary_polygons(content)
         return Triangles(vertices_m, triangulated(vertices_m, faces)[0])
     if corners.shape[1:] != (3,):
-        vertices_m = np.stack(
-            [np.asarray(raw["vertex"]["data"][axis], np.float64).reshape(-1) for axis in "xyz"], axis=1
-        )
+        columns = [np.asarray(raw["vertex"]["data"][axis], np.float64).reshape(-1) for axis in "xyz"]
+        vertices_m = np.stack(columns, axis=1)
         triangles, are_fans = triangulated(vertices_m, [face.tolist() for face in corners])
         if not are_fans:
             return Triangles(vertices_m, triangles)
@@ -159,12 +158,9 @@ def _binary_polygons(content: bytes) -> tuple[list[list[int]], Float[FloatArray,
 
 def _merged(parts: Sequence[Triangles]) -> Triangles:
     first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])[:-1]
-    return Triangles(
-        np.concatenate([np.zeros((0, 3)), *(part.vertices_m for part in parts)]),
-        np.concatenate(
-            [np.zeros((0, 3), np.int64), *(part.triangles + number for part, number in zip(parts, first, strict=True))]
-        ),
-    )
+    triangles = [part.triangles + number for part, number in zip(parts, first, strict=True)]
+    vertices_m = np.concatenate([np.zeros((0, 3)), *(part.vertices_m for part in parts)])
+    return Triangles(vertices_m, np.concatenate([np.zeros((0, 3), np.int64), *triangles]))
 
 
 def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[ImportedShape]:

@@ -22,9 +22,7 @@ def slab_response(
     permittivity = np.array([complex_permittivity(layer.material, carrier_hz, policy) for layer in slab.layers])
     thickness_m = np.array([layer.thickness_m for layer in slab.layers])
     phase_thickness = 2 * np.pi * thickness_m * carrier_hz / SPEED_OF_LIGHT_M_S
-    return np.array(
-        [stack_coefficients(angle_cosine, permittivity, phase_thickness) for angle_cosine in cosine.tolist()]
-    )
+    return np.array([stack_coefficients(c, permittivity, phase_thickness) for c in cosine.tolist()])
 
 
 def slab_absorption(slab: Slab, carrier_hz: float, policy: MaterialPolicy = "error") -> float:

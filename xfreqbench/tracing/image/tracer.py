@@ -132,9 +132,8 @@ class ImageTracer:
         self._most_antennas = math.prod(MOST_AMPLITUDE[antenna.pattern] for antenna in ends)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         points_m = np.vstack([receiver_m, receiver_m + ascending[0] / lowest_hz * aperture.corner_m[0]])
-        sequences = sequences_of(
-            self.facets, len(mirrors.planes), np.unique(points_m, axis=0), settings, savings.max_reflections
-        )
+        origins_m, most = np.unique(points_m, axis=0), savings.max_reflections
+        sequences = sequences_of(self.facets, len(mirrors.planes), origins_m, settings, most)
         self._trie = trie_of(*sequences, mirrors, receiver_m, aperture)
         # of the transmitters asked for last: the least amplitude over wavelength of a path over an edge
         self._floor_at: dict[bytes, FloatArray] = {}

@@ -100,9 +100,8 @@ class Field:
         )
         gain = buffer.a[0][0]
         dr.eval(gain)
-        buffer.valid = dr.full(
-            mi.Bool, True, buffer.buffer_size
-        )  # a path that vanishes at one carrier may not at another
+        # a path that vanishes at one carrier may not at another
+        buffer.valid = dr.full(mi.Bool, True, buffer.buffer_size)
         gains = gain.real.numpy().astype(np.complex128) + 1j * gain.imag.numpy()
         num_lost = np.count_nonzero(~np.isfinite(gains))
         if num_lost:

@@ -69,9 +69,8 @@ def antenna_array(antenna: Antenna, positions_wavelengths: Float[FloatArray, "M 
 
     Its device has to be turned by `orientation_rad`.
     """
-    array = rt.PlanarArray(
-        num_rows=1, num_cols=1, pattern=antenna.pattern, polarization=antenna.as_vertical.polarization
-    )
+    polarization = antenna.as_vertical.polarization
+    array = rt.PlanarArray(num_rows=1, num_cols=1, pattern=antenna.pattern, polarization=polarization)
     array.normalized_positions = point3f(positions_wavelengths @ antenna.as_vertical.rotation)
     return array
 

@@ -48,9 +48,8 @@ class SionnaTracer:
         prepared = PreparedScene.of(scene)
         receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
         check_dispersion([mesh.slab.homogeneous for mesh in meshes], carriers.tolist(), settings.materials)
-        shooting: type[ForwardRays | ReceiverRays] = (
-            ForwardRays if ONE_WAY & set(settings.named_interactions) else ReceiverRays
-        )
+        is_one_way = ONE_WAY & set(settings.named_interactions)
+        shooting: type[ForwardRays | ReceiverRays] = ForwardRays if is_one_way else ReceiverRays
         self._origin_m = receiver.local_origin_m
         x, y, z = (receiver.position_m - self._origin_m).tolist()
         moved = [replace(mesh, vertices_m=mesh.vertices_m - self._origin_m) for mesh in meshes]
