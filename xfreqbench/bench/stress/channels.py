@@ -53,7 +53,7 @@ def friis(length_m: NDArray[np.longdouble], carrier_hz: float) -> NDArray[np.lon
     return np.asarray(LIGHT_M_S / np.longdouble(carrier_hz) / (4 * PI * length_m))
 
 
-@PHASE.each(
+@PHASE.cases_of(
     {f"plane waves, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ}, limit=_PHASE_LIMIT, unit="rad"
 )
 def _plane_wave_phase(carrier_ghz: float) -> float:
@@ -80,7 +80,7 @@ def _traced(carrier_hz: float) -> tuple[NDArray[np.complex128], NDArray[np.longd
     return cfr, np.sqrt((gap_m * gap_m).sum(axis=-1))
 
 
-@PHASE.each(
+@PHASE.cases_of(
     {f"image method, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ},
     limit=5e-10,  # its polynomials of sine and cosine add 1e-10, and its distances a rounding of their square
     unit="rad",
@@ -100,7 +100,7 @@ def _image_amplitude() -> float:
     return float(max(errors))
 
 
-@PHASE.each(
+@PHASE.cases_of(
     {f"channel stored as complex64 and read, {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ},
     limit=_STORED_LIMIT,
     unit="relative",
@@ -172,7 +172,7 @@ def _edges(side: Side, outward_hz: float) -> Iterator[tuple[str, Band, float]]:
                 yield name, band, carrier_hz
 
 
-@MATERIALS.each(
+@MATERIALS.cases_of(
     {f"P.2040 at the {side} edge of every band": (side,) for side in get_args(Side)},
     limit=1e-9,  # the constants of CODATA agree to 1e-10
     unit="relative",
