@@ -93,8 +93,8 @@ class KNearest(TransmitterLookup):
         """
         known_hz, found = self.transmitters.train.carrier_hz, []
         distance_m, nearest = self.transmitters.neighbours(tx_position_m, count)
-        for each in nearest:
-            rows = self.transmitters.rows(np.array([each]))
+        for tx in nearest:
+            rows = self.transmitters.rows(np.array([tx]))
             octaves = np.abs(np.log2(known_hz[rows] / carrier_hz))
             found.append(rows[np.argsort(octaves, kind="stable")])
         place = np.repeat(np.arange(len(found)), [len(rows) for rows in found])
@@ -143,7 +143,7 @@ class KNearest(TransmitterLookup):
                 blended = np.tensordot(weights.astype(np.float32), maps[left], axes=1)
                 blended /= blended.max(axis=(1, 2), keepdims=True)
                 scores[kind].append(similarities(blended, truth))
-        return {kind: _best(each) for kind, each in scores.items()}
+        return {kind: _best(of_kind) for kind, of_kind in scores.items()}
 
 
 def _best(scores: list[FloatArray]) -> tuple[int, int]:
@@ -151,4 +151,4 @@ def _best(scores: list[FloatArray]) -> tuple[int, int]:
     if not scores:
         return 1, 1
     medians = np.median(scores, axis=0).round(9)  # weights of equal sums differ by their rounding
-    return max(zip(medians, _COUNTS, strict=True), key=lambda each: (each[0], -each[1][0], each[1][1]))[1]
+    return max(zip(medians, _COUNTS, strict=True), key=lambda pair: (pair[0], -pair[1][0], pair[1][1]))[1]

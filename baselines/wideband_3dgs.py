@@ -48,7 +48,7 @@ class FeatureNetwork(nn.Module):
         place, carrier = encoded_size(3, config.octaves), encoded_size(1, config.carrier_octaves)
         self.gate = nn.Linear(carrier, place)
         sizes = [place, *[config.width] * config.layers]
-        self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(sizes))
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(sizes))
         self.skip = nn.Linear(place, config.width, bias=False)  # to the layer in the middle
         self.attenuation = nn.Linear(config.width, 2)
         hidden = [config.width, config.width // 2]
@@ -113,7 +113,7 @@ class Wideband3DGSField(GaussianField):
         position_m = self.gaussians.position_m.detach()[seen]
         opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]
         tx_m = self.scaling.in_frame(tx_position_m)
-        attenuation, signal = (each.permute(2, 1, 0) for each in self.network(tx_m, carrier_hz, position_m))
+        attenuation, signal = (output.permute(2, 1, 0) for output in self.network(tx_m, carrier_hz, position_m))
         share = opacity / position_m.norm(dim=-1, keepdim=True).clamp_min(_NEAREST_M)
         transmitted = torch.polar(torch.sigmoid(attenuation[0]), attenuation[1])
         return Attributes(

@@ -94,7 +94,7 @@ def test_a_method_is_described_with_its_options_and_no_other_is_imported(monkeyp
 def test_every_option_of_a_built_in_method_has_a_meaning(name: str) -> None:
     _, options = method_description(name)
     named = [option.name for option in options if option.name != "aided"]
-    assert named == [each.name for each in fields(build_method(name).config)]
+    assert named == [option.name for option in fields(build_method(name).config)]
     assert not [option.name for option in options if not option.meaning]
 
 

@@ -139,7 +139,7 @@ def asked_tasks(
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
         tested = [dataset.at(name) for name in dataset.receivers]
     asked = named, protocol, targets_ghz, seeds, limit, on
-    return [task for each in tested for task in protocol_tasks(str(data), each, *asked)]
+    return [task for part in tested for task in protocol_tasks(str(data), part, *asked)]
 
 
 def installed_for(protocol: str) -> list[str]:

@@ -226,7 +226,7 @@ class LearnedRoom(nn.Module):
         return [
             Cells(normal, float(distance_m), axes, low_m, presence.cell_m, shares, powers)
             for normal, distance_m, axes, low_m, shares, powers in zip(
-                *(each.numpy().astype(float) for each in tables), strict=True
+                *(table.numpy().astype(float) for table in tables), strict=True
             )
         ]
 

@@ -139,7 +139,7 @@ def compare(findings: StoredFindings, planes: Sequence[ScenePlane]) -> list[Matc
 def not_found(matches: Sequence[Match | None], planes: Sequence[ScenePlane]) -> list[ScenePlane]:
     """Those of the planes given to `compare` that no found plane shows, the largest first."""
     shown = [match.plane for match in matches if match]
-    missing = [plane for plane in planes if not any(plane is each for each in shown)]
+    missing = [plane for plane in planes if not any(plane is other for other in shown)]
     return sorted(missing, key=lambda plane: -plane.area_m2)
 
 
@@ -314,7 +314,9 @@ def choose_record(
     told = _only(told, "run with findings of seed", seed, lambda record: record.job.seed)
     chosen = [record for record in told if record.id.startswith(id_prefix or "")]
     if not chosen:
-        raise UnknownNameError("record with findings whose id begins with", str(id_prefix), {each.id for each in told})
+        raise UnknownNameError(
+            "record with findings whose id begins with", str(id_prefix), {record.id for record in told}
+        )
     return max(chosen, key=lambda record: record.time_utc)
 
 
@@ -408,7 +410,7 @@ class ComparedFindings:
     @cached_property
     def sources(self) -> list[ImageSource]:
         """Images of that transmitter with a power of at least `_LEAST_POWER`, the strongest first."""
-        return [each for each in virtual_sources(self.findings, self.tx_m) if each.power >= _LEAST_POWER]
+        return [source for source in virtual_sources(self.findings, self.tx_m) if source.power >= _LEAST_POWER]
 
     def surface(self, index: int) -> str:
         """What the found plane with this index shows, in words."""

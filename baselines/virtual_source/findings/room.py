@@ -67,7 +67,7 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
             "holds anything, or the record was written before faces were stored. Run virtual-source again."
         )
     if compared.findings.room:
-        refinement.take([surface_from_json(each.model_dump()) for each in compared.findings.room])
+        refinement.take([surface_from_json(surface.model_dump()) for surface in compared.findings.room])
     geometry = Geometry([surface.mesh for surface in refinement.room])
     if not can_solve(geometry, settings_in_room(dataset)):
         raise DataError(
@@ -97,7 +97,10 @@ def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, S
         cfr = channels_in(room, samples, settings_in_room(samples))
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
-    cells = [(label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each))) for label, each in scores.items()]
+    cells = [
+        (label, f"{np.median(similarity):.4f}", f"{similarity.mean():.4f}", str(len(similarity)))
+        for label, similarity in scores.items()
+    ]
     return ScoredRoom(list(rooms.values())[-1], cells)
 
 

@@ -109,7 +109,9 @@ def _no_warning() -> Iterator[None]:
             yield
     finally:
         logging.getLogger().removeHandler(handler)
-    told = [f"{each.category.__name__}: {each.message} ({each.filename}:{each.lineno})" for each in caught]
+    told = [
+        f"{warning.category.__name__}: {warning.message} ({warning.filename}:{warning.lineno})" for warning in caught
+    ]
     told += [record.getMessage() for record in heard]
     assert not told, f"a user would read warnings: {told}"
 
