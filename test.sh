@@ -8,8 +8,9 @@ if [ "${1:-}" = --all ]; then
     chosen=()
     shift
 fi
+unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported, and not all of them at installation
 [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+.venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy &

@@ -239,12 +239,12 @@ def test_a_method_of_the_working_folder_is_imported_in_every_process_and_nothing
 
 @pytest.mark.slow
 def test_the_same_command_given_twice_at_once_runs_everything_once(dataset: PasDataset, tmp_path: Path) -> None:
-    options = "--method nearest,line-of-sight,mean-over-frequency --targets 24.25,77 --executor 2 --quiet"
+    options = "--method nearest,line-of-sight,mean-over-frequency --targets 77 --executor 2 --quiet"
     command = [command_line(), "run", "--data", str(dataset.path), "--results", str(tmp_path), *options.split()]
     both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait() for process in both] == [0, 0]
     stored = records.read(tmp_path / "records.jsonl").records
-    assert len(stored) == len({record.id for record in stored}) == 6
+    assert len(stored) == len({record.id for record in stored}) == 3
     assert not list(tmp_path.glob("**/*.lock"))
 
 

@@ -1,7 +1,8 @@
 """What jaxtyping checks under pytest: shapes and types of the first calls of every function in every test.
 
 Checking all of them takes a quarter of the time of the tests, and most of that where one function is called a hundred
-thousand times in the same way. Checking a hundred of each still takes a sixth of the time of most tests.
+thousand times in the same way. Checking a hundred of each still takes a sixth of the time of most tests, and ten a
+sixteenth more than three.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
-NUM_CHECKED = 10  # calls of each function in each test
+NUM_CHECKED = 3  # calls of each function in each test
 typechecker = beartype(conf=BeartypeConf(is_pep484_tower=True))  # an int is accepted as a float
 calls: Counter[int] = Counter()  # in the test that runs, by the identity of a function's code
 _check = jaxtyping.jaxtyped

@@ -87,7 +87,7 @@ MEASURING = {  # which take long, and read the records that they add to by the s
     )
 }
 
-_FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {option}' for each in FITTED)}"
+_FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {option}' for option in FITTED)}"
 _NEAREST = "--method nearest --targets 10 --budget 3steps -q"
 _BENCHMARK = "benchmark --preset fuzz --data data --results results -q"
 _SCORE = f"score theirs.h5 --data {DATA} -q --results"
