@@ -31,12 +31,12 @@ METAL = NamedSlab("metal", 0.002, 0.0)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), FURNISHED, num_transmitters=60)
+    return generated(tmp_path_factory.mktemp("data"), FURNISHED, num_transmitters=44)
 
 
 @pytest.fixture(scope="module")
 def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), num_transmitters=40)
+    return generated(tmp_path_factory.mktemp("data"), num_transmitters=28)
 
 
 @pytest.fixture
