@@ -20,5 +20,6 @@ types=$!
 kernels=$!
 .venv/bin/lint-imports --no-cache
 wait "$kernels"
+[ -z "${MEANWHILE:-}" ] || tail --pid="$MEANWHILE" --follow /dev/null  # the process that CI has beside this one
 .venv/bin/python -m pytest --numprocesses 2 --dist worksteal "${chosen[@]}" "$@"
 wait "$types"

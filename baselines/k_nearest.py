@@ -111,8 +111,8 @@ class KNearest(TransmitterLookup):
         place_tx = np.unique(tx, return_inverse=True)[1]
         place_carrier = np.arange(len(tx)) - np.searchsorted(place_tx, place_tx)
         is_taken = (place_tx < num_tx) & (place_carrier < num_carriers)
-        of_each = np.minimum(np.bincount(place_tx)[place_tx], num_carriers)
-        return is_taken / of_each / (distance_m + self._softening_m)
+        num_kept = np.minimum(np.bincount(place_tx)[place_tx], num_carriers)
+        return is_taken / num_kept / (distance_m + self._softening_m)
 
     def _best_counts(self) -> dict[str, tuple[int, int]]:
         """For each kind of query the counts of the highest median SSIM.
@@ -127,14 +127,14 @@ class KNearest(TransmitterLookup):
         known = np.concatenate(coarse)
         scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
         for query, (rows, tx, distance_m) in zip(queries, near, strict=True):
-            each_hz = train.carrier_hz[query]
+            query_hz = train.carrier_hz[query]
             maps, truth = (
                 known[np.searchsorted(needed, rows)],
                 known[[np.searchsorted(needed, query)]].repeat(len(_COUNTS), 0),
             )
-            same_carrier = train.carrier_hz[rows] == each_hz
+            same_carrier = train.carrier_hz[rows] == query_hz
             same_tx = train.place_index[rows] == train.place_index[query]
-            is_inner = each_hz in inner_hz or not len(inner_hz)
+            is_inner = query_hz in inner_hz or not len(inner_hz)
             for kind, left_out in zip(KINDS, (same_carrier, same_tx, same_carrier | same_tx), strict=True):
                 left = ~left_out
                 if not left.any() or not (is_inner or kind == KINDS[1]):

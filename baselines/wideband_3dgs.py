@@ -69,8 +69,8 @@ class FeatureNetwork(nn.Module):
         self, carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
     ) -> tuple[Float[Tensor, "B C"], Float[Tensor, "B V W"]]:
         """Encoded carriers, and the features of places at each carrier, computed once for rows with equal carriers."""
-        each_hz, of_row = carrier_hz.unique(return_inverse=True)
-        carrier = positional_encoding((each_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
+        distinct_hz, of_row = carrier_hz.unique(return_inverse=True)
+        carrier = positional_encoding((distinct_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
         place = positional_encoding(self.scaling.unit_position(position_m), self.config.octaves)
         gated = place * torch.sigmoid(self.gate(carrier))[:, None]
         feature = gated

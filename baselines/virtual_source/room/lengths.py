@@ -319,12 +319,12 @@ class ReflectedPaths:
         wave, channel = self.wave[np.ix_(paths, carriers)], self.channel[np.ix_(tx, carriers)]
         measured = self.measured[rows]
 
-        def of(each_m: float) -> float:
-            turn = self._turn(part, each_m, carriers) - 1
+        def of(step_m: float) -> float:
+            turn = self._turn(part, step_m, carriers) - 1
             there = channel + np.add.reduceat(wave * turn[:, :, None], first, axis=0)
             return float(self.lags.likeness(measured, self.lags.of_channels(there[place])).sum())
 
-        return np.array([of(each_m) for each_m in by_m.tolist()])
+        return np.array([of(step_m) for step_m in by_m.tolist()])
 
     def elsewhere(self, part: RoomPart, carriers: Int[IntArray, "K"]) -> list[float]:
         """Displacements of a part with which training rows agree better than without, in metres, the best first."""

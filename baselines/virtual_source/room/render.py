@@ -50,7 +50,7 @@ class LocalWeights:
     similar: Float[FloatArray, "W n"]
 
     @classmethod
-    def of_each(cls, rows: PasDataset, learned: Predict, traced: Sequence[Predict]) -> list[LocalWeights]:
+    def of_all(cls, rows: PasDataset, learned: Predict, traced: Sequence[Predict]) -> list[LocalWeights]:
         """For each of several traced rooms, the comparison with the learned maps of validation rows."""
         similar = [[np.zeros((len(WEIGHTS), 0))] for _ in traced]
         for start in range(0, len(rows), _AT_ONCE):
@@ -162,7 +162,7 @@ class RoomRender:
                 self.tracer = RoomTracer.of_each_kind(train, room)[0]
             return
         tracers = RoomTracer.of_each_kind(train, room)
-        compared = LocalWeights.of_each(rows, learned, [tracer.maps for tracer in tracers])
+        compared = LocalWeights.of_all(rows, learned, [tracer.maps for tracer in tracers])
         is_blended = self.mode == "blended"
         scores = [weights.of_mixed if is_blended else float(weights.similar[0].mean()) for weights in compared]
         best = int(np.argmax(scores))
