@@ -145,12 +145,6 @@ def test_whatever_determines_the_result_changes_the_id(dataset: PasDataset, tmp_
     assert len({record.id for record in run_jobs(jobs, tmp_path)}) == len(jobs)
 
 
-def test_an_override_that_says_the_default_is_the_same_job(dataset: PasDataset, tmp_path: Path) -> None:
-    plain = run_job(lofo_job(dataset, "mean-over-frequency"), tmp_path)
-    spelled = run_job(lofo_job(dataset, "mean-over-frequency", overrides=("num_nearest=6",)), tmp_path)
-    assert spelled == plain
-
-
 def test_progress_counts_the_jobs(dataset: PasDataset, tmp_path: Path) -> None:
     seen = []
     jobs = [lofo_job(dataset), lofo_job(dataset, "line-of-sight")]

@@ -79,7 +79,7 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
     )
     with bench.table("Splatting alone", note, SPLATTING_COLUMNS) as table:
         for cost in splat_costs(num_gaussians, batch_sizes):
-            table.add(*_splatting_cells(cost))
+            table.add(*cost.cells)
 
 
 def tabulate_fits(bench: Bench, train: PasDataset) -> None:
@@ -97,25 +97,6 @@ def step_s(train: PasDataset, method: str) -> float:
     assert isinstance(fit, Generator)
     next(fit)
     return least_s(lambda: fit.send(0.5))
-
-
-def _splatting_cells(cost: SplatCost) -> tuple[str, ...]:
-    """A row of the table `SPLATTING_COLUMNS`."""
-    part = "" if cost.dense_stride == 1 else f" (1/{cost.dense_stride**2})"
-    return (
-        str(cost.num_gaussians),
-        str(cost.batch_size),
-        f"{cost.num_pairs:,}",
-        f"{cost.numba_ms:.2f}",
-        f"{1e3 / cost.numba_ms:.0f}",
-        f"{cost.torch_ms:.2f}",
-        f"{1e3 / cost.torch_ms:.0f}",
-        f"{cost.dense_ms:.0f}{part}",
-        f"{cost.dense_ms / cost.numba_ms:.0f}",
-        f"{cost.dense_ms / cost.torch_ms:.0f}",
-        f"{cost.value_error:.0e}",
-        f"{cost.gradient_error:.0e}",
-    )
 
 
 def num_threads() -> int:
@@ -163,6 +144,16 @@ class SplatCost:
     dense_stride: int
     value_error: float
     gradient_error: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table `SPLATTING_COLUMNS`."""
+        part = "" if self.dense_stride == 1 else f" (1/{self.dense_stride**2})"
+        ours = [cell for ms in (self.numba_ms, self.torch_ms) for cell in (f"{ms:.2f}", f"{1e3 / ms:.0f}")]
+        ratios = [f"{self.dense_ms / ms:.0f}" for ms in (self.numba_ms, self.torch_ms)]
+        errors = f"{self.value_error:.0e}", f"{self.gradient_error:.0e}"
+        sizes = str(self.num_gaussians), str(self.batch_size), f"{self.num_pairs:,}"
+        return *sizes, *ours, f"{self.dense_ms:.0f}{part}", *ratios, *errors
 
 
 def splat_costs(num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> Iterator[SplatCost]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -54,6 +55,12 @@ class Saving:
     off_ms: float
     on_ms: float
     change: str
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        times = f"{self.off_ms:.2f}", f"{self.on_ms:.2f}", f"{self.off_ms / self.on_ms:.2f}"
+        return self.name, self.timed, *times, self.change
 
 
 @dataclass(frozen=True)
@@ -126,22 +133,13 @@ def bench_savings(bench: Bench) -> None:
     )
     versions = software_versions("image") | software_versions("sionna")
     with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
-        for saving in all_savings():
-            table.add(*saving_cells(saving))
-
-
-def all_savings() -> Iterator[Saving]:
-    """All savings: of both solvers, and of maps; and what diffuse reflection costs, which is off by default."""
-    yield from image_savings(office_workload("image"))
-    yield from diffuse_savings(office_workload("image", num_tx=4))
-    yield from map_savings(office_workload("image", num_tx=6))
-    yield from sionna_savings(office_workload("sionna"))
-
-
-def saving_cells(saving: Saving) -> tuple[str, ...]:
-    """A row of the table."""
-    times = f"{saving.off_ms:.2f}", f"{saving.on_ms:.2f}", f"{saving.off_ms / saving.on_ms:.2f}"
-    return saving.name, saving.timed, *times, saving.change
+        for saving in chain(
+            image_savings(office_workload("image")),
+            diffuse_savings(office_workload("image", num_tx=4)),  # what diffuse reflection costs, which is off
+            map_savings(office_workload("image", num_tx=6)),
+            sionna_savings(office_workload("sionna")),
+        ):
+            table.add(*saving.cells)
 
 
 def image_savings(work: Workload) -> Iterator[Saving]:
