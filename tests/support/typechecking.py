@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from typing import Any
 
 import jaxtyping
@@ -29,20 +29,25 @@ def check_first_calls(named: Any = None, *, typechecker: Callable[..., Any]) -> 
     if inspect.isfunction(named):
         if calls[id(named.__code__)] >= NUM_CHECKED:  # within another function, whose every call makes it anew
             return named
-        return _at_first(_check(named, typechecker=typechecker), named)
+        make = cache(partial(_check, named, typechecker=typechecker))
+        if "<locals>" in named.__qualname__:
+            make()  # while the names around it are known
+        return _at_first(make, named)
     init = named.__init__
     checked = _check(named, typechecker=typechecker)
-    if checked.__init__ is not init:  # of a dataclass
-        checked.__init__ = _at_first(checked.__init__, init)
+    own = checked.__init__
+    if own is not init:  # of a dataclass
+        checked.__init__ = _at_first(lambda: own, init)
     return checked
 
 
-def _at_first(checked: Callable[..., Any], unchecked: Callable[..., Any]) -> Callable[..., Any]:
+def _at_first(checked: Callable[[], Callable[..., Any]], unchecked: Callable[..., Any]) -> Callable[..., Any]:
+    """A function whose checked twin is made when it is first called: many never are."""
     code = id(unchecked.__code__)
 
     @wraps(unchecked)
     def called(*args: Any, **kwargs: Any) -> Any:
         calls[code] += 1
-        return (checked if calls[code] <= NUM_CHECKED else unchecked)(*args, **kwargs)
+        return (checked() if calls[code] <= NUM_CHECKED else unchecked)(*args, **kwargs)
 
     return called

@@ -12,20 +12,6 @@ from xfreqbench.system.files import require_name, require_regular, storage_error
 from xfreqbench.system.machine import hardware
 
 
-def require_records(output: Path | None) -> None:
-    """Raise `StorageError` or `DataError` where records cannot be appended to a file; None stands for no file."""
-    if output is None:
-        return
-    with storage_errors(output):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        if output.exists():
-            require_regular(output)
-        else:
-            require_name(output)
-        output.open("ab").close()
-    read(output)
-
-
 @dataclass
 class MeasurementTable:
     """A table of measurements; each row is printed when it is added."""
@@ -59,7 +45,12 @@ class Bench:
 
         Raises `StorageError` or `DataError` where records could not be stored later.
         """
-        require_records(self.output)
+        if self.output is not None:
+            with storage_errors(self.output):
+                self.output.parent.mkdir(parents=True, exist_ok=True)
+                (require_regular if self.output.exists() else require_name)(self.output)
+                self.output.open("ab").close()
+            read(self.output)
         machine = hardware()
         gpus = f", {machine['gpu']}" if "gpu" in machine else ""
         self.say(f"{machine['processor']}, {machine['cores']} cores, {machine['system']}{gpus}.\n")

@@ -303,19 +303,19 @@ def choose_record(
     path, records = folder.records_path, folder.records
     if not records:
         raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or mend the path.")
-    told = [record for record in records if "planes" in record.findings]
-    if not told:
+    explained = [record for record in records if "planes" in record.findings]
+    if not explained:
         methods = ", ".join(sorted({record.job.method for record in records}))
         raise DataError(
             f"No record in {path} has findings; its methods are {methods}. Run a method that tells what it "
             "has learned, such as virtual-source."
         )
-    told = _only(told, "run with findings on split", split, lambda record: record.job.split)
-    told = _only(told, "run with findings of seed", seed, lambda record: record.job.seed)
-    chosen = [record for record in told if record.id.startswith(id_prefix or "")]
+    explained = _only(explained, "run with findings on split", split, lambda record: record.job.split)
+    explained = _only(explained, "run with findings of seed", seed, lambda record: record.job.seed)
+    chosen = [record for record in explained if record.id.startswith(id_prefix or "")]
     if not chosen:
         raise UnknownNameError(
-            "record with findings whose id begins with", str(id_prefix), {record.id for record in told}
+            "record with findings whose id begins with", str(id_prefix), {record.id for record in explained}
         )
     return max(chosen, key=lambda record: record.time_utc)
 

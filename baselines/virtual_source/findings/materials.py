@@ -85,8 +85,8 @@ def shown_materials(compared: ComparedFindings) -> list[ShownMaterial]:
                 areas_m2 = np.array([polygon_area_m2(np.array(face.corners_m)) for face in faces])
                 seen = float(areas_m2 @ [face.seen for face in faces] / areas_m2.sum()) if faces else np.nan
                 nearest = names.nearest(slab)
-                told = LearnedSlab(index, slab, seen, nearest[0] if nearest else None)
-                learned.setdefault(_true_slab(compared, match, faces), []).append(told)
+                shown = LearnedSlab(index, slab, seen, nearest[0] if nearest else None)
+                learned.setdefault(_true_slab(compared, match, faces), []).append(shown)
     return [ShownMaterial(truth, learned[truth]) for truth in sorted(learned, key=str)]
 
 

@@ -141,7 +141,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     """The scene: its array and transmitters are those of the data, its materials those of the room."""
     scene, job = compared.dataset.scene, compared.record.job
     receiver = TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")
-    told = {
+    head = {
         "name": f"{scene.name}-learned",
         "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
         "scene": SHAPE,
@@ -150,7 +150,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     scores = [
         f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n" for what, median, mean, number in room.scores
     ]
-    parts = [_first_line(compared.record.id), "".join(scores) + _table(told), f"[receiver]\n{_table(receiver)}"]
+    parts = [_first_line(compared.record.id), "".join(scores) + _table(head), f"[receiver]\n{_table(receiver)}"]
     if scene.transmitters:
         grid = TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")
         parts.append(f"[transmitters]\n{_table(grid)}")

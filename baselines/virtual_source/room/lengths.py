@@ -241,8 +241,8 @@ class ReflectedPaths:
     @property
     def score(self) -> float:
         """Mean likeness of the rows."""
-        told = self.lags.of_channels(self.channel[self.of_tx, self.of_carrier])
-        return float(self.lags.likeness(self.measured, told).mean())
+        lags = self.lags.of_channels(self.channel[self.of_tx, self.of_carrier])
+        return float(self.lags.likeness(self.measured, lags).mean())
 
     @property
     def strongest_first(self) -> list[RoomPart]:

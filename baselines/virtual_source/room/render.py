@@ -118,8 +118,8 @@ class RoomRender:
             if not self.has_begun:
                 self.has_begun = True
                 if seconds is None or (1 - share) * seconds > _LEAST_SECONDS:
-                    told = StoredFindings.model_validate(findings())
-                    self.refinement = Refinement.of(told, _split(train)[0])
+                    found = StoredFindings.model_validate(findings())
+                    self.refinement = Refinement.of(found, _split(train)[0])
             elif self._stored:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}
@@ -216,10 +216,10 @@ class RoomRender:
         stored = json.loads((directory / _FILE).read_text(encoding="utf-8"))
         count = MapCount(stored.get("compared_maps", 0))
         render = cls(mode, has_begun=True, count=count, _stored=stored["refinement"] or {})
-        if told := stored["tracer"]:
-            receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
-            room = [surface_from_json(surface) for surface in told["room"]]
-            settings = DIFFRACTING if told.get("diffracts") else PREDICTING
+        if traced := stored["tracer"]:
+            receiver = TypeAdapter(ReceiverArray).validate_python(traced["receiver"])
+            room = [surface_from_json(surface) for surface in traced["room"]]
+            settings = DIFFRACTING if traced.get("diffracts") else PREDICTING
             render.tracer = RoomTracer(receiver, room, beam, kind, settings)
         if stored["weights"]:
             render.weights = LocalWeights.from_json(stored["weights"])

@@ -180,8 +180,8 @@ def polygon_area_m2(corners_m: Float[FloatArray, "n 3"]) -> float:
 
 def surface_json(surface: RoomSurface) -> dict[str, Any]:
     """A surface as values of JSON, for `surface_from_json`."""
-    told = {entry.name: getattr(surface, entry.name) for entry in fields(surface)}
-    return {**told, "normal": surface.normal.tolist(), "corners_m": surface.corners_m.tolist()}
+    values = {entry.name: getattr(surface, entry.name) for entry in fields(surface)}
+    return {**values, "normal": surface.normal.tolist(), "corners_m": surface.corners_m.tolist()}
 
 
 def surface_from_json(stored: Mapping[str, Any]) -> RoomSurface:

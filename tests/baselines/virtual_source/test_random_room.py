@@ -42,7 +42,7 @@ def test_a_random_room_holds_its_array_and_its_transmitters(seed: int, tmp_path:
 def test_most_walls_of_random_rooms_are_found_and_intervals_of_95_percent_hold_them(tmp_path: Path) -> None:
     walls = []
     for seed in range(2):
-        room = RandomRoom.of(seed, 280)
+        room = RandomRoom.of(seed, 220)
         walls += found_walls(room, find_planes(room.traced(tmp_path / f"{seed}.h5"), seed))
     found = [wall for wall in walls if wall is not None]
     assert len(found) > 0.85 * len(walls)
