@@ -14,12 +14,12 @@ def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
     from xfreqbench.bench.stress.channels import MATERIALS, PHASE
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
-    from xfreqbench.bench.stress.geometry import FACETS, GEOMETRY
+    from xfreqbench.bench.stress.geometry import GEOMETRY
     from xfreqbench.bench.stress.maps import MAPS
     from xfreqbench.bench.stress.splatting import COMPOSITE, FOOTPRINTS, PROJECTION
     from xfreqbench.bench.stress.training import ENCODING, TRAINING
 
-    physics, learning = (PHASE, MATERIALS, GEOMETRY, FACETS, DIFFRACTION, MAPS), (COMPOSITE, FOOTPRINTS, PROJECTION)
+    physics, learning = (PHASE, MATERIALS, GEOMETRY, DIFFRACTION, MAPS), (COMPOSITE, FOOTPRINTS, PROJECTION)
     return tuple(case for area in (*physics, *learning, ENCODING, TRAINING) for case in area.cases)
 
 
