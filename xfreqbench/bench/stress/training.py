@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.bench.stress.channels import data_of
+from xfreqbench.bench.stress.channels import RECEIVER
 from xfreqbench.bench.stress.maps import beam, power_map
+from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.encoding import Scaling, positional_encoding
@@ -153,7 +154,8 @@ def _adapted(field: Field) -> Field:
     tx_m = rng.uniform((0.5, 0.5, 0.5), (4.0, 4.0, 1.5), size=(6, 3))
     cfr = 1e-4 * (rng.normal(size=(6, 2, 16)) + 1j * rng.normal(size=(6, 2, 16)))
     with tempfile.TemporaryDirectory() as folder:
-        data = data_of(Path(folder) / "train.h5", tx_m, [1e9, 10e9], cfr.astype(np.complex128))
+        path, carrier_hz = Path(folder) / "train.h5", np.array([1e9, 10e9])
+        data = stored_channels(path, RECEIVER, carrier_hz, tx_m, cfr.astype(np.complex128), maps=False)
         field.adapt(data, torch.Generator().manual_seed(0))
     return field
 
