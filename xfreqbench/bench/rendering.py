@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor, autograd
 
-from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.tables import Bench, timed_s
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import plane_wave_data
 from xfreqbench.maps.grid import AngularGrid
@@ -51,7 +51,6 @@ SPLATTING_COLUMNS = (
     "error of values",
     "of gradients",
 )
-REPEATS = 2
 DIRECTIONS_PER_GAUSSIAN = 200
 _FEWER = GridView(stride=5)  # directions for timing dense accumulation where all of them are too many
 _FEW = GridView(stride=9)  # directions for measuring errors
@@ -96,18 +95,12 @@ def step_s(train: PasDataset, method: str) -> float:
     fit = build_method(method).fit(train, Budget(), 0)
     assert isinstance(fit, Generator)
     next(fit)
-    return least_s(lambda: fit.send(0.5))
+    return timed_s(lambda: fit.send(0.5))[0]
 
 
 def num_threads() -> int:
     """Number of threads of torch, which is also that of the kernels."""
     return torch.get_num_threads()
-
-
-def least_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Smallest time of `work` in seconds, after one call that compiles and warms up."""
-    work()
-    return min(_seconds(work) for _ in range(repeats))
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -211,7 +204,7 @@ def accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float
     generator = torch.Generator().manual_seed(2)
     shape = leaves.signal.shape[1], len(lists.start) - 1
     weights = torch.randn(shape, generator=generator, dtype=torch.complex64)
-    return least_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))
+    return timed_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))[0]
 
 
 def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[Tensor, "B K"]:

@@ -6,17 +6,15 @@ functions are called as they would have to be without it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numba import get_num_threads
 
-from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.tables import REPEATS, Bench, timed_s
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr
@@ -35,11 +33,9 @@ from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 NUM_TX = 48
 FEW_RAYS = 100_000  # where each transmitter shoots its own rays
 COLUMNS = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
-_REPEATS = 2  # the smallest time counts, because other programs can only add to it
 SCENE_AND_RAYS = "meshes read, rays shot, channels"
 
 ChannelArray = Complex[NDArray[np.complex128], "T F M"]
-Answer = TypeVar("Answer")
 MapArray = Float[NDArray[np.float32], "N E A"]
 
 
@@ -112,21 +108,11 @@ def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     return Workload(scene, tx_position_m, carriers, TraceSettings(solver, WITHOUT_DIFFRACTION))
 
 
-def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
-    """The smallest time of a few calls in seconds, after one that compiles, and the result."""
-    answer, seconds = work(), []
-    for _ in range(_REPEATS):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds), answer
-
-
 def bench_savings(bench: Bench) -> None:
     """Print the time of each saving off and on."""
     bench.introduce()
     note = (
-        f"ms a sample, the least of {_REPEATS} warm runs; the others stay on while one is off. The "
+        f"ms a sample, the least of {REPEATS} warm runs; the others stay on while one is off. The "
         "office at the defaults; changes are the largest error of a sample's channel relative to its norm, and PSNR "
         "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. A saving "
         "may buy accuracy with time."

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from xfreqbench.runs.records import BenchFigure, BenchRecord, append, read
 from xfreqbench.system.files import require_name, require_regular, storage_errors
 from xfreqbench.system.machine import hardware
+
+REPEATS = 2  # the smallest time counts, because other programs can only add to it
+Answer = TypeVar("Answer")
+
+
+def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
+    """The smallest time of a few calls in seconds, after one that compiles, and the result."""
+    answer, seconds = work(), []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds), answer
 
 
 @dataclass
