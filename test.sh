@@ -15,8 +15,9 @@ unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported
 .venv/bin/ruff format --check .
 .venv/bin/mypy &
 types=$!
-# Kernels are compiled once; otherwise both processes of pytest would do it.
-.venv/bin/xfreqbench generate office --tx 1 --dry-run -o .venv/kernels.h5 >/dev/null &
+# Kernels are compiled once, of channels and of paths; otherwise both processes of pytest would do it.
+rm -f .venv/kernels.h5
+.venv/bin/xfreqbench generate office --tx 1 --paths --quiet -o .venv/kernels.h5 &
 kernels=$!
 .venv/bin/lint-imports --no-cache
 wait "$kernels"
