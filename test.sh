@@ -8,16 +8,19 @@ if [ "${1:-}" = --all ]; then
     chosen=()
     shift
 fi
+unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported, and not all of them at installation
 [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+.venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy &
 types=$!
-# Kernels are compiled once; otherwise both processes of pytest would do it.
-.venv/bin/xfreqbench generate office --tx 1 --dry-run -o .venv/kernels.h5 >/dev/null &
+# Kernels are compiled once, of channels and of paths; otherwise both processes of pytest would do it.
+rm -f .venv/kernels.h5
+.venv/bin/xfreqbench generate office --tx 1 --paths --quiet -o .venv/kernels.h5 &
 kernels=$!
 .venv/bin/lint-imports --no-cache
 wait "$kernels"
+[ -z "${MEANWHILE:-}" ] || tail --pid="$MEANWHILE" --follow /dev/null  # the process that CI has beside this one
 .venv/bin/python -m pytest --numprocesses 2 --dist worksteal "${chosen[@]}" "$@"
 wait "$types"

@@ -93,8 +93,8 @@ class KNearest(TransmitterLookup):
         """
         known_hz, found = self.transmitters.train.carrier_hz, []
         distance_m, nearest = self.transmitters.neighbours(tx_position_m, count)
-        for each in nearest:
-            rows = self.transmitters.rows(np.array([each]))
+        for tx in nearest:
+            rows = self.transmitters.rows(np.array([tx]))
             octaves = np.abs(np.log2(known_hz[rows] / carrier_hz))
             found.append(rows[np.argsort(octaves, kind="stable")])
         place = np.repeat(np.arange(len(found)), [len(rows) for rows in found])
@@ -111,8 +111,8 @@ class KNearest(TransmitterLookup):
         place_tx = np.unique(tx, return_inverse=True)[1]
         place_carrier = np.arange(len(tx)) - np.searchsorted(place_tx, place_tx)
         is_taken = (place_tx < num_tx) & (place_carrier < num_carriers)
-        of_each = np.minimum(np.bincount(place_tx)[place_tx], num_carriers)
-        return is_taken / of_each / (distance_m + self._softening_m)
+        num_kept = np.minimum(np.bincount(place_tx)[place_tx], num_carriers)
+        return is_taken / num_kept / (distance_m + self._softening_m)
 
     def _best_counts(self) -> dict[str, tuple[int, int]]:
         """For each kind of query the counts of the highest median SSIM.
@@ -127,14 +127,14 @@ class KNearest(TransmitterLookup):
         known = np.concatenate(coarse)
         scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
         for query, (rows, tx, distance_m) in zip(queries, near, strict=True):
-            each_hz = train.carrier_hz[query]
+            query_hz = train.carrier_hz[query]
             maps, truth = (
                 known[np.searchsorted(needed, rows)],
                 known[[np.searchsorted(needed, query)]].repeat(len(_COUNTS), 0),
             )
-            same_carrier = train.carrier_hz[rows] == each_hz
+            same_carrier = train.carrier_hz[rows] == query_hz
             same_tx = train.place_index[rows] == train.place_index[query]
-            is_inner = each_hz in inner_hz or not len(inner_hz)
+            is_inner = query_hz in inner_hz or not len(inner_hz)
             for kind, left_out in zip(KINDS, (same_carrier, same_tx, same_carrier | same_tx), strict=True):
                 left = ~left_out
                 if not left.any() or not (is_inner or kind == KINDS[1]):
@@ -143,7 +143,7 @@ class KNearest(TransmitterLookup):
                 blended = np.tensordot(weights.astype(np.float32), maps[left], axes=1)
                 blended /= blended.max(axis=(1, 2), keepdims=True)
                 scores[kind].append(similarities(blended, truth))
-        return {kind: _best(each) for kind, each in scores.items()}
+        return {kind: _best(of_kind) for kind, of_kind in scores.items()}
 
 
 def _best(scores: list[FloatArray]) -> tuple[int, int]:
@@ -151,4 +151,4 @@ def _best(scores: list[FloatArray]) -> tuple[int, int]:
     if not scores:
         return 1, 1
     medians = np.median(scores, axis=0).round(9)  # weights of equal sums differ by their rounding
-    return max(zip(medians, _COUNTS, strict=True), key=lambda each: (each[0], -each[1][0], each[1][1]))[1]
+    return max(zip(medians, _COUNTS, strict=True), key=lambda pair: (pair[0], -pair[1][0], pair[1][1]))[1]

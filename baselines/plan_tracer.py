@@ -52,8 +52,8 @@ class PlanTracer:
 class TracedPlan:
     """Predicts the maps of one room by tracing its plan, as its data were traced."""
 
-    def __init__(self, told: PasDataset, scene: PreparedScene) -> None:
-        self._told, self._scene = told, scene
+    def __init__(self, heard: PasDataset, scene: PreparedScene) -> None:
+        self._heard, self._scene = heard, scene
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -61,5 +61,5 @@ class TracedPlan:
         """Maps with peak 1."""
         place_m, tx = np.unique(tx_position_m, axis=0, return_inverse=True)
         known_hz, carrier = np.unique(carrier_hz, return_inverse=True)
-        cfr = tracer_of(self._scene, known_hz, self._told.trace_settings).channel(place_m).cfr
-        return self._told.beam.maps(cfr[tx.ravel(), carrier], self._told.header.pas_kind)[0]
+        cfr = tracer_of(self._scene, known_hz, self._heard.trace_settings).channel(place_m).cfr
+        return self._heard.beam.maps(cfr[tx.ravel(), carrier], self._heard.header.pas_kind)[0]

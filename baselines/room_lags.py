@@ -112,10 +112,10 @@ class _Images:
     def heard(self, position_m: Float[Tensor, "K 3"], sums: Float[Tensor, "K C L"]) -> _Heard:
         """Evidence from transmitters whose maps, of peak 1, are given by their sums over lags."""
         power, direct, beyond = [], [], []
-        for place_m, each in zip(position_m.split(16), sums.split(16), strict=True):
+        for place_m, part in zip(position_m.split(16), sums.split(16), strict=True):
             direction, _, before_m = self.towards(place_m)
             wave = self.field.wave(direction)
-            power.append(torch.einsum("tadl,tcl->tcad", wave, each))
+            power.append(torch.einsum("tadl,tcl->tcad", wave, part))
             direct.append(torch.einsum("tadl,tl->tad", wave, self.field.plane_wave(_unit(place_m))))
             beyond.append(before_m <= 0)
         return _Heard(position_m, torch.cat(power).half(), torch.cat(direct).half(), torch.cat(beyond))
@@ -133,12 +133,12 @@ class RoomField(nn.Module):
         self.config, self.beams = config, Beams(beam, _CPU)
         lags = LagFunctions(beam)
         self._lag, self._weight, self._count = (
-            torch.as_tensor(each, dtype=torch.float32) for each in (lags.lag, lags.weight, lags.count)
+            torch.as_tensor(table, dtype=torch.float32) for table in (lags.lag, lags.weight, lags.count)
         )
         num_sums, carriers, width = 2 * len(lags.lag), len(HEARD_GHZ), config.width
-        told = 2 * carriers + 4  # about a plane by all that was heard
-        self.upright = nn.Sequential(nn.Conv2d(told, 16, 3), nn.SiLU(), nn.Conv2d(16, 8, 1))
-        self.level = nn.Sequential(nn.Conv1d(told, 16, 3, padding=1), nn.SiLU(), nn.Conv1d(16, 8, 1))
+        num_features = 2 * carriers + 4  # about a plane by all that was heard
+        self.upright = nn.Sequential(nn.Conv2d(num_features, 16, 3), nn.SiLU(), nn.Conv2d(16, 8, 1))
+        self.level = nn.Sequential(nn.Conv1d(num_features, 16, 3, padding=1), nn.SiLU(), nn.Conv1d(16, 8, 1))
         sizes = (12 + carriers + 8 + 2 * carriers, width, width, 1)
         self.gain = _perceptron(*sizes)
         nn.init.constant_(self.gain[-1].bias, _FIRST_GAIN)  # type: ignore[arg-type]
@@ -212,8 +212,8 @@ class RoomField(nn.Module):
         about = torch.cat([*(mean / count for mean in means), ((direct * is_before).sum(0) / count)[None]])
         about = torch.cat([about, beyond.mean(0)[None], amount])
         weight = torch.softmax(-torch.cdist(position_m, heard.position_m) / _RELEVANT_M, dim=1)
-        each = torch.cat([excess, (direct * is_before)[:, None], beyond[:, None]], dim=1)
-        return about, (weight @ each.flatten(1)).reshape(len(position_m), -1, *planes)
+        features = torch.cat([excess, (direct * is_before)[:, None], beyond[:, None]], dim=1)
+        return about, (weight @ features.flatten(1)).reshape(len(position_m), -1, *planes)
 
     def _context(self, about: Float[Tensor, "N A D"]) -> Float[Tensor, "8 A D"]:
         """What the planes around each say of it; headings are periodic."""
@@ -280,7 +280,7 @@ class RoomLags:
     @property
     def num_parameters(self) -> int:
         """Number of values that training sets; 0 before it."""
-        return sum(each.numel() for each in self._state.field.parameters()) if self._state else 0
+        return sum(parameter.numel() for parameter in self._state.field.parameters()) if self._state else 0
 
     def fit(self, rooms: Collection, budget: Budget, seed: int) -> Generator[Progress, float, None]:
         """Minimise L1 and 1 − SSIM of maps by Adam; the learning rate falls as half a cosine over the budget.
@@ -307,7 +307,7 @@ class RoomLags:
         tx = [set(heard.tx_index[rows].tolist()) for rows in by_carrier.values()]
         rows = [rows[np.isin(heard.tx_index[rows], [*set.intersection(*tx)])] for rows in by_carrier.values()]
         lags = LagFunctions(heard.beam)
-        sums = np.stack([lags.of_maps(heard.pas(each), heard.header.pas_kind) for each in rows], axis=1)
+        sums = np.stack([lags.of_maps(heard.pas(at_carrier), heard.header.pas_kind) for at_carrier in rows], axis=1)
         position_m = (heard.tx_position_m[rows[0]] - receiver.position_m) @ receiver.rotation
         with torch.no_grad():
             evidence = images.heard(torch.as_tensor(position_m, dtype=torch.float32), torch.as_tensor(sums))
@@ -323,18 +323,18 @@ class RoomLags:
         arrays: dict[str, Any] = {name: value.numpy() for name, value in tensors.items()}
         arrays |= {"elevation_rad": beams.grid.elevation_rad, "azimuth_rad": beams.grid.azimuth_rad}
         np.savez(directory / _TENSORS_FILE, **arrays, elements=beams.element_position_wavelengths)
-        told = {"config": as_json(self.config), "step": state.step, "share": state.share, "kind": state.kind}
-        (directory / _STATE_FILE).write_text(json.dumps(told), encoding="utf-8")
+        stored = {"config": as_json(self.config), "step": state.step, "share": state.share, "kind": state.kind}
+        (directory / _STATE_FILE).write_text(json.dumps(stored), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> RoomLags:
         """The method as it was saved; its `fit` goes on from there."""
-        told = json.loads((directory / _STATE_FILE).read_text(encoding="utf-8"))
-        method = cls(RoomLagsConfig(**told["config"]))
-        with np.load(directory / _TENSORS_FILE) as stored:
-            arrays: Mapping[str, NDArray[Any]] = dict(stored)
+        stored = json.loads((directory / _STATE_FILE).read_text(encoding="utf-8"))
+        method = cls(RoomLagsConfig(**stored["config"]))
+        with np.load(directory / _TENSORS_FILE) as file:
+            arrays: Mapping[str, NDArray[Any]] = dict(file)
         beam = BartlettBeam(arrays["elements"], AngularGrid(arrays["elevation_rad"], arrays["azimuth_rad"]))
-        state = method._new_state(beam, told["kind"])
+        state = method._new_state(beam, stored["kind"])
         tensors = {name: torch.from_numpy(value) for name, value in arrays.items()}
         state.field.load_state_dict(named(tensors, "field."))
         for name, parameter in state.field.named_parameters():
@@ -342,7 +342,7 @@ class RoomLags:
             if all(value is not None for value in moments.values()):
                 state.optimizer.state[parameter] = moments
         state.generator.set_state(tensors["generator"])
-        state.step, state.share = told["step"], told["share"]
+        state.step, state.share = stored["step"], stored["share"]
         method._state = state
         return method
 
@@ -400,9 +400,9 @@ class RoomLags:
 class RoomLagsPredictor:
     """Predicts the maps of one room, from the evidence of what was heard in it."""
 
-    def __init__(self, field: RoomField, images: _Images, heard: _Heard, told: PasDataset) -> None:
+    def __init__(self, field: RoomField, images: _Images, heard: _Heard, data: PasDataset) -> None:
         self._field, self._images, self._heard = field, images, heard
-        self._receiver, self._kind = told.header.receiver, told.header.pas_kind
+        self._receiver, self._kind = data.header.receiver, data.header.pas_kind
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]

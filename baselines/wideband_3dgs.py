@@ -48,7 +48,7 @@ class FeatureNetwork(nn.Module):
         place, carrier = encoded_size(3, config.octaves), encoded_size(1, config.carrier_octaves)
         self.gate = nn.Linear(carrier, place)
         sizes = [place, *[config.width] * config.layers]
-        self.layers = nn.ModuleList(nn.Linear(*each) for each in pairwise(sizes))
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(sizes))
         self.skip = nn.Linear(place, config.width, bias=False)  # to the layer in the middle
         self.attenuation = nn.Linear(config.width, 2)
         hidden = [config.width, config.width // 2]
@@ -69,8 +69,8 @@ class FeatureNetwork(nn.Module):
         self, carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
     ) -> tuple[Float[Tensor, "B C"], Float[Tensor, "B V W"]]:
         """Encoded carriers, and the features of places at each carrier, computed once for rows with equal carriers."""
-        each_hz, of_row = carrier_hz.unique(return_inverse=True)
-        carrier = positional_encoding((each_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
+        distinct_hz, of_row = carrier_hz.unique(return_inverse=True)
+        carrier = positional_encoding((distinct_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
         place = positional_encoding(self.scaling.unit_position(position_m), self.config.octaves)
         gated = place * torch.sigmoid(self.gate(carrier))[:, None]
         feature = gated
@@ -113,7 +113,7 @@ class Wideband3DGSField(GaussianField):
         position_m = self.gaussians.position_m.detach()[seen]
         opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]
         tx_m = self.scaling.in_frame(tx_position_m)
-        attenuation, signal = (each.permute(2, 1, 0) for each in self.network(tx_m, carrier_hz, position_m))
+        attenuation, signal = (output.permute(2, 1, 0) for output in self.network(tx_m, carrier_hz, position_m))
         share = opacity / position_m.norm(dim=-1, keepdim=True).clamp_min(_NEAREST_M)
         transmitted = torch.polar(torch.sigmoid(attenuation[0]), attenuation[1])
         return Attributes(

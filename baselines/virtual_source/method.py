@@ -200,11 +200,11 @@ def _require_known_antennas(train: PasDataset) -> None:
     pattern, polarization, turned_deg = header.receiver.antenna
     others = {name: value for name, value in header.settings.items() if name.startswith("transmitter_")}
     if pattern == "tr38901" or any(turned_deg) or others:
-        told = f"pattern {pattern!r}, polarization {polarization!r}, turned by {list(turned_deg)} degrees"
+        antenna = f"pattern {pattern!r}, polarization {polarization!r}, turned by {list(turned_deg)} degrees"
         raise MethodError(
             "virtual-source knows antennas of pattern iso or dipole, not turned, the same at both ends, but in "
-            f"{train.path.name} the receiver's are of {told}, and the transmitters' {others or 'are the same'}. Take "
-            "another method, such as xfreq-gs."
+            f"{train.path.name} the receiver's are of {antenna}, and the transmitters' {others or 'are the same'}. "
+            "Take another method, such as xfreq-gs."
         )
 
 
@@ -236,8 +236,8 @@ class _TransmitterRows:
         with torch.no_grad():
             for some in torch.arange(self.num_tx).split(_TX_AT_ONCE):
                 offset_m = self.offset_m[some]
-                told = offset_m.repeat_interleave(len(carriers), 0), carriers.repeat(len(some))
-                free = field.free_channels(*told, element).unflatten(1, (len(some), len(carriers)))
+                queries = offset_m.repeat_interleave(len(carriers), 0), carriers.repeat(len(some))
+                free = field.free_channels(*queries, element).unflatten(1, (len(some), len(carriers)))
                 virtual = field.channels(offset_m, self.traces[some], carriers, element)
                 parts.append(torch.cat([virtual[None], free]))
         cfr = torch.cat(parts, dim=1).numpy().astype(complex)

@@ -92,7 +92,7 @@ def test_the_counts_are_those_that_predict_training_rows_best_from_the_others(da
         for counts in ((tx, carriers) for tx in (1, 2, 3, 4, 6) for carriers in (1, 2, 3, 4)):
             shown = by_hand(left, position_m, carrier_hz, *counts, softening)
             scores.setdefault(counts, []).append(ssim(shown[None, ::3, ::3], truth, coarse)[0])
-    best = max(np.median(each) for each in scores.values())
+    best = max(np.median(of_counts) for of_counts in scores.values())
     num_tx, num_carriers = fitted(dataset).counts[kind]
     chosen = scores[min(num_tx, NUM_TX), min(num_carriers, NUM_CARRIERS)]
     assert np.median(chosen) == pytest.approx(best, abs=1e-5)  # float32 sums in another order

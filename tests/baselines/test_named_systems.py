@@ -108,7 +108,7 @@ def test_what_a_gaussian_holds_is_divided_and_dropped_with_it(method: type[Learn
     number = len(gaussians)
     assert number > first.counts["gaussians"]
     assert {len(parameter) for parameter in gaussians.parameters()} == {number}
-    optimised = {id(each) for group in model._training.optimizer.param_groups for each in group["params"]}
+    optimised = {id(parameter) for group in model._training.optimizer.param_groups for parameter in group["params"]}
     assert {id(parameter) for parameter in gaussians.parameters()} <= optimised
 
 

@@ -20,14 +20,14 @@ from xfreqbench.system.workers import HERE, open_workers
 def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:
     plan = plan_generation(load_scene("empty"), [1e9], num_transmitters=2 * BATCH)
     work = scale_out._Generation(plan, tmp_path)
-    serial, processes = (scale_out._measured(way, work) for way in WAYS[:2])
+    serial, processes = (scale_out._measured(way, work) for way in list(WAYS)[:2])
     assert serial.sha256 == processes.sha256 == open_dataset(tmp_path / "2 processes.h5").sha256
     assert serial.amount == processes.amount == 2 * BATCH
 
 
 def test_the_ways_are_the_executors_that_they_name() -> None:
-    assert [way.name for way in WAYS] == ["serial", "2 processes", "Dask, 2 workers"]
-    with WAYS[0].open(True) as serial, WAYS[1].open(True) as processes:
+    assert list(WAYS) == ["serial", "2 processes", "Dask, 2 workers"]
+    with WAYS["serial"](True) as serial, WAYS["2 processes"](True) as processes:
         assert serial is HERE
         assert processes.num_places == 2
     with open_workers("3") as workers:

@@ -49,7 +49,7 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
             element = replace(receiver, rows=1, cols=1, polarization=polarization)
             tracer = make_tracer(replace(scene, receiver=element, other_receivers=()), [2.4, 5], SETTINGS)
             paths = [tracer.paths(place_m) for place_m in position_m]
-            power += [(np.abs(each.gain) ** 2).mean(axis=0).sum() for each in paths]
+            power += [(np.abs(found.gain) ** 2).mean(axis=0).sum() for found in paths]
         columns.append(10 * np.log10(power) + offset_db)
     table = np.stack(columns, axis=1)
     lines = [",".join(f"{value:.9g}" for value in row) for row in table]
@@ -111,7 +111,7 @@ def test_the_measured_flat_is_explained_better_by_its_walls_than_by_fitted_laws(
 
 def test_a_scene_may_have_several_receivers_of_which_a_data_set_has_one() -> None:
     scene = load_scene("flat")
-    assert [each.name for each in scene.receivers] == list("123456")
+    assert [receiver.name for receiver in scene.receivers] == list("123456")
     assert scene.with_receiver("4").receivers == (scene.receivers[3],)
     assert scene.with_receiver() == scene.with_receiver("1")
     text = "[[receiver]]\nposition_m = [0, 0, 1]\n{0}\n[[receiver]]\nposition_m = [1, 0, 1]\n{1}\n"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from xfreqbench.bench import savings as efficiency
-from xfreqbench.bench.savings import Saving, Workload, channel_change, saving_cells
+from xfreqbench.bench.savings import Saving, Workload, channel_change
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.runs.records import BenchFigure, BenchPoint, read
@@ -81,7 +81,7 @@ def test_a_change_of_channels_is_relative_to_the_samples_own_norm(work: Workload
 
 def test_a_saving_is_shown_with_its_ratio() -> None:
     saving = Saving("kept", "maps", 3.0, 1.5, "none")
-    cells = dict(zip(efficiency.COLUMNS, saving_cells(saving), strict=True))
+    cells = dict(zip(efficiency.COLUMNS, saving.cells, strict=True))
     assert cells["off / on"] == "2.00"
     assert cells["saving"] == "kept"
 

@@ -265,8 +265,8 @@ def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) ->
     assert finding.is_warning
     assert str(finding).startswith("warn ")
     assert "same seed" in finding.requirement
-    assert ["not checked, because" in str(each.fault) for each in not_checked] == [True] * 3
-    assert not any(each.is_fault for each in not_checked)
+    assert ["not checked, because" in str(result.fault) for result in not_checked] == [True] * 3
+    assert not any(result.is_fault for result in not_checked)
 
 
 def test_options_reach_the_method(own_method) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.packages import install
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.registry import (
     build_method,
@@ -56,10 +57,7 @@ def test_a_module_that_fails_while_it_is_imported_says_how(
 
 def test_methods_are_listed_without_the_code_of_a_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "theirs.py").write_text("raise SystemExit(0)")
-    information = tmp_path / "their_package-1.0.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text("[xfreqbench.methods]\ntheirs = theirs:Method\n")
+    install(tmp_path, "their-package", "xfreqbench.methods", theirs="theirs:Method")
     monkeypatch.syspath_prepend(tmp_path)
     summaries = method_summaries()
     assert summaries["theirs"] == "plug-in, from their-package"
@@ -70,10 +68,7 @@ def test_methods_are_listed_without_the_code_of_a_plugin(tmp_path: Path, monkeyp
 
 
 def test_a_plugin_cannot_take_the_name_of_another_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    information = tmp_path / "their_package-1.0.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text("[xfreqbench.methods]\nnearest = theirs:Method\n")
+    install(tmp_path, "their-package", "xfreqbench.methods", nearest="theirs:Method")
     monkeypatch.syspath_prepend(tmp_path)
     assert method_names().count("nearest") == 1
     with pytest.raises(MethodError, match="Several packages offer a method 'nearest'"):
@@ -94,7 +89,7 @@ def test_a_method_is_described_with_its_options_and_no_other_is_imported(monkeyp
 def test_every_option_of_a_built_in_method_has_a_meaning(name: str) -> None:
     _, options = method_description(name)
     named = [option.name for option in options if option.name != "aided"]
-    assert named == [each.name for each in fields(build_method(name).config)]
+    assert named == [option.name for option in fields(build_method(name).config)]
     assert not [option.name for option in options if not option.meaning]
 
 

@@ -19,21 +19,13 @@ from xfreqbench.system.workers import exit_status
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
     blocks=(
-        Block("empty", "lofo", TRIVIAL_SETTINGS[:2], None, targets_ghz=(77.0,)),
         Block("empty", "lofo-unseen-tx", TRIVIAL_SETTINGS[:1], None, targets_ghz=(24.25,)),
-        Block(
-            "empty",
-            "lofo",
-            (Setting("aperture-gs", ("num_gaussians=8",)),),
-            "2steps",
-            seeds=(0, 1),
-            targets_ghz=(77.0,),
-        ),
+        Block("empty", "lofo", (Setting("aperture-gs", ("num_gaussians=8",)),), "2steps", (0, 1), (77.0,)),
     ),
     left_out="nearly everything",
     num_tx={"empty": 12},
 )
-NUM_RUNS = 2 + 1 + 2
+NUM_RUNS = 1 + 2  # each in a process of its own, which takes seconds to import
 
 
 @pytest.fixture(autouse=True)
@@ -111,10 +103,10 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
     assert "What was run" in (folder / "results" / "BENCHMARK.md").read_text()
 
     lines = planned.results.records_path.read_text().splitlines(keepends=True)
-    planned.results.records_path.write_text("".join(lines[:3]))
+    planned.results.records_path.write_text("".join(lines[:2]))
     _run(folder)
     again = planned.results.stored
-    assert again.records[:3] == stored.records[:3]
+    assert again.records[:2] == stored.records[:2]
     assert {record.id for record in again.records} == {record.id for record in stored.records}
 
 
@@ -137,17 +129,13 @@ def _ended_with_1(call: Callable[[list[str]], None], command: list[str]) -> int:
 
 
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`stress` with a selection that there is not ends with 2, and nothing else is lost."""
     planned = plan_benchmark("small", folder / "data", folder / "measured")
-    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "no such case"), 1))
-    (failure,) = benchmarks.measure(planned, "stress")
-    assert "`xfreqbench bench stress --only no such case` ended with 2" in failure
-    fails = ("bench", "stress", "--only", "skill")
-    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (fails, 1))
+    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "ten octaves"), 1))
     with monkeypatch.context() as patch:
         patch.setattr(benchmarks, "exit_status", _ended_with_1)
         (failure,) = benchmarks.measure(planned, "stress")
-    assert "ended with 1" in failure and not planned.results.stored.benches
+    assert failure == "`xfreqbench bench stress --only ten octaves` ended with 1; see above"
+    assert not planned.results.stored.benches
     assert benchmarks.measure(planned, "stress") == []
     assert [record.bench for record in planned.results.stored.benches] == ["stress"]
 

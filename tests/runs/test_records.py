@@ -131,10 +131,10 @@ def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> No
 def edited(record: SealedModel, place: str, value: object) -> str:
     """The record as a line of JSON with one field changed, and with the hash that it then has."""
     content = json.loads(record.model_dump_json())
-    *parents, last = [int(each) if each.isdigit() else each for each in place.split(".")]
+    *parents, last = [int(name) if name.isdigit() else name for name in place.split(".")]
     part = content
-    for each in parents:
-        part = part[each]
+    for name in parents:
+        part = part[name]
     part[last] = value
     line = json.dumps(content)
     return f'{line[:-1]}, "{SEAL}": "{content_sha256(from_json(line))}"}}\n'

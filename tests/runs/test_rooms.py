@@ -50,7 +50,7 @@ def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
 
 
 def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(results: Path, rooms: Collection) -> None:
-    record = next(each for each in ResultsFolder(results).records if each.job.method == "line-of-sight")
+    record = next(stored for stored in ResultsFolder(results).records if stored.job.method == "line-of-sight")
     question = next(room_splits(rooms, "unseen-rooms")[0].questions())
     asked, method = question.asked, LineOfSight()
     fit_within(method, question.heard, Budget(), 0)

@@ -87,7 +87,7 @@ def found_room(error_m: float = 0.0, seen: float = 1.0) -> dict[str, object]:
     for index, surface in enumerate(SCENE.surface):
         low_m, high_m = np.array(surface.min_m), np.array(surface.max_m)
         axis = int(np.flatnonzero(low_m == high_m)[0])
-        one, other = (each for each in range(3) if each != axis)
+        one, other = (other_axis for other_axis in range(3) if other_axis != axis)
         corners_m = np.array([low_m] * 4)
         corners_m[1:3, one], corners_m[2:, other] = high_m[one], high_m[other]
         corners_m[:, axis] += error_m * np.sign(low_m[axis] - ARRAY_M[axis])

@@ -41,7 +41,7 @@ def text_outputs(notebook: Any) -> list[str]:
 
 def words_and_numbers(text: str) -> tuple[list[str], list[float]]:
     """What a text says, each number taken out, and the numbers; how wide its columns are does not count."""
-    return _NUMBER.sub("#", text).replace("-", " ").split(), [float(each) for each in _NUMBER.findall(text)]
+    return _NUMBER.sub("#", text).replace("-", " ").split(), [float(number) for number in _NUMBER.findall(text)]
 
 
 def _text(output: Any) -> str:
@@ -58,12 +58,12 @@ def _store(path: Path) -> None:
     for cell in notebook.cells:
         cell.metadata.clear()
         if cell.cell_type == "code":
-            cell.outputs = [each for each in cell.outputs if each.get("name") != "stderr"]
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.NotebookNode(kernelspec=kernel)
     nbformat.write(notebook, path)
 
 
 if __name__ == "__main__":
-    for each in NOTEBOOKS:
-        _store(each)
+    for notebook in NOTEBOOKS:
+        _store(notebook)

@@ -51,20 +51,22 @@ class RandomRoom:
         corners_m = _plan(generator)
         height_m = float(generator.uniform(*_HEIGHTS_M))
         level = [
-            np.column_stack([each, np.full(NUM_UPRIGHT, z)])
-            for each, z in ((corners_m, 0.0), (corners_m[::-1], height_m))
+            np.column_stack([outline_m, np.full(NUM_UPRIGHT, z)])
+            for outline_m, z in ((corners_m, 0.0), (corners_m[::-1], height_m))
         ]
         upright = [
             np.array([[*a, 0.0], [*b, 0.0], [*b, height_m], [*a, height_m]])
             for a, b in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True)
         ]
         outlines_m = [*level, *upright]
-        walls = tuple(_wall(number, each, generator) for number, each in enumerate(outlines_m))
+        walls = tuple(_wall(number, outline_m, generator) for number, outline_m in enumerate(outlines_m))
         aside_m = generator.uniform(-_ASIDE_M, _ASIDE_M, 2).tolist()
         receiver = ReceiverArray(position_m=(*aside_m, height_m - float(generator.uniform(0.1, 0.4))))
-        normal = np.array([np.cross(each[1] - each[0], each[2] - each[0]) for each in outlines_m])
+        normal = np.array(
+            [np.cross(outline_m[1] - outline_m[0], outline_m[2] - outline_m[0]) for outline_m in outlines_m]
+        )
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        first_m = np.array([each[0] for each in outlines_m])
+        first_m = np.array([outline_m[0] for outline_m in outlines_m])
         distance_m = ((first_m - receiver.position_m) * normal).sum(axis=1)
         outward = np.sign(distance_m)
         normal, distance_m = normal * outward[:, None], distance_m * outward

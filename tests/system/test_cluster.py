@@ -425,7 +425,7 @@ def test_what_listens_there_and_is_no_scheduler_is_refused_in_one_line(
 ) -> None:
     """None: it accepts and says nothing; no bytes: it closes at once."""
     assert cluster.CONNECT_S < 10
-    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
 
     class Says(socketserver.BaseRequestHandler):
         def handle(self) -> None:

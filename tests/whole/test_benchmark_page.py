@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 import xfreqbench as xb
 from tests.support.places import ROOT
+from xfreqbench.report.leaderboard import plots
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.report import write_report
 
@@ -19,6 +20,7 @@ DETAILS = Path("docs") / "results"
 def test_the_benchmark_is_what_its_committed_records_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for what its figures show, whose bytes depend on the fonts and the version of matplotlib."""
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+    monkeypatch.setattr(plots, "_write_labels", lambda *_: None)
     shutil.copy(ROOT / "BENCHMARK.md", tmp_path)
     shutil.copytree(ROOT / DETAILS, tmp_path / DETAILS)
     records, pages = ROOT / "baselines", tmp_path / DETAILS
@@ -44,10 +46,13 @@ def test_the_benchmark_is_read_in_ten_minutes() -> None:
     assert len((ROOT / "BENCHMARK.md").read_text("utf-8").splitlines()) <= 250
 
 
-def test_the_leaderboard_in_the_readme_is_what_the_committed_records_say() -> None:
+def test_the_leaderboard_in_the_readme_is_what_the_committed_records_say(tmp_path: Path) -> None:
     (marked,) = re.findall(
         r"<!-- leaderboard -->(.*?)<!-- /leaderboard -->", (ROOT / "README.md").read_text("utf-8"), re.S
     )
-    printed = str(xb.leaderboard(ROOT / "baselines" / "reference_results.jsonl"))
+    lines = (ROOT / "baselines" / "reference_results.jsonl").read_text("utf-8").splitlines(keepends=True)
+    of_its_board = [line for line in lines if '"scene":"office"' in line and '"protocol":"lofo"' in line]
+    (tmp_path / "records.jsonl").write_text("".join(of_its_board), "utf-8")
+    printed = str(xb.leaderboard(tmp_path / "records.jsonl"))
     assert marked.count("\n| ") > 10
     assert marked.strip() in printed

@@ -235,7 +235,8 @@ def test_the_table_of_paths_is_that_of_the_files(tmp_path: Path) -> None:
     generate_planned(small_plan(num_transmitters=1, paths=True), tmp_path / "data.h5")
     with h5py.File(tmp_path / "data.h5") as file:
         stored = [
-            [f"paths/{name}", axes(each), str(each.dtype), text(each, "units")] for name, each in file["paths"].items()
+            [f"paths/{name}", axes(variable), str(variable.dtype), text(variable, "units")]
+            for name, variable in file["paths"].items()
         ]
     assert sorted(row[:4] for row in table(FORMATS, "### Paths")) == sorted(stored)
 

@@ -16,7 +16,7 @@ TOLERANCE = 0.02  # of numbers that are printed with two digits, and of draws th
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_prints_what_is_stored_in_it(path: Path, tmp_path: Path) -> None:
-    stored, now = (text_outputs(each) for each in (read(path), execute(path, tmp_path)))
+    stored, now = (text_outputs(notebook) for notebook in (read(path), execute(path, tmp_path)))
     assert len(stored) == len(now)
     for before, after in zip(stored, now, strict=True):
         words, numbers = words_and_numbers(after)

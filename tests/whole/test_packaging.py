@@ -44,8 +44,11 @@ def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in lines if "==" in line and not line.startswith("#"))
     pinned = {canonicalize_name(name): version.strip() for name, version in pinned.items()}
-    needed = [Requirement(each) for each in project["dependencies"]]
-    allowed = {each.name: each.specifier.contains(pinned[canonicalize_name(each.name)]) for each in needed}
+    needed = [Requirement(text) for text in project["dependencies"]]
+    allowed = {
+        requirement.name: requirement.specifier.contains(pinned[canonicalize_name(requirement.name)])
+        for requirement in needed
+    }
     assert all(allowed.values()), allowed
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from xfreqbench.cli.plugins import add_plugin_commands
+from tests.support.packages import install
+from xfreqbench.cli.plugins import COMMAND_GROUP, add_plugin_commands
 from xfreqbench.errors import XFreqBenchError
 
 THEIRS = """
@@ -33,14 +34,6 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def install(folder: Path, package: str, **commands: str) -> None:
-    information = folder / f"{package}-1.0.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    lines = [f"{name.replace('_', '-')} = {value}" for name, value in commands.items()]
-    (information / "entry_points.txt").write_text("\n".join(["[xfreqbench.commands]", *lines, ""]))
-
-
 def program(*built_in: str) -> tuple[App, list[str]]:
     """An app with commands of its own and those of plug-ins, and what is said of those that are ignored."""
     app = App(name="xfreqbench", result_action="return_value")
@@ -57,7 +50,7 @@ def xfreqbench(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_lists_it(installed: Path) -> None:
-    install(installed, "their-rooms", count_rooms="their_rooms:rooms")
+    install(installed, "their-rooms", COMMAND_GROUP, **{"count-rooms": "their_rooms:rooms"})
     other = xfreqbench(installed, "scenes")
     assert (other.returncode, other.stderr) == (0, "")
     assert "imported" not in other.stdout
@@ -83,7 +76,7 @@ def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_
 def test_a_broken_plugin_says_in_one_line_why_and_breaks_no_other_command(
     code: str, fault: str, installed: Path
 ) -> None:
-    install(installed, "their-rooms", count_rooms="their_rooms:rooms")
+    install(installed, "their-rooms", COMMAND_GROUP, **{"count-rooms": "their_rooms:rooms"})
     (installed / "their_rooms.py").write_text(code)
     own = xfreqbench(installed, "count-rooms", "3", "--twice")
     assert own.returncode == 2
@@ -97,8 +90,8 @@ def test_a_broken_plugin_says_in_one_line_why_and_breaks_no_other_command(
 
 
 def test_two_packages_with_one_command_are_refused(installed: Path) -> None:
-    install(installed, "first-rooms", count_rooms="their_rooms:rooms")
-    install(installed, "second-rooms", count_rooms="other_rooms:rooms")
+    install(installed, "first-rooms", COMMAND_GROUP, **{"count-rooms": "their_rooms:rooms"})
+    install(installed, "second-rooms", COMMAND_GROUP, **{"count-rooms": "other_rooms:rooms"})
     app, ignored = program()
     with pytest.raises(XFreqBenchError, match="command 'count-rooms': first-rooms, second-rooms"):
         app(["count-rooms", "3"])
@@ -106,7 +99,7 @@ def test_two_packages_with_one_command_are_refused(installed: Path) -> None:
 
 
 def test_a_plugin_takes_no_name_of_ours(installed: Path) -> None:
-    install(installed, "their-rooms", **{"run": "their_rooms:rooms", "--help": "their_rooms:rooms"})
+    install(installed, "their-rooms", COMMAND_GROUP, **{"run": "their_rooms:rooms", "--help": "their_rooms:rooms"})
     app, ignored = program("run")
     own = app["run"]
     assert [line.partition(" is ignored")[0] for line in ignored] == [

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.forked import command_line
+from tests.support.packages import install
 from tests.support.places import ROOT
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import open_dataset
@@ -39,17 +40,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).write_text(text)
     paper_dataset(folder / "office.h5")
     return folder
-
-
-def install(folder: Path) -> None:
-    """What pip leaves of an editable package, without a network: a name, and where its methods are."""
-    project = tomllib.loads((folder / PACKAGE / "pyproject.toml").read_text())["project"]
-    info = folder / PACKAGE / f"{PACKAGE}-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
-    ((group, entries),) = project["entry-points"].items()
-    lines = [f"[{group}]", *(f"{name} = {target}" for name, target in entries.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines))
 
 
 def given(command: list[str], folder: Path) -> str:
@@ -84,7 +74,9 @@ def test_the_short_example_keeps_the_contract_and_gets_its_row(folder: Path) -> 
 
 
 def test_the_package_is_found_by_name_keeps_the_contract_and_stands_in_the_leaderboard(folder: Path) -> None:
-    install(folder)
+    project = tomllib.loads((folder / PACKAGE / "pyproject.toml").read_text())["project"]
+    ((group, entries),) = project["entry-points"].items()
+    install(folder / PACKAGE, project["name"], group, **entries)
     findings = given(COMMANDS[3], folder)
     assert "FAULT" not in findings
     assert "warn" not in findings

@@ -57,14 +57,6 @@ def office_plan(num_tx: int) -> Plan:
     return plan_generation(load_scene(SCENE), carrier_hz, num_transmitters=num_tx)
 
 
-@dataclass(frozen=True)
-class Way:
-    """An executor by the name in the table, and how to open it; the argument says whether its processes are new."""
-
-    name: str
-    open: Callable[[bool], AbstractContextManager[Workers]]
-
-
 @contextmanager
 def _own_cluster() -> Iterator[Workers]:
     """Workers of a Dask cluster that is started for the measurement."""
@@ -72,11 +64,12 @@ def _own_cluster() -> Iterator[Workers]:
         yield workers
 
 
-WAYS = (
-    Way(SERIAL, lambda is_fresh: open_workers(SERIAL)),
-    Way(f"{NUM_WORKERS} processes", lambda is_fresh: open_workers(str(NUM_WORKERS), is_fresh=is_fresh)),
-    Way(f"Dask, {NUM_WORKERS} workers", lambda is_fresh: _own_cluster()),
-)
+# how to open each executor, by its name in the table; the argument says whether its processes are new
+WAYS: dict[str, Callable[[bool], AbstractContextManager[Workers]]] = {
+    SERIAL: lambda is_fresh: open_workers(SERIAL),
+    f"{NUM_WORKERS} processes": lambda is_fresh: open_workers(str(NUM_WORKERS), is_fresh=is_fresh),
+    f"Dask, {NUM_WORKERS} workers": lambda is_fresh: _own_cluster(),
+}
 
 
 def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
@@ -94,11 +87,11 @@ def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
     )
     with bench.table("What an executor costs", note, EXECUTOR_COLUMNS, software_versions("image")) as table:
         for work in (_Generation(plan, folder), _Runs(folder)):
-            for way in WAYS if is_installed() else WAYS[:-1]:
+            for way in list(WAYS)[: None if is_installed() else -1]:
                 took = _measured(way, work)
                 same = took.sha256 == first.setdefault(work.name, took.sha256)
-                table.add(work.name, way.name, *took.cells(work.unit), "yes" if same else "NO")
-                points.append(took.point(work, way.name))
+                table.add(work.name, way, *took.cells(work.unit), "yes" if same else "NO")
+                points.append(BenchPoint(series=work.name, label=way, x=took.start_up_s, y=took.amount / took.wall_s))
         table.figure = BenchFigure(
             x_label="start-up, s", y_label="transmitters or runs a second", log_x=False, points=tuple(points)
         )
@@ -114,19 +107,10 @@ class Took:
     empty_call_s: float
     sha256: str
 
-    @property
-    def rate(self) -> float:
-        """Amount of work per second."""
-        return self.amount / self.wall_s
-
     def cells(self, unit: str) -> tuple[str, ...]:
         """The measured cells of a row."""
-        rate = f"{self.rate:.3g} {unit}/s"
+        rate = f"{self.amount / self.wall_s:.3g} {unit}/s"
         return f"{self.start_up_s:.1f}", f"{self.wall_s:.1f}", rate, f"{self.empty_call_s * 1e3:.2f}"
-
-    def point(self, work: Work, way: str) -> BenchPoint:
-        """A point of the figure: rate against start-up."""
-        return BenchPoint(series=work.name, label=way, x=self.start_up_s, y=self.rate)
 
 
 class _Generation:
@@ -171,15 +155,15 @@ class _Runs:
 Work = _Generation | _Runs
 
 
-def _measured(way: Way, work: Work) -> Took:
-    """Open an executor, call it without work, then let it do the work, and measure each."""
+def _measured(way: str, work: Work) -> Took:
+    """Open an executor by its name, call it without work, then let it do the work, and measure each."""
     start = time.perf_counter()
-    with way.open(work.is_fresh) as workers:
+    with WAYS[way](work.is_fresh) as workers:
         _call_empty(workers, (0, 0, 0), workers.num_places)
         ready = time.perf_counter()
         _call_empty(workers, work.batch_shape, work.num_empty_calls)
         begun = time.perf_counter()
-        sha256 = work.do(workers, way.name)
+        sha256 = work.do(workers, way)
         wall_s = time.perf_counter() - begun
     return Took(ready - start, wall_s, work.amount, (begun - ready) / work.num_empty_calls, sha256)
 

@@ -49,8 +49,8 @@ def read_measurement(
     """A CSV file with columns x, y and z in metres, z unless `height_m` is given, and powers in dB for each receiver.
 
     The column of a receiver has its name, or a name that ends in `_` and the receiver's, as `rssi_3`; a scene's lone
-    receiver may have the column `power`. An empty cell is no measurement. Of the lines each `every`-th is taken. Raises
-    `DataError` and `StorageError`.
+    receiver may have the column `power`. An empty cell is no measurement. `every` is the step between
+    the lines that are taken. Raises `DataError` and `StorageError`.
     """
     try:
         rows = list(csv.DictReader(read_text(path).splitlines()))[::every]
@@ -79,9 +79,9 @@ def read_measurement(
     places.append(column("z", ("z", "z_m")) if height_m is None else np.full(len(rows), height_m))
     powers = [
         column("the power", ("power", "power_db"))
-        if each.name is None
-        else column(f"receiver {each.name}", (each.name,), f"_{each.name}")
-        for each in receivers
+        if receiver.name is None
+        else column(f"receiver {receiver.name}", (receiver.name,), f"_{receiver.name}")
+        for receiver in receivers
     ]
     position_m, power_db = np.stack(places, axis=1), np.stack(powers, axis=1)
     if not np.isfinite(position_m).all():
@@ -113,7 +113,9 @@ def bench_measured(
     position_m, power_db = measurement.position_m, measurement.power_db
     fitted = np.zeros(len(position_m), bool)
     fitted[np.random.default_rng(seed).permutation(len(position_m))[: max(len(position_m) // 10, NUM_NEAREST)]] = True
-    walls = np.stack([_num_walls(prepared, each, position_m, carrier_hz[0]) for each in scene.receivers], axis=1)
+    walls = np.stack(
+        [_num_walls(prepared, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
+    )
     predicted = _predictions(prepared, measurement, carrier_hz, settings, fitted, walls, progress)
     cell = np.unique(np.floor(position_m / CELL_M), axis=0, return_inverse=True)[1].ravel()
     note = (
@@ -140,7 +142,7 @@ def _predictions(
 ) -> dict[str, Float[FloatArray, "n R"]]:
     """Powers in dB, up to an offset for each receiver, by every model: those without the room come first."""
     position_m, power_db = measurement.position_m, measurement.power_db
-    receiver_m = np.array([each.position_m for each in prepared.scene.receivers])
+    receiver_m = np.array([receiver.position_m for receiver in prepared.scene.receivers])
     distance_m = np.linalg.norm(position_m[:, None] - receiver_m, axis=2)
     if not distance_m.all():
         raise SceneError("A measured position is that of a receiver. Leave it out.")
@@ -184,7 +186,7 @@ def _num_walls(
     settings = TraceSettings("image", ("refraction",), max_depth=_MOST_WALLS, materials="extrapolate")
     tracer = tracer_of(_alone(prepared, receiver, "V"), [carrier_hz], settings)
     paths = [tracer.paths(place_m) for place_m in position_m]
-    walls = [(each.interactions != NO_INTERACTION).sum() if len(each.delay_s) else _MOST_WALLS for each in paths]
+    walls = [(found.interactions != NO_INTERACTION).sum() if len(found.delay_s) else _MOST_WALLS for found in paths]
     return np.array(walls, dtype=np.float64)
 
 

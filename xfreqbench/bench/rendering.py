@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor, autograd
 
-from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.tables import Bench, timed_s
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.plane_waves import plane_wave_data
 from xfreqbench.maps.grid import AngularGrid
@@ -51,7 +51,6 @@ SPLATTING_COLUMNS = (
     "error of values",
     "of gradients",
 )
-REPEATS = 2
 DIRECTIONS_PER_GAUSSIAN = 200
 _FEWER = GridView(stride=5)  # directions for timing dense accumulation where all of them are too many
 _FEW = GridView(stride=9)  # directions for measuring errors
@@ -79,7 +78,7 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
     )
     with bench.table("Splatting alone", note, SPLATTING_COLUMNS) as table:
         for cost in splat_costs(num_gaussians, batch_sizes):
-            table.add(*_splatting_cells(cost))
+            table.add(*cost.cells)
 
 
 def tabulate_fits(bench: Bench, train: PasDataset) -> None:
@@ -96,37 +95,12 @@ def step_s(train: PasDataset, method: str) -> float:
     fit = build_method(method).fit(train, Budget(), 0)
     assert isinstance(fit, Generator)
     next(fit)
-    return least_s(lambda: fit.send(0.5))
-
-
-def _splatting_cells(cost: SplatCost) -> tuple[str, ...]:
-    """A row of the table `SPLATTING_COLUMNS`."""
-    part = "" if cost.dense_stride == 1 else f" (1/{cost.dense_stride**2})"
-    return (
-        str(cost.num_gaussians),
-        str(cost.batch_size),
-        f"{cost.num_pairs:,}",
-        f"{cost.numba_ms:.2f}",
-        f"{1e3 / cost.numba_ms:.0f}",
-        f"{cost.torch_ms:.2f}",
-        f"{1e3 / cost.torch_ms:.0f}",
-        f"{cost.dense_ms:.0f}{part}",
-        f"{cost.dense_ms / cost.numba_ms:.0f}",
-        f"{cost.dense_ms / cost.torch_ms:.0f}",
-        f"{cost.value_error:.0e}",
-        f"{cost.gradient_error:.0e}",
-    )
+    return timed_s(lambda: fit.send(0.5))[0]
 
 
 def num_threads() -> int:
     """Number of threads of torch, which is also that of the kernels."""
     return torch.get_num_threads()
-
-
-def least_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Smallest time of `work` in seconds, after one call that compiles and warms up."""
-    work()
-    return min(_seconds(work) for _ in range(repeats))
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -163,6 +137,16 @@ class SplatCost:
     dense_stride: int
     value_error: float
     gradient_error: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table `SPLATTING_COLUMNS`."""
+        part = "" if self.dense_stride == 1 else f" (1/{self.dense_stride**2})"
+        ours = [cell for ms in (self.numba_ms, self.torch_ms) for cell in (f"{ms:.2f}", f"{1e3 / ms:.0f}")]
+        ratios = [f"{self.dense_ms / ms:.0f}" for ms in (self.numba_ms, self.torch_ms)]
+        errors = f"{self.value_error:.0e}", f"{self.gradient_error:.0e}"
+        sizes = str(self.num_gaussians), str(self.batch_size), f"{self.num_pairs:,}"
+        return *sizes, *ours, f"{self.dense_ms:.0f}{part}", *ratios, *errors
 
 
 def splat_costs(num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> Iterator[SplatCost]:
@@ -220,7 +204,7 @@ def accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float
     generator = torch.Generator().manual_seed(2)
     shape = leaves.signal.shape[1], len(lists.start) - 1
     weights = torch.randn(shape, generator=generator, dtype=torch.complex64)
-    return least_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))
+    return timed_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))[0]
 
 
 def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[Tensor, "B K"]:

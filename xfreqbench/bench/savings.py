@@ -6,16 +6,15 @@ functions are called as they would have to be without it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numba import get_num_threads
 
-from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.tables import REPEATS, Bench, timed_s
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr
@@ -34,11 +33,9 @@ from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 NUM_TX = 48
 FEW_RAYS = 100_000  # where each transmitter shoots its own rays
 COLUMNS = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
-_REPEATS = 2  # the smallest time counts, because other programs can only add to it
 SCENE_AND_RAYS = "meshes read, rays shot, channels"
 
 ChannelArray = Complex[NDArray[np.complex128], "T F M"]
-Answer = TypeVar("Answer")
 MapArray = Float[NDArray[np.float32], "N E A"]
 
 
@@ -54,6 +51,12 @@ class Saving:
     off_ms: float
     on_ms: float
     change: str
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        times = f"{self.off_ms:.2f}", f"{self.on_ms:.2f}", f"{self.off_ms / self.on_ms:.2f}"
+        return self.name, self.timed, *times, self.change
 
 
 @dataclass(frozen=True)
@@ -105,43 +108,24 @@ def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     return Workload(scene, tx_position_m, carriers, TraceSettings(solver, WITHOUT_DIFFRACTION))
 
 
-def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
-    """The smallest time of a few calls in seconds, after one that compiles, and the result."""
-    answer, seconds = work(), []
-    for _ in range(_REPEATS):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds), answer
-
-
 def bench_savings(bench: Bench) -> None:
     """Print the time of each saving off and on."""
     bench.introduce()
     note = (
-        f"ms a sample, the least of {_REPEATS} warm runs; the others stay on while one is off. The "
+        f"ms a sample, the least of {REPEATS} warm runs; the others stay on while one is off. The "
         "office at the defaults; changes are the largest error of a sample's channel relative to its norm, and PSNR "
         "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. A saving "
         "may buy accuracy with time."
     )
     versions = software_versions("image") | software_versions("sionna")
     with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
-        for saving in all_savings():
-            table.add(*saving_cells(saving))
-
-
-def all_savings() -> Iterator[Saving]:
-    """All savings: of both solvers, and of maps; and what diffuse reflection costs, which is off by default."""
-    yield from image_savings(office_workload("image"))
-    yield from diffuse_savings(office_workload("image", num_tx=4))
-    yield from map_savings(office_workload("image", num_tx=6))
-    yield from sionna_savings(office_workload("sionna"))
-
-
-def saving_cells(saving: Saving) -> tuple[str, ...]:
-    """A row of the table."""
-    times = f"{saving.off_ms:.2f}", f"{saving.on_ms:.2f}", f"{saving.off_ms / saving.on_ms:.2f}"
-    return saving.name, saving.timed, *times, saving.change
+        for saving in chain(
+            image_savings(office_workload("image")),
+            diffuse_savings(office_workload("image", num_tx=4)),  # what diffuse reflection costs, which is off
+            map_savings(office_workload("image", num_tx=6)),
+            sionna_savings(office_workload("sionna")),
+        ):
+            table.add(*saving.cells)
 
 
 def image_savings(work: Workload) -> Iterator[Saving]:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Complex
 
 from xfreqbench.bench.reference import REFERENCE_SETTINGS, Reference, read_reference
-from xfreqbench.bench.tables import Bench
+from xfreqbench.bench.tables import REPEATS, Bench
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import XFreqBenchError
@@ -61,7 +61,6 @@ PIPELINE_COLUMNS = (
     "rate / the cheapest plain that meets the bar",
 )
 _FEW_TX = 64
-_REPEATS = 2  # the smallest time counts, because other programs can only add to it
 
 
 @dataclass(frozen=True)
@@ -164,13 +163,13 @@ def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> It
 def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> MeasuredSetting:
     """Trace the reference's transmitters and measure times and errors, without compilation.
 
-    Times are the smallest of `_REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
+    Times are the smallest of `REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
     is one.
     """
     prepared = PreparedScene.of(scene)
     settings = resolve_solver(prepared.geometry, settings)
     is_dear = "diffraction" in settings.named_interactions and settings.solver == "sionna"
-    num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), _REPEATS)
+    num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), REPEATS)
     _traced(scene, settings, reference, num_warm)
     shoot_s, channel_s, (cfr, *_) = zip(
         *(_traced(scene, settings, reference, None) for _ in range(repeats)), strict=True
@@ -277,7 +276,7 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
         f"{' and '.join(base.named_interactions)}; a row names what it changes. Rays are shot once for all "
         "transmitters, but with diffraction by Sionna RT, not reciprocal. Times are the least of "
-        f"{_REPEATS} warm runs, of one there."
+        f"{REPEATS} warm runs, of one there."
     )
     title = f"Error of the generated maps against run time, {scene_name}"
     with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
@@ -356,7 +355,7 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
     note = (
         f"{_reference_note(reference)} The plain way is one public `PathSolver` call a sample, of {num_tx} of "
         "those transmitters, timed once; a larger table holds the candidates that Sionna's own table loses. The "
-        f"solvers' times are the least of {_REPEATS} warm runs."
+        f"solvers' times are the least of {REPEATS} warm runs."
     )
     title, columns = f"The plain way, {scene.name}", _columns(reference)
     with bench.table(title, note, columns, _versions(SOLVERS)) as table:

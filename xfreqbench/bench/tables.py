@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from xfreqbench.runs.records import BenchFigure, BenchRecord, append, read
 from xfreqbench.system.files import require_name, require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
+REPEATS = 2  # the smallest time counts, because other programs can only add to it
+Answer = TypeVar("Answer")
 
-def require_records(output: Path | None) -> None:
-    """Raise `StorageError` or `DataError` where records cannot be appended to a file; None stands for no file."""
-    if output is None:
-        return
-    with storage_errors(output):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        if output.exists():
-            require_regular(output)
-        else:
-            require_name(output)
-        output.open("ab").close()
-    read(output)
+
+def timed_s(work: Callable[[], Answer]) -> tuple[float, Answer]:
+    """The smallest time of a few calls in seconds, after one that compiles, and the result."""
+    answer, seconds = work(), []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds), answer
 
 
 @dataclass
@@ -59,7 +60,12 @@ class Bench:
 
         Raises `StorageError` or `DataError` where records could not be stored later.
         """
-        require_records(self.output)
+        if self.output is not None:
+            with storage_errors(self.output):
+                self.output.parent.mkdir(parents=True, exist_ok=True)
+                (require_regular if self.output.exists() else require_name)(self.output)
+                self.output.open("ab").close()
+            read(self.output)
         machine = hardware()
         gpus = f", {machine['gpu']}" if "gpu" in machine else ""
         self.say(f"{machine['processor']}, {machine['cores']} cores, {machine['system']}{gpus}.\n")

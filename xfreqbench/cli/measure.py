@@ -117,16 +117,16 @@ def bench_peers(
     run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds, limit)
 
 
-@bench.command(name="stress", help_epilogue=example("bench stress --only scores"))
+@bench.command(name="stress", help_epilogue=example("bench stress --only phase"))
 def bench_stress(
     *,
     only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
     output: BenchOutput = None,
 ) -> None:
     """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
-    from xfreqbench.bench.stress.run import stress
+    from xfreqbench.bench.stress import run
 
-    if not stress(only, output, say):
+    if not run.bench_stress(_bench("stress", output, only=only), only):
         sys.exit(1)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -80,11 +80,11 @@ def check_method(method: str | type, overrides: Texts = ()) -> list[CheckResult]
         trial.working_folder.mkdir()
         with suppress(XFreqBenchError):
             if isinstance(trial.built, RoomMethod):
-                return list(_results(_RoomTrial(trial), _ROOM_STAGES))
+                return list(_results(_RoomTrial(trial.name, trial.overrides, trial.folder), _ROOM_STAGES))
         return list(_results(trial, _STAGES))
 
 
-def _results(trial: Any, stages: Sequence[Sequence[_Check]]) -> Iterator[CheckResult]:
+def _results(trial: _Trial, stages: Sequence[Sequence[_Check]]) -> Iterator[CheckResult]:
     for gate, *checks in stages:
         result = _result(gate, trial)
         yield result
@@ -101,7 +101,7 @@ class _Check:
     compares_fits: bool = False  # which says something where equal seeds give equal maps
 
 
-def _result(check: _Check, trial: Any) -> CheckResult:
+def _result(check: _Check, trial: _Trial) -> CheckResult:
     if check.compares_fits and _seeds_differ(trial):
         return CheckResult(check.requirement, "not checked, because equal seeds give different maps", True)
     return CheckResult(check.requirement, _fault_or_exception(check, trial), check.is_warning)
@@ -115,7 +115,7 @@ def _seeds_differ(trial: _Trial) -> bool:
         return False  # whatever it raises, the check that follows raises and tells
 
 
-def _fault_or_exception(check: _Check, trial: Any) -> str | None:
+def _fault_or_exception(check: _Check, trial: _Trial) -> str | None:
     try:
         with method_code("it raised", ""):
             found = check.fault_of(trial)
@@ -134,6 +134,7 @@ class _Trial:
     overrides: tuple[str, ...]
     folder: Path
     steps: list[Any] = field(default_factory=list)
+    predicts_by: ClassVar[str] = "predict"
 
     @property
     def working_folder(self) -> Path:
@@ -156,15 +157,23 @@ class _Trial:
     def fitted(self) -> Any:
         return self.fit(self.dataset, lambda before, now: self.steps.append(now.step))
 
+    def maps_of(self, method: Any) -> Float[NDArray[np.float32], "B E A"]:
+        """What a method predicts for all samples at the unseen carrier or of the unseen transmitter."""
+        return self.predict(method, self.test.rows)
+
     @cached_property
     def maps(self) -> Float[NDArray[np.float32], "B E A"]:
-        """What the fitted method predicts for all samples at the unseen carrier or of the unseen transmitter."""
-        return self.predict(self.fitted, self.test.rows)
+        """`maps_of` the fitted method."""
+        return self.maps_of(self.fitted)
+
+    def difference_fault(self, method: Any, tolerance: float, remedy: str) -> str | None:
+        """What is wrong where the maps of a method differ from those of the fitted one."""
+        return _difference_fault(self.maps_of(method), self.maps, tolerance, remedy)
 
     @cached_property
     def repeated_maps(self) -> Float[NDArray[np.float32], "B E A"]:
         """As `maps`, from another fit with the same seed."""
-        return self.predict(self.fit(self.dataset), self.test.rows)
+        return self.maps_of(self.fit(self.dataset))
 
     @property
     def test(self) -> PasDataset:
@@ -270,9 +279,8 @@ def _end_fault(trial: _Trial) -> str | None:
     method = trial.new()
     with suppress(_EnoughError):
         trial.fit(trial.dataset, _end_at(trial.steps[-1]), method=method)
-    maps = trial.predict(method, trial.test.rows)
-    return _difference_fault(
-        maps, trial.maps, _SEED_TOLERANCE, "Change nothing after the last yield: restore the best weights before it."
+    return trial.difference_fault(
+        method, _SEED_TOLERANCE, "Change nothing after the last yield: restore the best weights before it."
     )
 
 
@@ -284,9 +292,8 @@ def _peak_fault(trial: _Trial) -> str | None:
 
 
 def _repeat_fault(trial: _Trial) -> str | None:
-    again = trial.predict(trial.fitted, trial.test.rows)
-    return _difference_fault(
-        again, trial.maps, _REPEAT_TOLERANCE, "Draw nothing at random in predict, and leave dropout out."
+    return trial.difference_fault(
+        trial.fitted, _REPEAT_TOLERANCE, "Draw nothing at random in predict, and leave dropout out."
     )
 
 
@@ -312,8 +319,7 @@ def _saved_fault(trial: _Trial) -> str | None:
         loaded = type(trial.fitted).load(folder)
     if loaded.config != trial.fitted.config:
         return f"the loaded method has {loaded.config!r}, the saved one {trial.fitted.config!r}. Save it too."
-    maps = trial.predict(loaded, trial.test.rows)
-    return _difference_fault(maps, trial.maps, _REPEAT_TOLERANCE, "Save everything that predict uses.")
+    return trial.difference_fault(loaded, _REPEAT_TOLERANCE, f"Save everything that {trial.predicts_by} uses.")
 
 
 def _seed_fault(trial: _Trial) -> str | None:
@@ -332,18 +338,16 @@ def _peeking_fault(trial: _Trial) -> str | None:
         method.save(folder)
 
     trial.fit(trial.dataset, look, method=method)
-    maps = trial.predict(method, trial.test.rows)
-    return _difference_fault(
-        maps, trial.maps, _SEED_TOLERANCE, "Let predict and save change no weight, no mode and no generator."
+    return trial.difference_fault(
+        method, _SEED_TOLERANCE, "Let predict and save change no weight, no mode and no generator."
     )
 
 
 def _leak_fault(trial: _Trial) -> str | None:
     """Fit to a data set that differs in the test rows only, and compare the outcome."""
     method = trial.fit(_write_dataset(trial.folder / "other.h5", has_other_test_rows=True))
-    maps = trial.predict(method, trial.test.rows)
-    return _difference_fault(
-        maps, trial.maps, _SEED_TOLERANCE, "Read the training data through `train` alone, never its file."
+    return trial.difference_fault(
+        method, _SEED_TOLERANCE, "Read the training data through `train` alone, never its file."
     )
 
 
@@ -414,16 +418,14 @@ def _write_dataset(path: Path, has_other_test_rows: bool = False) -> PasDataset:
 _ROOM_SEEDS, _HEARD = (0, 1, 2), 4  # the rooms, of which the last is not trained on, and transmitters heard there
 
 
-@dataclass
-class _RoomTrial:
+class _RoomTrial(_Trial):
     """A method that learns across rooms, with three rooms of plane waves, two of which it is fitted to."""
 
-    trial: _Trial
-    steps: list[int] = field(default_factory=list)
+    predicts_by = "adapt"
 
     @cached_property
     def rooms(self) -> Collection:
-        folder, carrier_hz = self.trial.folder / "rooms", np.array(sorted(map(ghz_to_hz, (*HEARD_GHZ, *ASKED_GHZ))))
+        folder, carrier_hz = self.folder / "rooms", np.array(sorted(map(ghz_to_hz, (*HEARD_GHZ, *ASKED_GHZ))))
         for seed in _ROOM_SEEDS:
             channels = plane_waves(carrier_hz, NUM_ASKED + _HEARD, seed)
             stored_channels(folder / f"{seed}.h5", RECEIVER, carrier_hz, *channels, maps=False)
@@ -432,57 +434,40 @@ class _RoomTrial:
             folder, rooms, name="plane waves", family={}, options={}, carrier_hz=carrier_hz.tolist()
         )
 
-    def question(self, num_heard: int, room: int = _ROOM_SEEDS[-1]) -> RoomQuestion:
+    def question(self, num_heard: int = _HEARD, room: int = _ROOM_SEEDS[-1]) -> RoomQuestion:
         return RoomQuestion(self.rooms[room], room, num_heard)
 
     @cached_property
     def fitted(self) -> Any:
-        return self.fit(lambda before, now: self.steps.append(now.step))
+        return self.fitted_to_rooms(lambda before, now: self.steps.append(now.step))
 
-    def fit(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
-        method, rooms = self.trial.new(), self.rooms[list(_ROOM_SEEDS[:-1])]
-        with chdir(self.trial.working_folder):
+    def fitted_to_rooms(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
+        method, rooms = self.new(), self.rooms[list(_ROOM_SEEDS[:-1])]
+        with chdir(self.working_folder):
             fit_within(method, rooms, _BUDGET, _SEED, observe=observe)
         return method
 
-    def maps(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
+    def maps_of(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
         """What the method predicts of the room that it was not trained on."""
         question = self.question(num_heard)
-        with chdir(self.trial.working_folder):
+        with chdir(self.working_folder):
             return _asked_of(method.adapt(question.heard, _BUDGET), question.asked)
 
+    @cached_property
+    def repeated_maps(self) -> Float[NDArray[np.float32], "B E A"]:
+        return self.maps_of(self.fitted_to_rooms())
+
     def own_row_fault(self) -> str | None:
-        question = self.question(_HEARD)
+        question = self.question()
         alone = _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked.subset([1]))
-        return _difference_fault(alone, self.maps(self.fitted)[[1]], _BATCH_TOLERANCE, _OWN_ROW)
+        return _difference_fault(alone, self.maps[[1]], _BATCH_TOLERANCE, _OWN_ROW)
 
     def next_room_fault(self) -> str | None:
         """Adapt to another room in between."""
-        before = self.maps(self.fitted)
-        question = self.question(_HEARD, room=0)
+        question, _ = self.question(room=0), self.maps
         _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked)
         advice = "Keep what is adapted in the predictor, and leave the method as it is."
-        return _difference_fault(self.maps(self.fitted), before, _REPEAT_TOLERANCE, advice)
-
-    def saved_fault(self) -> str | None:
-        folder = self.trial.folder / "saved"
-        folder.mkdir()
-        with chdir(self.trial.working_folder):
-            self.fitted.save(folder)
-            loaded = type(self.fitted).load(folder)
-        if loaded.config != self.fitted.config:
-            return f"the loaded method has {loaded.config!r}, the saved one {self.fitted.config!r}. Save it too."
-        advice = "Save everything that adapt uses."
-        return _difference_fault(self.maps(loaded), self.maps(self.fitted), _REPEAT_TOLERANCE, advice)
-
-    def peak_fault(self) -> str | None:
-        peaks = self.maps(self.fitted).max(axis=(1, 2))
-        low = float(peaks.min())
-        return None if low > 1 - _PEAK_TOLERANCE else f"a map has its maximum at {low:g}. Divide each map by its own."
-
-    def seed_fault(self) -> str | None:
-        advice = "Draw from the seed alone, and from nothing global."
-        return _difference_fault(self.maps(self.fit()), self.maps(self.fitted), _SEED_TOLERANCE, advice)
+        return self.difference_fault(self.fitted, _REPEAT_TOLERANCE, advice)
 
 
 def _asked_of(predictor: RoomPredictor, asked: PasDataset) -> Float[NDArray[np.float32], "B E A"]:
@@ -491,10 +476,7 @@ def _asked_of(predictor: RoomPredictor, asked: PasDataset) -> Float[NDArray[np.f
 
 
 _ROOM_STAGES = (
-    (
-        _Check("it can be constructed, with and without its config", lambda room: room.trial.new()),
-        _Check("its config is a frozen dataclass that can be written as JSON", lambda room: _config_fault(room.trial)),
-    ),
+    _STAGES[0],
     (
         _Check("fit is a generator that yields Progress, its steps ascending", lambda room: room.fitted),
         _Check("num_parameters is an integer of 0 or more", lambda room: checked_num_parameters(room.fitted)),
@@ -502,14 +484,14 @@ _ROOM_STAGES = (
     (
         _Check(
             "adapt returns what predicts float32 maps in [0, 1] of a room that it was not trained on",
-            lambda room: room.maps(room.fitted),
+            lambda room: room.maps,
         ),
-        _Check("adapt takes a room of which nothing is heard", lambda room: room.maps(room.fitted, num_heard=0)),
-        _Check("every map has peak 1", _RoomTrial.peak_fault),
+        _Check("adapt takes a room of which nothing is heard", lambda room: room.maps_of(room.fitted, num_heard=0)),
+        _Check("every map has peak 1", _peak_fault),
         _Check("a row that is asked for alone gets the same map", _RoomTrial.own_row_fault),
         _Check("adapting to one room changes nothing for the next", _RoomTrial.next_room_fault),
-        _Check("a method that was saved and loaded predicts the same", _RoomTrial.saved_fault),
-        _Check("the same seed gives the same maps", _RoomTrial.seed_fault, is_warning=True),
-        _Check("nothing is written into the working folder", lambda room: _stray_file_fault(room.trial)),
+        _Check("a method that was saved and loaded predicts the same", _saved_fault),
+        _Check("the same seed gives the same maps", _seed_fault, is_warning=True),
+        _Check("nothing is written into the working folder", _stray_file_fault),
     ),
 )

@@ -62,7 +62,7 @@ class TrainingTransmitters:
 
         None where both receivers face the same way.
         """
-        asked, trained = (each.header.receiver.rotation for each in (self.asked, self.train))
+        asked, trained = (data.header.receiver.rotation for data in (self.asked, self.train))
         if np.allclose(asked, trained):
             return None
         direction = self.asked.grid.directions.reshape(-1, 3) @ asked.T @ trained

@@ -139,7 +139,7 @@ def asked_tasks(
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
         tested = [dataset.at(name) for name in dataset.receivers]
     asked = named, protocol, targets_ghz, seeds, limit, on
-    return [task for each in tested for task in protocol_tasks(str(data), each, *asked)]
+    return [task for part in tested for task in protocol_tasks(str(data), part, *asked)]
 
 
 def installed_for(protocol: str) -> list[str]:
@@ -150,8 +150,8 @@ def installed_for(protocol: str) -> list[str]:
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
     """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
     if progress:
-        for told in dict.fromkeys(filter(None, (task.warning for task in tasks))):
-            print(f"xfreqbench: {told}", file=sys.stderr, flush=True)
+        for warning in dict.fromkeys(filter(None, (task.warning for task in tasks))):
+            print(f"xfreqbench: {warning}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
         if estimate.is_long:
             print(estimate, file=sys.stderr, flush=True)
@@ -224,7 +224,7 @@ def run_jobs(
         call = partial(_run_claimed, folder=ResultsFolder(folder.path))
         require_shared_folder(workers, folder.path)
         require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
-    locks, told = dict[str, ExitStack](), set[str]()
+    locks, announced = dict[str, ExitStack](), set[str]()
 
     def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
         """The tasks that no other process is at, each locked; of those in `elsewhere` it says which process is."""
@@ -264,9 +264,9 @@ def run_jobs(
         missing = [task for task in missing if task.id in elsewhere]
         if missing:
             waits = elsewhere[missing[0].id]
-            if waits not in told:
+            if waits not in announced:
                 print(f"xfreqbench: {waits}", file=sys.stderr, flush=True)
-            told.add(waits)
+            announced.add(waits)
             time.sleep(_LOOK_S)
     if errors:
         raise RunsFailedError(errors, len(asked))

@@ -245,7 +245,7 @@ class VirtualSourceField(ChannelField):
         """
         gain = self.gain.parameters() if self.gain is not None else ()
         thickness = self.room.slabs.log_thickness
-        others = [each for each in self.room.slabs.parameters() if each is not thickness]
+        others = [parameter for parameter in self.room.slabs.parameters() if parameter is not thickness]
         rated = [
             ([self.room.presence.logits], _CELL_RATE),
             (others, _SLAB_RATE),

@@ -88,7 +88,7 @@ class Traces:
     crossing: Touch  # (B, K, C)
 
     def __getitem__(self, rows: Tensor) -> Traces:
-        return Traces(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+        return Traces(**{entry.name: getattr(self, entry.name)[rows] for entry in fields(self)})
 
     def with_crossings_of(self, held: Float[Tensor, "B K C"], number: int) -> Traces:
         """The same paths with at most `number` crossings each, those of cells with the largest `held` share."""
@@ -117,7 +117,7 @@ class Traces:
 
 def _cat(touches: Sequence[Touch]) -> Touch:
     """Joined along the first axis."""
-    return Touch(*(torch.cat([getattr(touch, each.name) for touch in touches]) for each in fields(Touch)))
+    return Touch(*(torch.cat([getattr(touch, entry.name) for touch in touches]) for entry in fields(Touch)))
 
 
 def sequences(num_planes: int, max_order: int) -> Int[Tensor, "K O"]:
@@ -201,7 +201,7 @@ def _polarised(
     for bounce, plane in enumerate(sequence.T):
         before, after = stretch[:, :, bounce], stretch[:, :, bounce + 1]
         normal = mirrors.normal[plane].expand_as(before)
-        across, other = (torch.linalg.cross(before, each) for each in (normal, normal.roll(1, dims=-1)))
+        across, other = (torch.linalg.cross(before, vector) for vector in (normal, normal.roll(1, dims=-1)))
         is_slanted = across.norm(dim=-1, keepdim=True) > _MIN_SIN  # else any unit vector within the plane
         te = normalize(torch.where(is_slanted, across, other), dim=-1)
         tm_before, tm_after = torch.linalg.cross(te, before), torch.linalg.cross(te, after)

@@ -202,8 +202,8 @@ class LearnedRoom(nn.Module):
             for sequence, value in zip(self.sequence.tolist(), power.tolist(), strict=True)
         ]
         images.sort(key=lambda image: image["power"], reverse=True)
-        told = [{**face._asdict(), "corners_m": (array_m.numpy() + face.corners_m).tolist()} for face in found]
-        return {"receiver_m": array_m.tolist(), "planes": planes, "images": images, "faces": told}
+        found_faces = [{**face._asdict(), "corners_m": (array_m.numpy() + face.corners_m).tolist()} for face in found]
+        return {"receiver_m": array_m.tolist(), "planes": planes, "images": images, "faces": found_faces}
 
     def _cells(self, traces: Traces) -> list[Cells]:
         """The cells of each plane; and the power of training paths there, if a cell were full and a perfect mirror."""
@@ -226,7 +226,7 @@ class LearnedRoom(nn.Module):
         return [
             Cells(normal, float(distance_m), axes, low_m, presence.cell_m, shares, powers)
             for normal, distance_m, axes, low_m, shares, powers in zip(
-                *(each.numpy().astype(float) for each in tables), strict=True
+                *(table.numpy().astype(float) for table in tables), strict=True
             )
         ]
 

@@ -139,7 +139,7 @@ def compare(findings: StoredFindings, planes: Sequence[ScenePlane]) -> list[Matc
 def not_found(matches: Sequence[Match | None], planes: Sequence[ScenePlane]) -> list[ScenePlane]:
     """Those of the planes given to `compare` that no found plane shows, the largest first."""
     shown = [match.plane for match in matches if match]
-    missing = [plane for plane in planes if not any(plane is each for each in shown)]
+    missing = [plane for plane in planes if not any(plane is other for other in shown)]
     return sorted(missing, key=lambda plane: -plane.area_m2)
 
 
@@ -303,18 +303,20 @@ def choose_record(
     path, records = folder.records_path, folder.records
     if not records:
         raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or mend the path.")
-    told = [record for record in records if "planes" in record.findings]
-    if not told:
+    explained = [record for record in records if "planes" in record.findings]
+    if not explained:
         methods = ", ".join(sorted({record.job.method for record in records}))
         raise DataError(
             f"No record in {path} has findings; its methods are {methods}. Run a method that tells what it "
             "has learned, such as virtual-source."
         )
-    told = _only(told, "run with findings on split", split, lambda record: record.job.split)
-    told = _only(told, "run with findings of seed", seed, lambda record: record.job.seed)
-    chosen = [record for record in told if record.id.startswith(id_prefix or "")]
+    explained = _only(explained, "run with findings on split", split, lambda record: record.job.split)
+    explained = _only(explained, "run with findings of seed", seed, lambda record: record.job.seed)
+    chosen = [record for record in explained if record.id.startswith(id_prefix or "")]
     if not chosen:
-        raise UnknownNameError("record with findings whose id begins with", str(id_prefix), {each.id for each in told})
+        raise UnknownNameError(
+            "record with findings whose id begins with", str(id_prefix), {record.id for record in explained}
+        )
     return max(chosen, key=lambda record: record.time_utc)
 
 
@@ -408,7 +410,7 @@ class ComparedFindings:
     @cached_property
     def sources(self) -> list[ImageSource]:
         """Images of that transmitter with a power of at least `_LEAST_POWER`, the strongest first."""
-        return [each for each in virtual_sources(self.findings, self.tx_m) if each.power >= _LEAST_POWER]
+        return [source for source in virtual_sources(self.findings, self.tx_m) if source.power >= _LEAST_POWER]
 
     def surface(self, index: int) -> str:
         """What the found plane with this index shows, in words."""

@@ -91,7 +91,7 @@ def _draw_reflection(axis: Any, material: ShownMaterial, carrier_hz: float) -> N
     """Draw the truth, and what was learned the fainter the less of its plane it fills."""
     angle_deg, true = np.degrees(_ANGLE_RAD), material.true_over_angle(carrier_hz, _ANGLE_RAD)
     learned = material.learned_over_angle(carrier_hz, _ANGLE_RAD)
-    shares = [each.slab.share for each in material.learned]
+    shares = [learned.slab.share for learned in material.learned]
     for pol, (name, line) in enumerate(_LINES.items()):
         axis.plot(angle_deg, true[pol], line, color=_TRUTH, linewidth=2.2, label=f"ITU-R P.2040, {name}")
         for share, curves in zip(shares, learned, strict=True):

@@ -60,7 +60,7 @@ class ShownMaterial:
         """|R| of each learned slab, TE and TM."""
         return [
             _over_angle(slab.permittivity_at(carrier_hz), slab.thickness_m, carrier_hz, angle_rad)
-            for slab in (each.slab for each in self.learned)
+            for slab in (learned.slab for learned in self.learned)
         ]
 
 
@@ -85,8 +85,8 @@ def shown_materials(compared: ComparedFindings) -> list[ShownMaterial]:
                 areas_m2 = np.array([polygon_area_m2(np.array(face.corners_m)) for face in faces])
                 seen = float(areas_m2 @ [face.seen for face in faces] / areas_m2.sum()) if faces else np.nan
                 nearest = names.nearest(slab)
-                told = LearnedSlab(index, slab, seen, nearest[0] if nearest else None)
-                learned.setdefault(_true_slab(compared, match, faces), []).append(told)
+                shown = LearnedSlab(index, slab, seen, nearest[0] if nearest else None)
+                learned.setdefault(_true_slab(compared, match, faces), []).append(shown)
     return [ShownMaterial(truth, learned[truth]) for truth in sorted(learned, key=str)]
 
 
@@ -102,16 +102,16 @@ def material_rows(
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Header and cells of a table with one row for each learned slab; its σ is that at a carrier."""
     header = tuple(f"{name}, {format_ghz(carrier_hz)}" if name.startswith("σ") else name for name in _COLUMNS)
-    return header, [_row(material, each, carrier_hz) for material in materials for each in material.learned]
+    return header, [_row(material, learned, carrier_hz) for material in materials for learned in material.learned]
 
 
-def _row(material: ShownMaterial, each: LearnedSlab, carrier_hz: float) -> tuple[str, ...]:
-    slab, named = each.slab, each.named
+def _row(material: ShownMaterial, learned: LearnedSlab, carrier_hz: float) -> tuple[str, ...]:
+    slab, named = learned.slab, learned.named
     return (
         material.title,
-        str(each.plane),
+        str(learned.plane),
         f"{slab.share:.0%}",
-        ABSENT if np.isnan(each.seen) else f"{each.seen:.0%}",
+        ABSENT if np.isnan(learned.seen) else f"{learned.seen:.0%}",
         number(slab.permittivity, 2),
         f"{conductivity_s_m(slab.permittivity_at(carrier_hz), carrier_hz):.3g}",
         number(slab.thickness_m * 1e3, 2),

@@ -206,10 +206,10 @@ def plan_residual(results: Path, compared: ComparedFindings, num_tx: int) -> Res
     if trivial := _best_trivial(record, folder):
         predictions[f"{trivial.job.method}, the best trivial predictor"] = folder.predictions(trivial)
     tested = next(iter(predictions.values())).rows
-    for each in predictions.values():
-        each.require_of(compared.dataset)
-        if not np.array_equal(each.rows, tested):
-            raise DataError(f"{each.path} holds other rows of {record.job.split}. Delete it and run again.")
+    for predicted in predictions.values():
+        predicted.require_of(compared.dataset)
+        if not np.array_equal(predicted.rows, tested):
+            raise DataError(f"{predicted.path} holds other rows of {record.job.split}. Delete it and run again.")
     return ResidualPlan(compared, settings, predictions, drawn_rows(compared.dataset, tested, num_tx))
 
 
@@ -224,7 +224,7 @@ def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: Pro
     """Trace the drawn transmitters, then score all maps; the callbacks get transmitters done and their number."""
     samples = plan.compared.dataset.subset(plan.rows)
     channels, share_not_found = _channels(plan, samples, tracing)
-    stored = {label: each.maps_of(plan.rows, BATCH_SIZE) for label, each in plan.predictions.items()}
+    stored = {label: predicted.maps_of(plan.rows, BATCH_SIZE) for label, predicted in plan.predictions.items()}
     labels = [*stored, *(selection.label for selection in SELECTIONS)]
     parts: dict[str, list[Scores]] = {label: [] for label in labels}
     for done, rows in enumerate(transmitters := rows_by_transmitter(samples), start=1):
@@ -232,7 +232,7 @@ def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: Pro
         of_channels = channels[rows].reshape(-1, channels.shape[-1])
         derived = samples.beam.maps(of_channels, samples.header.pas_kind)[0]
         by_selection = derived.reshape(len(rows), len(SELECTIONS), *truth.shape[1:]).swapaxes(0, 1)
-        maps = [*(each[rows] for each in stored.values()), *by_selection]
+        maps = [*(predicted[rows] for predicted in stored.values()), *by_selection]
         for label, shown in zip(labels, maps, strict=True):
             parts[label].append(Scores(ssim(shown, truth, samples.grid), psnr(shown, truth, samples.grid)))
         scoring(done, len(transmitters))
@@ -287,15 +287,15 @@ def _settings_of(compared: ComparedFindings) -> TraceSettings:
 def _best_trivial(record: RunRecord, folder: ResultsFolder) -> RunRecord | None:
     """The trivial predictor with the largest median SSIM on the same split, of those with stored predictions."""
     stored = [
-        each
-        for each in folder.records
-        if each.job.method in EVERY_TRIVIAL
-        and not each.job.overrides
-        and each.external is None
-        and (each.dataset_sha256, each.split_sha256) == (record.dataset_sha256, record.split_sha256)
-        and folder.predictions_path(each.id).exists()
+        other
+        for other in folder.records
+        if other.job.method in EVERY_TRIVIAL
+        and not other.job.overrides
+        and other.external is None
+        and (other.dataset_sha256, other.split_sha256) == (record.dataset_sha256, record.split_sha256)
+        and folder.predictions_path(other.id).exists()
     ]
-    by_score = sorted(stored, key=lambda each: each.scores["ssim"].median)
+    by_score = sorted(stored, key=lambda other: other.scores["ssim"].median)
     return by_score[-1] if by_score else None
 
 
@@ -319,7 +319,7 @@ def group_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...
     in_sight = residual.samples.line_of_sight
     is_seen = np.array([in_sight[rows[0]] for rows in by_transmitter])
     quarters = np.array_split(share.argsort(kind="stable"), _NUM_QUARTERS)
-    groups = {f"quarter {index} by share not found": each for index, each in enumerate(quarters, start=1)}
+    groups = {f"quarter {index} by share not found": rows for index, rows in enumerate(quarters, start=1)}
     groups |= {"in sight": np.flatnonzero(is_seen), "shadowed": np.flatnonzero(~is_seen)}
     ssim = next(iter(residual.scores.values())).ssim
     cells = []

@@ -67,7 +67,7 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
             "holds anything, or the record was written before faces were stored. Run virtual-source again."
         )
     if compared.findings.room:
-        refinement.take([surface_from_json(each.model_dump()) for each in compared.findings.room])
+        refinement.take([surface_from_json(surface.model_dump()) for surface in compared.findings.room])
     geometry = Geometry([surface.mesh for surface in refinement.room])
     if not can_solve(geometry, settings_in_room(dataset)):
         raise DataError(
@@ -97,7 +97,10 @@ def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, S
         cfr = channels_in(room, samples, settings_in_room(samples))
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
-    cells = [(label, f"{np.median(each):.4f}", f"{each.mean():.4f}", str(len(each))) for label, each in scores.items()]
+    cells = [
+        (label, f"{np.median(similarity):.4f}", f"{similarity.mean():.4f}", str(len(similarity)))
+        for label, similarity in scores.items()
+    ]
     return ScoredRoom(list(rooms.values())[-1], cells)
 
 
@@ -138,7 +141,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     """The scene: its array and transmitters are those of the data, its materials those of the room."""
     scene, job = compared.dataset.scene, compared.record.job
     receiver = TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")
-    told = {
+    head = {
         "name": f"{scene.name}-learned",
         "description": f"What {job.method} has learned of {scene.name} on {job.split}, seed {job.seed}.",
         "scene": SHAPE,
@@ -147,7 +150,7 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
     scores = [
         f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n" for what, median, mean, number in room.scores
     ]
-    parts = [_first_line(compared.record.id), "".join(scores) + _table(told), f"[receiver]\n{_table(receiver)}"]
+    parts = [_first_line(compared.record.id), "".join(scores) + _table(head), f"[receiver]\n{_table(receiver)}"]
     if scene.transmitters:
         grid = TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")
         parts.append(f"[transmitters]\n{_table(grid)}")

@@ -116,7 +116,7 @@ def write_findings(compared: ComparedFindings, folder: Path) -> list[Path]:
         if found.corners_m
     }
     points = {"receiver": compared.findings.array_m, f"transmitter {compared.tx}": compared.tx_m}
-    points |= {f"virtual source {' '.join(map(str, each.planes))}": each.position_m for each in compared.sources}
+    points |= {f"virtual source {' '.join(map(str, source.planes))}": source.position_m for source in compared.sources}
     write_glb(compared.meshes, rectangles, points, folder / MODEL)
     write_page(compared, folder)
     return paths
@@ -275,7 +275,7 @@ def _plane_json(compared: ComparedFindings, index: int) -> dict[str, Any]:
     return {
         **compared.findings.planes[index].model_dump(),
         "surface": compared.surface(index),
-        "surfaces": [compared.meshes[each].name for each in match.surfaces] if match else [],
+        "surfaces": [compared.meshes[surface].name for surface in match.surfaces] if match else [],
         "image_in_plane": match.mirror if match else None,
         "distance_error_m": match.distance_error_m if match else None,
         "tilt_error_rad": match.tilt_error_rad if match else None,

@@ -74,11 +74,11 @@ class BoxFrame:
     @classmethod
     def of(cls, room: Surfaces) -> BoxFrame:
         """The frame of a room."""
-        walls = [each for each in room if each.is_wall]
-        upright = [each for each in walls if abs(each.normal[2]) < 0.1]
+        walls = [surface for surface in room if surface.is_wall]
+        upright = [surface for surface in walls if abs(surface.normal[2]) < 0.1]
         if not upright:
             return cls(walls, np.eye(3))
-        across = max(upright, key=lambda each: each.area_m2).normal * [1.0, 1.0, 0.0]
+        across = max(upright, key=lambda surface: surface.area_m2).normal * [1.0, 1.0, 0.0]
         across = across / np.linalg.norm(across)
         up = np.array([0.0, 0.0, 1.0])
         return cls(walls, np.stack([across, np.cross(up, across), up]))
@@ -88,7 +88,7 @@ class BoxFrame:
         """The box about the walls; an infinite one without walls."""
         if not self.walls:
             return np.array([[-np.inf], [np.inf]]).repeat(3, axis=1)
-        corners_m = self.along(np.concatenate([each.corners_m for each in self.walls]))
+        corners_m = self.along(np.concatenate([surface.corners_m for surface in self.walls]))
         return np.stack([corners_m.min(axis=0), corners_m.max(axis=0)])
 
     def along(self, point_m: Float[FloatArray, "*N 3"]) -> Float[FloatArray, "*N 3"]:
@@ -127,8 +127,8 @@ class BoxFrame:
         """
         fixed = (held, ((0, 1), held[1])) if held else ()
         place_m = self.along(array_m)
-        faces = [(each, kind) for each, kind in _faces(box, place_m) if each not in fixed]
-        moves = [partial(self._moved, each, by_m) for each, kind in faces for by_m in ways_m[kind]]
+        faces = [(face, kind) for face, kind in _faces(box, place_m) if face not in fixed]
+        moves = [partial(self._moved, face, by_m) for face, kind in faces for by_m in ways_m[kind]]
         moves += [
             partial(self._moved_in_line, place_m, shown, hidden, by_m)
             for (shown, one), (hidden, other) in product(faces, repeat=2)
@@ -204,4 +204,4 @@ def _faces(box: Box, array_m: Vector) -> list[tuple[Faces, Kind]]:
     for is_upper, axis in product((0, 1), range(3)):
         is_shown = array_m[axis] > box[1, axis] if is_upper else array_m[axis] < box[0, axis]
         kinds[is_upper, axis] = "top" if is_upper and axis == 2 else "shown" if is_shown else "hidden"
-    return sorted(kinds.items(), key=lambda each: _IN_TURN.index(each[1]))
+    return sorted(kinds.items(), key=lambda pair: _IN_TURN.index(pair[1]))

@@ -50,21 +50,26 @@ def other_slabs(
 
     Tried are some slabs, the other slabs of the plane, and other thicknesses.
     """
-    own = next((each.slab for each in room if (each.plane, each.found_slab) == key), None)
+    own = next((surface.slab for surface in room if (surface.plane, surface.found_slab) == key), None)
     if own is None:
         return
-    beside = {each.slab for each in room if each.plane == key[0]} - {own}
+    beside = {surface.slab for surface in room if surface.plane == key[0]} - {own}
     for slab in [*slabs, *sorted(beside), *(own.thinned(factor) for factor in factors)]:
-        yield [replace(each, slab=slab) if (each.plane, each.found_slab) == key else each for each in room]
+        yield [
+            replace(surface, slab=slab) if (surface.plane, surface.found_slab) == key else surface for surface in room
+        ]
 
 
 def with_wall_at(plane: int, places_m: Sequence[float], slabs: Sequence[NamedSlab], room: Room) -> Iterator[Room]:
     """The room with a wall moved along its normal, with its own slabs or another; surfaces that met it still do."""
-    own = next(each for each in room if each.is_wall and each.plane == plane)
+    own = next(surface for surface in room if surface.is_wall and surface.plane == plane)
     for by_m in places_m:
-        moved = [each if each.depth_m else _stretched(each, own, by_m) for each in room]
+        moved = [surface if surface.depth_m else _stretched(surface, own, by_m) for surface in room]
         for slab in slabs:
-            yield [replace(each, slab=slab) if each.is_wall and each.plane == plane else each for each in moved]
+            yield [
+                replace(surface, slab=slab) if surface.is_wall and surface.plane == plane else surface
+                for surface in moved
+            ]
         yield moved
 
 
@@ -76,22 +81,22 @@ def _stretched(other: RoomSurface, wall: RoomSurface, by_m: float) -> RoomSurfac
 
 def without(number: int, room: Room) -> Iterator[Room]:
     """The room without a face."""
-    if any(each.number == number for each in room):
-        yield [each for each in room if each.number != number]
+    if any(surface.number == number for surface in room):
+        yield [surface for surface in room if surface.number != number]
 
 
 def with_edges(number: int, steps_m: Sequence[float], room: Room) -> Iterator[Room]:
     """The room with one edge of a face moved, alone or together with those of parallel faces that end there too."""
-    walls = [each for each in room if each.is_wall]
+    walls = [surface for surface in room if surface.is_wall]
     for own in room:
         if own.number == number:
-            near = [each for each in room if each is not own and abs(_behind_m(each, own)) < _BACK_M]
+            near = [surface for surface in room if surface is not own and abs(_behind_m(surface, own)) < _BACK_M]
             for edge, step_m in _edge_steps(own, walls, steps_m):
                 changed = _with_edge(own, edge, step_m * own.outward[edge], walls)
-                yield [changed if each is own else each for each in room]
-                along = {each: _moved_along(each, own, edge, step_m, walls) for each in near}
+                yield [changed if surface is own else surface for surface in room]
+                along = {surface: _moved_along(surface, own, edge, step_m, walls) for surface in near}
                 if any(old is not new for old, new in along.items()):
-                    yield [changed if each is own else along.get(each, each) for each in room]
+                    yield [changed if surface is own else along.get(surface, surface) for surface in room]
 
 
 def as_one(plane: int, room: Room) -> Iterator[Room]:
@@ -99,14 +104,14 @@ def as_one(plane: int, room: Room) -> Iterator[Room]:
 
     A single object may be found as several faces, where few paths touch the cells between them.
     """
-    walls = [each for each in room if each.is_wall]
-    parts = [each for each in room if each.plane == plane and not each.is_wall]
+    walls = [surface for surface in room if surface.is_wall]
+    parts = [surface for surface in room if surface.plane == plane and not surface.is_wall]
     if len(parts) < 2:
         return
-    largest = max(parts, key=lambda each: each.area_m2)
+    largest = max(parts, key=lambda surface: surface.area_m2)
     own = replace(largest, corners_m=_rectangle_about(largest, parts))
-    slabs = dict.fromkeys(each.slab for each in parts)
-    others = [each for each in room if each not in parts]
+    slabs = dict.fromkeys(surface.slab for surface in parts)
+    others = [surface for surface in room if surface not in parts]
     ways_m = [_way_to_wall(own.corners_m[[side, (side + 1) % 4]], own.outward[side], walls) for side in range(4)]
     for moves_m in product(*([0.0, way_m] if 0 < way_m < np.inf else [0.0] for way_m in ways_m)):
         whole = own
@@ -122,7 +127,7 @@ def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator
     The box may also replace what was found in it or just before it: such a plane may be the box's back, which is a
     part of a wavelength off at some carriers. Of two thin sheets that were learned as one slab, each is thinner.
     """
-    walls = [each for each in room if each.is_wall]
+    walls = [surface for surface in room if surface.is_wall]
     for own in room:
         if own.number == number and own.plane != NO_PLANE:
             sheets = [
@@ -130,24 +135,26 @@ def with_depths(number: int, slabs: Sequence[NamedSlab], room: Room) -> Iterator
                 for slab in slabs
                 for factor in (_THINNER if slab.thickness_m < _THICK_M and slab.material != "metal" else (1.0,))
             ]
-            over = {each: _behind_m(each, own) for each in room if each is not own and _is_over(each, own)}
-            alone = [each for each in room if not 0 < over.get(each, 0.0) < _BACK_M]
-            apart = [each for each in alone if abs(over.get(each, np.inf)) >= _BACK_M]
+            over = {
+                surface: _behind_m(surface, own) for surface in room if surface is not own and _is_over(surface, own)
+            }
+            alone = [surface for surface in room if not 0 < over.get(surface, 0.0) < _BACK_M]
+            apart = [surface for surface in alone if abs(over.get(surface, np.inf)) >= _BACK_M]
             for others in [alone, apart] if len(apart) < len(alone) else [alone]:
                 for sheet, depth_m in product(sheets, _DEPTHS_M):
                     box = sheet.with_depth(depth_m, walls)
-                    yield [box if each is own else each for each in others]
+                    yield [box if surface is own else surface for surface in others]
 
 
 def deeper(number: int, room: Room) -> Iterator[Room]:
     """The room with a box of another depth, or of another thickness."""
-    walls = [each for each in room if each.is_wall]
+    walls = [surface for surface in room if surface.is_wall]
     for own in room:
         if own.number == number and own.depth_m:
             changed = [own.with_depth(own.depth_m + by_m, walls) for by_m in FINER_M if own.depth_m + by_m > 0]
             changed += [replace(own, slab=own.slab.thinned(factor)) for factor in THICKNESSES]
             for box in changed:
-                yield [box if each is own else each for each in room]
+                yield [box if surface is own else surface for surface in room]
 
 
 def _behind_m(other: RoomSurface, front: RoomSurface) -> float:
@@ -180,7 +187,7 @@ def _is_over(other: RoomSurface, own: RoomSurface) -> bool:
     """Whether a face covers some of another one, as seen along the latter's normal."""
     axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
     (low, high), (own_low, own_high) = (
-        (place_m.min(axis=1), place_m.max(axis=1)) for place_m in (axes @ each.corners_m.T for each in (other, own))
+        (place_m.min(axis=1), place_m.max(axis=1)) for place_m in (axes @ face.corners_m.T for face in (other, own))
     )
     return bool((np.minimum(high, own_high) - np.maximum(low, own_low) > _SAME_END_M).all())
 
@@ -193,9 +200,9 @@ def _moved_along(other: RoomSurface, own: RoomSurface, edge: int, step_m: float,
     same_way = other.outward @ outward
     apart_m = (other.corners_m - own.corners_m[edge]) @ outward
     may_meet = abs(_behind_m(other, own)) < _SAME_PLANE_M
-    for each in np.flatnonzero(np.abs(apart_m) < _SAME_END_M).tolist():
-        if same_way[each] > _PARALLEL or (may_meet and same_way[each] < -_PARALLEL):
-            return _with_edge(other, each, step_m * outward, walls)
+    for found in np.flatnonzero(np.abs(apart_m) < _SAME_END_M).tolist():
+        if same_way[found] > _PARALLEL or (may_meet and same_way[found] < -_PARALLEL):
+            return _with_edge(other, found, step_m * outward, walls)
     return other
 
 
@@ -204,7 +211,7 @@ def _rectangle_about(largest: RoomSurface, parts: Surfaces) -> Float[FloatArray,
     along = largest.corners_m[1] - largest.corners_m[0]
     along /= np.linalg.norm(along)
     across = np.cross(largest.normal, along)
-    at_m = np.concatenate([each.corners_m for each in parts]) - largest.corners_m[0]
+    at_m = np.concatenate([surface.corners_m for surface in parts]) - largest.corners_m[0]
     (low, down), (high, up) = (ends(at_m @ np.array([along, across]).T, axis=0) for ends in (np.min, np.max))
     corners = [[low, down], [high, down], [high, up], [low, up]]
     return largest.corners_m[0] + np.array(corners) @ np.array([along, across])
@@ -223,31 +230,31 @@ def _way_to_wall(points_m: Float[FloatArray, "2 3"], outward: Vector, walls: Sur
 def without_patches(plane: int, room: Room) -> Iterator[Room]:
     """The room with one patch of a wall, or all of them, made of the slab that most of the wall has."""
     patches, rest = _patches(plane, room)
-    each_alone = [[each] for each in patches]
-    for gone in [patches, *each_alone] if len(patches) > 1 else each_alone:
+    alone = [[patch] for patch in patches]
+    for gone in [patches, *alone] if len(patches) > 1 else alone:
         slab, found = rest[0].slab, rest[0].found_slab
-        yield [replace(each, slab=slab, found_slab=found) if each in gone else each for each in room]
+        yield [replace(surface, slab=slab, found_slab=found) if surface in gone else surface for surface in room]
 
 
 def with_patches(plane: int, room: Room) -> Iterator[Room]:
     """The room with one side of a patch moved: of a rectangle whose slab is not that of most of the wall."""
-    walls = [each for each in room if each.is_wall]
+    walls = [surface for surface in room if surface.is_wall]
     patches, rest = _patches(plane, room)
     tiles = [*patches, *rest]
-    first = max(_FIRST_PIECE, *(1 + each.number for each in room))
+    first = max(_FIRST_PIECE, *(1 + surface.number for surface in room))
     for own in patches:
         for edge, step_m in _edge_steps(own, walls, _STEPS_M):
             changed = _with_edge(own, edge, step_m * own.outward[edge], walls)
-            others = [changed if each is own else each for each in patches]
+            others = [changed if patch is own else patch for patch in patches]
             if pieces := _around(tiles, others, rest, first):
-                yield [*(each for each in room if each not in tiles), *others, *pieces]
+                yield [*(surface for surface in room if surface not in tiles), *others, *pieces]
 
 
 def _patches(plane: int, room: Room) -> tuple[list[RoomSurface], list[RoomSurface]]:
     """The parts of a wall whose slab is not that of most of the wall, and the other parts."""
-    tiles = [each for each in room if each.is_wall and each.plane == plane]
-    main = max(tiles, key=lambda each: sum(one.area_m2 for one in tiles if one.slab == each.slab)).slab
-    return [each for each in tiles if each.slab != main], [each for each in tiles if each.slab == main]
+    tiles = [surface for surface in room if surface.is_wall and surface.plane == plane]
+    main = max(tiles, key=lambda tile: sum(one.area_m2 for one in tiles if one.slab == tile.slab)).slab
+    return [tile for tile in tiles if tile.slab != main], [tile for tile in tiles if tile.slab == main]
 
 
 def _around(tiles: Surfaces, patches: Surfaces, rest: Surfaces, first: int) -> list[RoomSurface]:
@@ -257,19 +264,19 @@ def _around(tiles: Surfaces, patches: Surfaces, rest: Surfaces, first: int) -> l
     """
     own = patches[0]
     axes = np.stack([own.outward[0], np.cross(own.normal, own.outward[0])])
-    places, holes = ([(each.corners_m - own.corners_m[0]) @ axes.T for each in of] for of in (tiles, patches))
+    places, holes = ([(tile.corners_m - own.corners_m[0]) @ axes.T for tile in of] for of in (tiles, patches))
     whole = ConvexHull(np.concatenate(places))
     left = [tidied(whole.points[whole.vertices])]
     for place_m in holes:
         hole_m = place_m[ConvexHull(place_m).vertices]  # in turn to the left
-        left = [tidied(piece_m) for each in left for piece_m in cut_out(each, hole_m)]
-    numbers = chain((each.number for each in rest), count(first))
+        left = [tidied(piece_m) for piece in left for piece_m in cut_out(piece, hole_m)]
+    numbers = chain((tile.number for tile in rest), count(first))
     pieces = [
-        replace(rest[0], number=number, corners_m=own.corners_m[0] + each @ axes)
-        for number, each in zip(numbers, left, strict=False)
+        replace(rest[0], number=number, corners_m=own.corners_m[0] + piece_m @ axes)
+        for number, piece_m in zip(numbers, left, strict=False)
     ]
-    is_whole = abs(sum(each.area_m2 for each in (*patches, *pieces)) - whole.volume) < LEAST_AREA_M2
-    return [each for each in pieces if each.area_m2 > LEAST_AREA_M2] if is_whole else []
+    is_whole = abs(sum(tile.area_m2 for tile in (*patches, *pieces)) - whole.volume) < LEAST_AREA_M2
+    return [piece for piece in pieces if piece.area_m2 > LEAST_AREA_M2] if is_whole else []
 
 
 class Trial(NamedTuple):
@@ -288,7 +295,7 @@ class Trial(NamedTuple):
 
 def trials_of_face(own: RoomSurface, known: Sequence[NamedSlab], of_boxes: Sequence[NamedSlab]) -> list[Trial]:
     """Trials of a face, which is one of the slabs `known` or else `of_boxes`: edges, depth, edges again, no face."""
-    others = [each for each in of_boxes if each.material not in {one.material for one in known}]
+    others = [slab for slab in of_boxes if slab.material not in {one.material for one in known}]
     slabs = known if known[0].material == "metal" else [*known, *others]  # nothing else becomes metal
     edges, finer, nearly = (partial(with_edges, own.number, steps_m) for steps_m in (EDGES_M, FINER_M, NEAR_EDGES_M))
     return [
@@ -305,4 +312,4 @@ def trials_of_slabs(
     known: Mapping[tuple[int, int], Sequence[NamedSlab]], factors: Sequence[float], *, at_lowest: bool = False
 ) -> list[Trial]:
     """Trials of other slabs, and of other thicknesses, for each slab of a plane that was found."""
-    return [Trial(partial(other_slabs, *each, factors), at_lowest) for each in known.items()]
+    return [Trial(partial(other_slabs, *named, factors), at_lowest) for named in known.items()]

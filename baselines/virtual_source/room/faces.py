@@ -142,7 +142,7 @@ def faces(planes: Sequence[Cells], offset_m: Float[FloatArray, "T 3"]) -> list[F
     bounds = walls(planes, offset_m)
     found: list[Face] = []
     for index, plane in enumerate(planes):
-        around = [planes[each] for each in bounds if each != index]
+        around = [planes[bound] for bound in bounds if bound != index]
         found += _wall(index, plane, around) if index in bounds else _inside(index, plane, around)
     return found
 
@@ -161,7 +161,7 @@ def _wall(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]:
         inside = convex_common(rectangle, whole)
         if len(inside) >= 3:
             yield _face(index, other, plane, inside, is_wall=True)
-            rest = [piece for each in rest for piece in cut_out(each, rectangle)]
+            rest = [piece for part in rest for piece in cut_out(part, rectangle)]
     for piece in rest:
         yield _face(index, main, plane, piece, is_wall=True)
 
@@ -186,7 +186,7 @@ def _inside(index: int, plane: Cells, around: Sequence[Cells]) -> Iterator[Face]
         rest = [inside]
         for opening in best_rectangles(empty):
             hole = _snapped(plane, plane.sides(*opening), inside)
-            rest = [piece for each in rest for piece in cut_out(each, hole)]
+            rest = [piece for part in rest for piece in cut_out(part, hole)]
         for piece in rest:
             yield _face(index, slab, plane, piece, is_wall=False)
 

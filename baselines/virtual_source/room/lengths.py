@@ -113,14 +113,14 @@ def moved(room: Surfaces, part: RoomPart, by_m: float) -> list[RoomSurface]:
 def _own(room: Surfaces, part: RoomPart) -> list[RoomSurface]:
     """The surfaces of which a part consists."""
     if part.kind in ("wall", "tilt"):
-        return [each for each in room if each.is_wall and each.plane == part.number]
-    return [each for each in room if not each.is_wall and each.number == part.number]
+        return [surface for surface in room if surface.is_wall and surface.plane == part.number]
+    return [surface for surface in room if not surface.is_wall and surface.number == part.number]
 
 
 def _axis(room: Surfaces, part: RoomPart) -> tuple[Vector, Vector]:
     """The middle of a wall, and the axis in it along which it tilts."""
     own = _own(room, part)
-    corners_m, normal = np.concatenate([each.corners_m for each in own]), own[0].normal
+    corners_m, normal = np.concatenate([surface.corners_m for surface in own]), own[0].normal
     along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     along = along / np.linalg.norm(along)
     middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2
@@ -241,8 +241,8 @@ class ReflectedPaths:
     @property
     def score(self) -> float:
         """Mean likeness of the rows."""
-        told = self.lags.of_channels(self.channel[self.of_tx, self.of_carrier])
-        return float(self.lags.likeness(self.measured, told).mean())
+        lags = self.lags.of_channels(self.channel[self.of_tx, self.of_carrier])
+        return float(self.lags.likeness(self.measured, lags).mean())
 
     @property
     def strongest_first(self) -> list[RoomPart]:
@@ -319,12 +319,12 @@ class ReflectedPaths:
         wave, channel = self.wave[np.ix_(paths, carriers)], self.channel[np.ix_(tx, carriers)]
         measured = self.measured[rows]
 
-        def of(each_m: float) -> float:
-            turn = self._turn(part, each_m, carriers) - 1
+        def of(step_m: float) -> float:
+            turn = self._turn(part, step_m, carriers) - 1
             there = channel + np.add.reduceat(wave * turn[:, :, None], first, axis=0)
             return float(self.lags.likeness(measured, self.lags.of_channels(there[place])).sum())
 
-        return np.array([of(each_m) for each_m in by_m.tolist()])
+        return np.array([of(step_m) for step_m in by_m.tolist()])
 
     def elsewhere(self, part: RoomPart, carriers: Int[IntArray, "K"]) -> list[float]:
         """Displacements of a part with which training rows agree better than without, in metres, the best first."""
@@ -348,8 +348,8 @@ class ReflectedPaths:
 
 def _may_become(room: Surfaces, changed: Surfaces, standing_m: Points) -> bool:
     """Whether all changed surfaces of a room may stand where they are."""
-    new = (each for each, old in zip(changed, room, strict=True) if each is not old)
-    return all(is_clear(each, standing_m) and each.depth_m >= 0 for each in new)
+    new = (surface for surface, old in zip(changed, room, strict=True) if surface is not old)
+    return all(is_clear(surface, standing_m) and surface.depth_m >= 0 for surface in new)
 
 
 def _slopes(
@@ -383,4 +383,4 @@ def peaks(places_m: Float[FloatArray, "n"], likeness: Float[FloatArray, "n"]) ->
     places_m, likeness = places_m[order], likeness[order]
     padded = np.pad(likeness, 1, constant_values=-np.inf)
     at = np.flatnonzero((likeness >= padded[:-2]) & (likeness > padded[2:]))
-    return sorted(zip(places_m[at].tolist(), likeness[at].tolist(), strict=True), key=lambda each: -each[1])
+    return sorted(zip(places_m[at].tolist(), likeness[at].tolist(), strict=True), key=lambda place: -place[1])

@@ -50,7 +50,7 @@ def obstacles(room: Surfaces, train: PasDataset, standing_m: Points, is_over: Is
     while len(begun) and len(found) < MOST_OBSTACLES and not is_over():
         first = np.argsort(-paths.promise(begun), kind="stable")[:_NUM_GROWN]
         grown = [_grown(box, bounds, free_m, paths.promise) for box in begun[first]]
-        promise, best = max(grown, key=lambda each: each[0])
+        promise, best = max(grown, key=lambda pair: pair[0])
         if promise < _LEAST_SHARE * paths.num_maps:
             break
         found.append(best)
@@ -100,7 +100,7 @@ class DoubtfulPaths:
     def promise(self, boxes: Float[FloatArray, "B 2 3"]) -> Float[FloatArray, "B"]:
         """How many maps' worth nearer the training rows are with each box, by the paths that it hides."""
         hidden = hidden_by(np.ascontiguousarray(boxes), self.first, self.start_m, self.way_m)
-        return np.array([self.doubt[each].sum() - _A_PATH * np.count_nonzero(self.doubt[each]) for each in hidden])
+        return np.array([self.doubt[paths].sum() - _A_PATH * np.count_nonzero(self.doubt[paths]) for paths in hidden])
 
     def explain(self, box: Box) -> None:
         """Set the doubt of the paths that a box hides to 0."""
@@ -117,7 +117,7 @@ def _doubts(paths: Paths, lags: LagAverages, train: PasDataset, rows: Int[IntArr
     measured = lags.measured(rows)
     far = 1 - lags.likeness(measured, lags.of_channels(whole))
     without = (1 - lags.likeness(measured, lags.of_channels(whole - wave)) for wave in waves)
-    return np.array([(far - each).sum() for each in without])
+    return np.array([(far - similar).sum() for similar in without])
 
 
 def _begun(bounds: Box) -> list[Box]:
@@ -140,9 +140,9 @@ def _grown(box: Box, bounds: Box, free_m: Points, promise: Callable[..., Float[F
     for step_m in _GROWTH_M:
         while True:
             moved = [box + by * step_m for by in _MOVES]
-            around = [each.clip(*bounds) for each in moved]
+            around = [box_m.clip(*bounds) for box_m in moved]
             possible = [
-                each for each in around if (each[1] - each[0]).min() >= _THINNEST_M and not holds_any(each, free_m)
+                box_m for box_m in around if (box_m[1] - box_m[0]).min() >= _THINNEST_M and not holds_any(box_m, free_m)
             ]
             if not possible:
                 break

@@ -95,8 +95,8 @@ class BoxFit:
             if not nth:  # in the end slabs were changed
                 steps.insert(0, partial(self._forms, agreeing, slabs) if is_new else of_slabs)
             for change in steps:
-                candidates = [own, *(each for each in change(own) if self._fits(each))]
-                scores = mean_scores([near], [[*others, each] for each in candidates], is_over)
+                candidates = [own, *(form for form in change(own) if self._fits(form))]
+                scores = mean_scores([near], [[*others, form] for form in candidates], is_over)
                 if scores.max() > best:
                     own, best = candidates[int(scores.argmax())], float(scores.max())
             if is_over() or (is_new and self.at_lowest([*others, own]) < self.at_lowest(others)):
@@ -106,10 +106,10 @@ class BoxFit:
     def _forms(self, agreeing: Change, slabs: Sequence[NamedSlab], own: RoomSurface) -> Iterator[RoomSurface]:
         """A box of every slab, as it is, as a board (not of metal), on the floor; there, and where lengths agree."""
         of_boards = [slab for slab in slabs if slab.material != "metal"]
-        boards = [(each, of_boards) for each in self.frame.as_board((0.0,), own)]
-        for form, among in [(own, slabs), *boards, *((each, slabs) for each in self.frame.to_floor(own))]:
-            for each in [form, *agreeing(form)]:
-                yield from (replace(each, slab=slab) for slab in among)
+        boards = [(form, of_boards) for form in self.frame.as_board((0.0,), own)]
+        for form, among in [(own, slabs), *boards, *((other, slabs) for other in self.frame.to_floor(own))]:
+            for placed in [form, *agreeing(form)]:
+                yield from (replace(placed, slab=slab) for slab in among)
 
     def _where_lengths_agree(
         self, others: Room, rows: PasDataset, held: Faces | None, own: RoomSurface
@@ -174,7 +174,7 @@ class Refinement:
         if not found:
             return None
         names = SlabNames(carriers.tolist())
-        slabs = dict.fromkeys((each.plane, each.found_slab) for each in found)
+        slabs = dict.fromkeys((surface.plane, surface.found_slab) for surface in found)
         known = {key: likely_slabs(names.nearest(findings.planes[key[0]].slabs[key[1]])) for key in slabs}
         return cls(found, known, train, found)
 
@@ -231,16 +231,16 @@ class Refinement:
         return [*again, *(partial(self._change, trial) for trial in [*slabs, *patches, *changed])]
 
     def _numbered(self, number: int) -> RoomSurface | None:
-        return next((each for each in self.room if each.number == number), None)
+        return next((surface for surface in self.room if surface.number == number), None)
 
     @property
     def _fronts(self) -> list[RoomSurface]:
-        return sorted((each for each in self.found if not each.is_wall), key=lambda each: -each.area_m2)
+        return sorted((surface for surface in self.found if not surface.is_wall), key=lambda surface: -surface.area_m2)
 
     @property
     def _walls(self) -> list[int]:
         """The planes that bound the room."""
-        return list(dict.fromkeys(each.plane for each in self.found if each.is_wall))
+        return list(dict.fromkeys(surface.plane for surface in self.found if surface.is_wall))
 
     def _trials_of(self, own: RoomSurface) -> list[Trial]:
         return trials_of_face(own, self.known.get((own.plane, own.found_slab), [own.slab]), self._slabs)
@@ -296,14 +296,14 @@ class Refinement:
         """Move walls by up to half a metre: far walls that few paths reflect at may be found some wavelengths off."""
         carriers = np.unique(self.train.carrier_hz)[:NUM_CARRIERS]
         paths = ReflectedPaths.of(self.room, self.train, self._lags, carriers)
-        walls = {each.plane: each for each in self.room if each.is_wall}
+        walls = {wall.plane: wall for wall in self.room if wall.is_wall}
         for plane, own in walls.items():
             part = RoomPart("wall", plane)
             if is_over() or part not in paths.reflected:
                 continue
             places_m = paths.elsewhere(part, np.arange(len(carriers)))
-            of_others = [each.slab for each in walls.values() if each is not own]
-            slabs = {each.material: each for each in [*self._slabs[:1], *of_others, own.slab]}
+            of_others = [wall.slab for wall in walls.values() if wall is not own]
+            slabs = {slab.material: slab for slab in [*self._slabs[:1], *of_others, own.slab]}
             if places_m:
                 changes = partial(with_wall_at, plane, places_m[:_LISTED], list(slabs.values()))
                 self._change(Trial(changes, at_lowest=True, repeats=1), is_over)
@@ -318,12 +318,12 @@ class Refinement:
         """Keep the best of the changes of one kind, if it is good enough, and repeat that."""
         judges = self._judges if trial.at_lowest else [self.score]
         for _ in range(trial.repeats):
-            candidates = [each for each in trial.changes(self.room) if self._stands(each)]
+            candidates = [room for room in trial.changes(self.room) if self._stands(room)]
             if len(candidates) > _LISTED:
                 few = judges[0].roughly(candidates[0], self.room)
                 if trial.besides:
                     best = best_rooms(candidates, few, _WITH_MORE, is_over)
-                    more = [each for room in best for each in trial.besides(room) if self._stands(each)]
+                    more = [other for room in best for other in trial.besides(room) if self._stands(other)]
                     candidates = [*best, *more]
                 candidates = best_rooms(candidates, few, _LISTED, is_over)
             scores = mean_scores([judge.near(self.room) for judge in judges], candidates, is_over)
@@ -331,7 +331,7 @@ class Refinement:
                 break
             changed = candidates[int(scores.argmax())]
             asked = [judges] if trial.at_lowest else [judges, self._judges]
-            if not all(self._is_nearer(changed, each, trial.least) for each in asked):
+            if not all(self._is_nearer(changed, some, trial.least) for some in asked):
                 break
             self.room = changed
 
@@ -356,7 +356,7 @@ class Refinement:
 
     def _fit_obstacle(self, nth: int, box: Box, turn: int, is_over: IsOver) -> None:
         """Put a box into the room, or change the one that is there."""
-        number = 1 + nth + max(each.number for each in self.found)
+        number = 1 + nth + max(surface.number for surface in self.found)
         own = self._numbered(number)
         if own is not None:
             self._fit(own, WAYS_M[turn:], is_over, self._slabs)
@@ -376,11 +376,11 @@ class Refinement:
 
     def _join(self, number: int, is_over: IsOver) -> None:
         """Try a box and every other one that it overlaps as a single box, since two objects are never in one place."""
-        for other in [each for each in self.room if not each.is_wall and each.number != number]:
+        for other in [surface for surface in self.room if not surface.is_wall and surface.number != number]:
             own = self._numbered(number)
             if own is None:
                 return
-            low_m, high_m = np.stack([self._frame.box_of(each) for each in (own, other)], axis=1)
+            low_m, high_m = np.stack([self._frame.box_of(surface) for surface in (own, other)], axis=1)
             if (low_m.max(axis=0) < high_m.min(axis=0) + GAP_M).all():
                 box = np.stack([low_m.min(axis=0), high_m.max(axis=0)])
                 whole = self._frame.surface(box, other.number, other.slab)
@@ -396,9 +396,9 @@ class Refinement:
         instead_of: Surfaces = (),
     ) -> None:
         """Change a box, its slab and its faces except `held`; keep it if the room is nearer to the training rows."""
-        replaced = {each.number for each in (own, *instead_of)}
-        others = [each for each in self.room if each.number not in replaced]
-        is_new = not any(each is own for each in self.room)
+        replaced = {surface.number for surface in (own, *instead_of)}
+        others = [surface for surface in self.room if surface.number not in replaced]
+        is_new = not any(surface is own for surface in self.room)
         box = self._box_fit.fitted(others, own, ways_m, slabs, is_over, held, is_new=is_new)
         least = self._at_lowest(self.room) + (_MIN_GAIN if is_new else 0.0)
         if box is not None and self._at_lowest([*others, box]) > least - _SAME:
@@ -411,9 +411,9 @@ class Refinement:
     def as_json(self) -> dict[str, Any]:
         """What `resumed` needs besides the training rows, as values of JSON."""
         return {
-            "found": [surface_json(each) for each in self.found],
+            "found": [surface_json(surface) for surface in self.found],
             "known": [[*key, slabs] for key, slabs in self.known.items()],
-            "room": [surface_json(each) for each in self.room],
+            "room": [surface_json(surface) for surface in self.room],
             "done": self.done,
             "boxes": self.boxes and [box.tolist() for box in self.boxes],
         }
@@ -421,16 +421,18 @@ class Refinement:
     @classmethod
     def resumed(cls, stored: Mapping[str, Any], train: PasDataset) -> Refinement:
         """The refinement that `as_json` described, to go on with the same training rows."""
-        found, room = ([surface_from_json(each) for each in stored[name]] for name in ("found", "room"))
-        known = {(plane, slab): [NamedSlab(*each) for each in slabs] for plane, slab, slabs in stored["known"]}
+        found, room = ([surface_from_json(surface) for surface in stored[name]] for name in ("found", "room"))
+        known = {
+            (plane, slab): [NamedSlab(*slab_json) for slab_json in slabs] for plane, slab, slabs in stored["known"]
+        }
         boxes = stored.get("boxes")
         places = None if boxes is None else [np.array(box, np.float64) for box in boxes]
         return cls(found, known, train, room, stored["done"], places)
 
     def _stands(self, room: Room) -> bool:
         """Whether no changed surface of a room is at a place where nothing can be."""
-        changed = (each for each in room if not any(each is other for other in self.room))
-        return all(is_clear(each, self._standing_m) for each in changed)
+        changed = (surface for surface in room if not any(surface is other for other in self.room))
+        return all(is_clear(surface, self._standing_m) for surface in changed)
 
 
 def _standing(train: PasDataset) -> Points:

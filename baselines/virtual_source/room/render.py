@@ -50,7 +50,7 @@ class LocalWeights:
     similar: Float[FloatArray, "W n"]
 
     @classmethod
-    def of_each(cls, rows: PasDataset, learned: Predict, traced: Sequence[Predict]) -> list[LocalWeights]:
+    def of_all(cls, rows: PasDataset, learned: Predict, traced: Sequence[Predict]) -> list[LocalWeights]:
         """For each of several traced rooms, the comparison with the learned maps of validation rows."""
         similar = [[np.zeros((len(WEIGHTS), 0))] for _ in traced]
         for start in range(0, len(rows), _AT_ONCE):
@@ -118,8 +118,8 @@ class RoomRender:
             if not self.has_begun:
                 self.has_begun = True
                 if seconds is None or (1 - share) * seconds > _LEAST_SECONDS:
-                    told = StoredFindings.model_validate(findings())
-                    self.refinement = Refinement.of(told, _split(train)[0])
+                    found = StoredFindings.model_validate(findings())
+                    self.refinement = Refinement.of(found, _split(train)[0])
             elif self._stored:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}
@@ -162,16 +162,16 @@ class RoomRender:
                 self.tracer = RoomTracer.of_each_kind(train, room)[0]
             return
         tracers = RoomTracer.of_each_kind(train, room)
-        compared = LocalWeights.of_each(rows, learned, [each.maps for each in tracers])
+        compared = LocalWeights.of_all(rows, learned, [tracer.maps for tracer in tracers])
         is_blended = self.mode == "blended"
-        scores = [each.of_mixed if is_blended else float(each.similar[0].mean()) for each in compared]
+        scores = [weights.of_mixed if is_blended else float(weights.similar[0].mean()) for weights in compared]
         best = int(np.argmax(scores))
         self.tracer = tracers[best]
         self.weights = compared[best] if is_blended else None
 
     def findings(self) -> dict[str, Any]:
         """The surfaces of the room that is traced, as JSON holds them; empty where none is."""
-        return {"room": [surface_json(each) for each in self.tracer.room]} if self.tracer else {}
+        return {"room": [surface_json(surface) for surface in self.tracer.room]} if self.tracer else {}
 
     def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, mixed with traced ones; where no path arrives they stay as they are."""
@@ -197,7 +197,7 @@ class RoomRender:
         receiver = TypeAdapter(ReceiverArray)
         tracer = self.tracer and {
             "receiver": receiver.dump_python(self.tracer.receiver, mode="json"),
-            "room": [surface_json(each) for each in self.tracer.room],
+            "room": [surface_json(surface) for surface in self.tracer.room],
             "diffracts": self.tracer.settings == DIFFRACTING,
         }
         stored = {
@@ -216,10 +216,10 @@ class RoomRender:
         stored = json.loads((directory / _FILE).read_text(encoding="utf-8"))
         count = MapCount(stored.get("compared_maps", 0))
         render = cls(mode, has_begun=True, count=count, _stored=stored["refinement"] or {})
-        if told := stored["tracer"]:
-            receiver = TypeAdapter(ReceiverArray).validate_python(told["receiver"])
-            room = [surface_from_json(each) for each in told["room"]]
-            settings = DIFFRACTING if told.get("diffracts") else PREDICTING
+        if traced := stored["tracer"]:
+            receiver = TypeAdapter(ReceiverArray).validate_python(traced["receiver"])
+            room = [surface_from_json(surface) for surface in traced["room"]]
+            settings = DIFFRACTING if traced.get("diffracts") else PREDICTING
             render.tracer = RoomTracer(receiver, room, beam, kind, settings)
         if stored["weights"]:
             render.weights = LocalWeights.from_json(stored["weights"])
@@ -236,5 +236,5 @@ def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:
     tx = np.unique(train.tx_index[train.has_path])
     of_third = tx[_THIRD // 2 :: _THIRD]
     is_validating = np.isin(train.tx_index, evenly(of_third, _NUM_TX) if len(of_third) else of_third)
-    left, validating = (train.has_path & each for each in (~is_validating, is_validating))
+    left, validating = (train.has_path & chosen for chosen in (~is_validating, is_validating))
     return train.subset(np.flatnonzero(left)), train.subset(np.flatnonzero(validating))

@@ -55,7 +55,7 @@ def slab_reflection(
     phase = 2 * np.pi * np.asarray(carrier_hz) / SPEED_OF_LIGHT_M_S * thickness_m
     return np.array(
         [
-            [slab_coefficients(each, eta, turn)[:2] for each in cosine.tolist()]
+            [slab_coefficients(value, eta, turn)[:2] for value in cosine.tolist()]
             for eta, turn in zip(permittivity, phase.tolist(), strict=True)
         ]
     )
@@ -81,16 +81,18 @@ class SlabNames:
             own = np.array([complex_permittivity(material, carrier) for carrier in self.carrier_hz])
             scale = np.sqrt(permittivity.real.mean() / own.real.mean())
             metres = [METAL_THICKNESS_M] if material == "metal" else slab.thickness_m * scale * _THICKNESSES
-            reflected = [slab_reflection(own.tolist(), each, self.carrier_hz, _COSINES) for each in metres]
-            distances = [np.sqrt((np.abs(each - learned) ** 2).mean()) for each in reflected]
+            reflected = [
+                slab_reflection(own.tolist(), thickness_m, self.carrier_hz, _COSINES) for thickness_m in metres
+            ]
+            distances = [np.sqrt((np.abs(reflection - learned) ** 2).mean()) for reflection in reflected]
             best = int(np.argmin(distances))
             named.append(NamedSlab(material, float(metres[best]), float(distances[best])))
-        return sorted(named, key=lambda each: each.distance)
+        return sorted(named, key=lambda slab: slab.distance)
 
 
 def likely_slabs(nearest: Sequence[NamedSlab]) -> list[NamedSlab]:
     """Slabs that may be the learned one, of all the nearest first: those about as near as that one, and metal."""
-    return [each for each in nearest if each.distance < nearest[0].distance + _WORSE or each.material == "metal"]
+    return [slab for slab in nearest if slab.distance < nearest[0].distance + _WORSE or slab.material == "metal"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +180,8 @@ def polygon_area_m2(corners_m: Float[FloatArray, "n 3"]) -> float:
 
 def surface_json(surface: RoomSurface) -> dict[str, Any]:
     """A surface as values of JSON, for `surface_from_json`."""
-    told = {each.name: getattr(surface, each.name) for each in fields(surface)}
-    return {**told, "normal": surface.normal.tolist(), "corners_m": surface.corners_m.tolist()}
+    values = {entry.name: getattr(surface, entry.name) for entry in fields(surface)}
+    return {**values, "normal": surface.normal.tolist(), "corners_m": surface.corners_m.tolist()}
 
 
 def surface_from_json(stored: Mapping[str, Any]) -> RoomSurface:
@@ -209,7 +211,7 @@ def learned_surfaces(findings: StoredFindings, carrier_hz: Sequence[float], stan
         corners_m = np.array(face.corners_m)
         corners_m = corners_m[np.linalg.norm(corners_m - np.roll(corners_m, -1, axis=0), axis=1) > _SAME_M]
         surfaces.append(RoomSurface(number, face.plane, face.slab, normal, corners_m, slab, face.seen, face.is_wall))
-    return [each for each in surfaces if each.area_m2 > LEAST_AREA_M2 and is_clear(each, standing_m)]
+    return [surface for surface in surfaces if surface.area_m2 > LEAST_AREA_M2 and is_clear(surface, standing_m)]
 
 
 def standing(

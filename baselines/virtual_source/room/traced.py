@@ -201,7 +201,7 @@ def mean_scores(
     judges: Sequence[RoomScore], rooms: Sequence[Surfaces], is_over: IsOver = never
 ) -> Float[FloatArray, "n"]:
     """The mean score of each room; −∞ for rooms that are not scored because the time is over."""
-    return np.array([-np.inf if is_over() else np.mean([judge(each) for judge in judges]) for each in rooms])
+    return np.array([-np.inf if is_over() else np.mean([judge(room) for judge in judges]) for room in rooms])
 
 
 def evenly(values: Shaped[NDArray[Any], "n"], number: int) -> Shaped[NDArray[Any], "m"]:

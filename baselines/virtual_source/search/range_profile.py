@@ -106,7 +106,7 @@ def _sides_m(reference: CrossTerms, normal: Vector) -> list[float]:
     dense, num_tx = _NUM_NEIGHBOURS[0] * floor_m2 / _NEIGHBOURHOOD_M**2, len(reference.offset_m)
     if num_tx >= dense:
         return [_NEIGHBOURHOOD_M]
-    return sorted({max(_NEIGHBOURHOOD_M, math.sqrt(each * across_m2 / num_tx)) for each in _NUM_NEIGHBOURS})
+    return sorted({max(_NEIGHBOURHOOD_M, math.sqrt(number * across_m2 / num_tx)) for number in _NUM_NEIGHBOURS})
 
 
 def _across_m(reference: CrossTerms, normal: Vector) -> Float[FloatArray, "T 2"]:
@@ -183,9 +183,9 @@ def find_more_planes(
 def _directions(normals: Iterable[Vector]) -> list[Vector]:
     """The normals, their opposites, up and down, without near duplicates."""
     normals, vertical = list(normals), np.array([0.0, 0.0, 1.0])
-    across = [np.cross(vertical, each) for each in normals if is_upright(each)]
-    across = [each / np.linalg.norm(each) for each in across]
-    if across and min(abs(across[0] @ each) for each in across) > _SAME_COSINE:  # most rooms have corners
+    across = [np.cross(vertical, normal) for normal in normals if is_upright(normal)]
+    across = [vector / np.linalg.norm(vector) for vector in across]
+    if across and min(abs(across[0] @ vector) for vector in across) > _SAME_COSINE:  # most rooms have corners
         normals.append(across[0])
     kept: list[Vector] = []
     for normal in [*normals, vertical]:
@@ -203,7 +203,7 @@ def random_planes(train: PasDataset, seed: int, number: int) -> list[Plane]:
     reach_m = np.linalg.norm(train.tx_position_m - train.header.receiver.position_m, axis=1).max()
     distance_m = generator.uniform(_NEAREST_M, reach_m, number).tolist()
     deviations = float(reach_m) / math.sqrt(12), math.pi / math.sqrt(12)
-    return [Plane(each, far_m, *deviations, score=0.0) for each, far_m in zip(normal, distance_m, strict=True)]
+    return [Plane(unit, far_m, *deviations, score=0.0) for unit, far_m in zip(normal, distance_m, strict=True)]
 
 
 def profiled_planes(

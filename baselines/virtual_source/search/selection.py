@@ -195,9 +195,13 @@ def mirrored_receivers_m(
         found = accepted(reference, [*candidates, *more])
     chosen_m = [candidate.place_m for candidate in found]
     if guesses and not any(map(is_upright, chosen_m)):
-        likely = [each for each in candidates if is_upright(each.place_m) and _is_wanted(reference, each.place_m)]
-        likely.sort(key=lambda each: each.score)
-        chosen_m += [each.place_m * (1, 1, 0) for each in likely[-1:]]
+        likely = [
+            candidate
+            for candidate in candidates
+            if is_upright(candidate.place_m) and _is_wanted(reference, candidate.place_m)
+        ]
+        likely.sort(key=lambda candidate: candidate.score)
+        chosen_m += [candidate.place_m * (1, 1, 0) for candidate in likely[-1:]]
     return np.array(chosen_m).reshape(-1, 3)
 
 
@@ -205,15 +209,17 @@ def accepted(reference: CrossTerms, candidates: Sequence[Candidate]) -> list[Can
     """Candidates whose evidence beats chance even without what stronger ones explain of it, strongest first."""
     enough = chance(reference)
     likely = [
-        each
-        for each in candidates
-        if each.score > enough and _is_wanted(reference, each.place_m) and _needs_no_layer(reference, each)
+        candidate
+        for candidate in candidates
+        if candidate.score > enough
+        and _is_wanted(reference, candidate.place_m)
+        and _needs_no_layer(reference, candidate)
     ]
-    single = [each for each in likely if not _is_double(reference, each, likely)]
+    single = [candidate for candidate in likely if not _is_double(reference, candidate, likely)]
     planes: list[Candidate] = []
     scores: list[float] = []
     waves: list[_Wave] = []
-    for candidate in sorted(single, key=lambda each: each.score, reverse=True):
+    for candidate in sorted(single, key=lambda candidate: candidate.score, reverse=True):
         mine = _wave(reference, [candidate.place_m])
         leaked = sum(_leaked(reference, mine, other) for other in waves)
         own = (candidate.aligned.evidence - _LEAK_MARGIN**2 * leaked).clip(0)
@@ -320,7 +326,7 @@ def missed(reference: CrossTerms, planes: Sequence[Candidate]) -> list[Candidate
         across_m = double.place_m - plane.place_m
         before_m = (double.place_m + plane.place_m) @ across_m / (across_m @ across_m) * across_m
         for place_m in (after_m, before_m):
-            is_known = any(_is_near(reference, place_m, each.place_m) for each in [*planes, *found])
+            is_known = any(_is_near(reference, place_m, plane.place_m) for plane in [*planes, *found])
             if is_known or not _is_wanted(reference, place_m):
                 continue
             if score_of(aligned(reference, place_m).evidence) > enough:

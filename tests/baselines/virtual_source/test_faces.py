@@ -65,7 +65,7 @@ def area_m2(face: Face) -> float:
 
 def test_the_walls_of_a_box_meet_at_its_edges() -> None:
     found = faces(box(), TX_M)
-    assert [(face.plane, face.slab, face.is_wall) for face in found] == [(each, 0, True) for each in range(6)]
+    assert [(face.plane, face.slab, face.is_wall) for face in found] == [(plane, 0, True) for plane in range(6)]
     for face in found:
         axis, side = divmod(face.plane, 2)
         low_m, high_m = np.zeros(3), np.array(SIZE_M)

@@ -163,7 +163,7 @@ def test_two_planes_are_enough_to_begin_with(number: int, dataset: PasDataset, m
     planes = random_planes(dataset, 0, number)
     monkeypatch.setattr(field_module, "find_planes", lambda *_: planes)
     model, other = tiny(), XFreqGS()
-    losses = [trained(each, dataset, 1)[-1].loss for each in (model, other)]
+    losses = [trained(method, dataset, 1)[-1].loss for method in (model, other)]
     assert (losses[0] == losses[1]) == (number == 1)
     assert len(model.findings()["planes"]) == number
 
@@ -349,8 +349,8 @@ def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: P
         return float(np.median(ssim(model.predict(test.tx_position_m, test.carrier_hz), test.pas(), data.grid)))
 
     others = [build_method(name) for name in ("line-of-sight", "mean-over-frequency")]
-    for each in others:
-        fit_within(each, train, Budget(max_steps=1), 0)
+    for other in others:
+        fit_within(other, train, Budget(max_steps=1), 0)
     model = tiny(max_planes=8, max_order=2, batch_size=8, stride=5)
     trained(model, train, 120)
     # 0.946 against 0.775 and 0.833 after 150 steps
@@ -360,7 +360,7 @@ def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: P
     to_wall_m |= {tuple(-np.eye(3)[axis]): scene.receiver.position_m[axis] for axis in range(3)}
     del to_wall_m[0.0, 0.0, 1.0]  # 0.1 m above the array: too near for a detour of its own
     for normal, distance_m in to_wall_m.items():
-        found = [each for each in model.findings()["planes"] if np.dot(each["normal"], normal) > 0.999]
+        found = [plane for plane in model.findings()["planes"] if np.dot(plane["normal"], normal) > 0.999]
         assert len(found) == 1
         assert abs(found[0]["distance_m"] - distance_m) < 1e-3
         assert found[0]["held"] > 0.5

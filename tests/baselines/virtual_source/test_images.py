@@ -155,10 +155,10 @@ def test_coefficients_are_those_of_the_solver(material: str) -> None:
         cosine = torch.linspace(0.02, 1, 23)
         carrier_hz = torch.tensor([1e9, 10e9, 94e9], dtype=torch.float64)
         reflected, transmitted = slabs.coefficients(carrier_hz, cosine)
-    for row, each in enumerate(cosine.double().tolist()):
+    for row, angle_cosine in enumerate(cosine.double().tolist()):
         for column, carrier in enumerate(carrier_hz.tolist()):
             phase = 2 * np.pi * carrier / SPEED_OF_LIGHT_M_S * thickness_m
-            te, tm, *passed = slab_coefficients(each, complex_permittivity(material, carrier), phase)
+            te, tm, *passed = slab_coefficients(angle_cosine, complex_permittivity(material, carrier), phase)
             # 200 turns of phase at 94 GHz, in float32
             np.testing.assert_allclose(reflected[0, 0, row, :, column].numpy(), [te, tm], atol=2e-5)
             np.testing.assert_allclose(transmitted[0, 0, row, column].numpy(), np.mean(passed), atol=2e-5)
@@ -257,13 +257,13 @@ def test_images_are_chosen_by_the_power_they_carry_however_many_are_weighed_at_o
         room = known_box(("iso", "V"))
         room.config = replace(room.config, max_images=12)
         room._choose()
-        chosen.append({tuple(each) for each in room.sequence.tolist()})
+        chosen.append({tuple(planes) for planes in room.sequence.tolist()})
     assert chosen[0] == chosen[1] == chosen[2]
     with torch.no_grad():
         found = sequences(len(WALLS), 3)
         power = room._power_of(found, room.trained_m, room.trained_hz)
     best = found[power.argsort(descending=True)[:12]].tolist()
-    assert {tuple(each) for each in best} == chosen[0]  # the line of sight is among them
+    assert {tuple(planes) for planes in best} == chosen[0]  # the line of sight is among them
 
 
 def test_no_path_carries_more_than_its_planes_could() -> None:
@@ -279,11 +279,11 @@ def test_no_path_carries_more_than_its_planes_could() -> None:
 def test_a_walls_corners_are_those_of_the_room_for_paths_beyond_it_are_none() -> None:
     tx_m = np.random.default_rng(0).uniform((0.3, 0.3, 0.3), (4.7, 3.7, 1.9), (100, 3))
     found = known_box(("iso", "V"), tx_m).findings(torch.as_tensor(ARRAY_M))
-    for each in found["planes"]:
-        corners_m = np.array(each["corners_m"])
+    for told in found["planes"]:
+        corners_m = np.array(told["corners_m"])
         assert (corners_m > -1e-5).all()  # float32
         assert (corners_m < np.array(SIZE_M) + 1e-5).all()
-        assert each["held"] == 1
+        assert told["held"] == 1
 
 
 @pytest.mark.parametrize(

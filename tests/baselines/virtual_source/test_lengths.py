@@ -39,7 +39,7 @@ def room(dataset: PasDataset) -> list[RoomSurface]:
 
 def place_m(room: list[RoomSurface], plane: int) -> float:
     """Distance of a plane from the array centre."""
-    wall = next(each for each in room if each.plane == plane)
+    wall = next(surface for surface in room if surface.plane == plane)
     return float((wall.corners_m.mean(axis=0) - ARRAY_M) @ wall.normal)
 
 
@@ -52,7 +52,7 @@ def box(room: list[RoomSurface], low_m: list[float], high_m: list[float]) -> Roo
 def test_displaced_and_tilted_walls_are_put_back(dataset: PasDataset, room: list[RoomSurface]) -> None:
     lags = LagAverages(dataset, never)
     free_m = standing(dataset.header.receiver, dataset.carrier_hz, dataset.tx_position_m)
-    planes = sorted({each.plane for each in room if each.is_wall})
+    planes = sorted({surface.plane for surface in room if surface.is_wall})
     wrong = moved(moved(room, RoomPart("wall", planes[0]), 0.006), RoomPart("wall", planes[1]), -0.003)
     wrong = moved(wrong, RoomPart("tilt", planes[2], 1), 0.001)
     found = settled(wrong, dataset, lags, free_m)
@@ -61,14 +61,14 @@ def test_displaced_and_tilted_walls_are_put_back(dataset: PasDataset, room: list
     assert score > 0.995
     for plane in planes[:2]:
         assert place_m(found, plane) == pytest.approx(place_m(room, plane), abs=3e-4)
-    normals = [next(each.normal for each in of if each.plane == planes[2]) for of in (found, room)]
+    normals = [next(surface.normal for surface in of if surface.plane == planes[2]) for of in (found, room)]
     np.testing.assert_allclose(*normals, atol=3e-4)
 
 
 def test_walls_that_are_off_by_a_share_of_the_shortest_wave_are_put_right_at_once(
     dataset: PasDataset, room: list[RoomSurface]
 ) -> None:
-    planes = sorted({each.plane for each in room if each.is_wall})
+    planes = sorted({surface.plane for surface in room if surface.is_wall})
     wrong = room
     for plane, by_m in zip(planes, (1e-4, -2e-4, 2e-4), strict=False):
         wrong = moved(wrong, RoomPart("wall", plane), by_m)
@@ -76,7 +76,7 @@ def test_walls_that_are_off_by_a_share_of_the_shortest_wave_are_put_right_at_onc
     found = sharpened(wrong, dataset, LagAverages(dataset, never), NOWHERE_M)
     for plane in planes:
         assert place_m(found, plane) == pytest.approx(place_m(room, plane), abs=6e-5)
-    normals = [next(each.normal for each in of if each.plane == planes[-1]) for of in (found, room)]
+    normals = [next(surface.normal for surface in of if surface.plane == planes[-1]) for of in (found, room)]
     np.testing.assert_allclose(*normals, atol=3e-5)
 
 
@@ -113,7 +113,7 @@ def test_likeness_without_tracing_again_is_that_of_the_room_with_the_part_moved(
 ) -> None:
     lags, by_m = LagAverages(dataset, never), 1e-3
     paths = ReflectedPaths.of(room, dataset, lags)
-    part = next(each for each in paths.strongest_first if each.kind == "wall")
+    part = next(strongest for strongest in paths.strongest_first if strongest.kind == "wall")
     predicted = paths.likeness(part, np.array([0.0, by_m]), np.arange(len(paths.carrier_hz)))
     rows = np.flatnonzero(np.isin(dataset.tx_index, np.unique(dataset.tx_index)))
     there = moved(room, part, by_m)

@@ -31,12 +31,12 @@ METAL = NamedSlab("metal", 0.002, 0.0)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), FURNISHED, num_transmitters=60)
+    return generated(tmp_path_factory.mktemp("data"), FURNISHED, num_transmitters=44)
 
 
 @pytest.fixture(scope="module")
 def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), num_transmitters=40)
+    return generated(tmp_path_factory.mktemp("data"), num_transmitters=28)
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_boxes_that_overlap_are_tried_as_one(dataset: PasDataset, monkeypatch: p
     told._join(91, never)
     crate, other = told.room[-1], told.room[-2]
     assert other is away
-    assert [each.number for each in told.room[len(told.found) :]] == [92, 90]
+    assert [surface.number for surface in told.room[len(told.found) :]] == [92, 90]
     assert crate.slab.material == "metal"
     assert shared(np.sort(frame.box_of(crate) @ frame.axes, axis=0)) > 0.99
 
@@ -241,7 +241,7 @@ def test_a_box_is_moved_as_a_whole_too() -> None:
     frame = BoxFrame([], np.eye(3))
     own = frame.surface(CRATE_M, 7, METAL)
     changes = frame.changes(CRATE_M, [METAL], ARRAY_M, boxes.WAYS_M[0])
-    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    moved = [frame.box_of(box) for change in changes for box in change(own)]
     shifts_m = [box[0] - CRATE_M[0] for box in moved if np.allclose(np.diff(box - CRATE_M, axis=0), 0)]
     for axis in (0, 1):
         along_m = sorted(float(shift[axis]) for shift in shifts_m if abs(shift[axis]) > 1e-9)
@@ -254,11 +254,11 @@ def test_a_hidden_face_is_moved_with_the_edge_that_is_seen_against_the_room() ->
     by_m = (-0.2, 0.1)
     ways_m = dict.fromkeys(boxes.WAYS_M[0], ()) | {"in line": (by_m,)}
     changes = frame.changes(CRATE_M, [METAL], ARRAY_M, ways_m)
-    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    moved = [frame.box_of(box) for change in changes for box in change(own)]
     behind = [box for box in moved if box[0, 0] != CRATE_M[0, 0] and box[1, 2] != CRATE_M[1, 2]]
     np.testing.assert_allclose([box[0, 0] - CRATE_M[0, 0] for box in behind], by_m)
     for box in behind:  # the edge of the top and the side that is turned away stays in line with the array
-        before_m, after_m = (each[[0, 1], [0, 2]] - ARRAY_M[[0, 2]] for each in (CRATE_M, box))
+        before_m, after_m = (box_m[[0, 1], [0, 2]] - ARRAY_M[[0, 2]] for box_m in (CRATE_M, box))
         assert before_m[1] / before_m[0] == pytest.approx(after_m[1] / after_m[0])
         np.testing.assert_allclose(box[[1, 0, 1], [0, 1, 1]], CRATE_M[[1, 0, 1], [0, 1, 1]])
     assert len({tuple((box != CRATE_M).reshape(-1)) for box in moved}) == 3 * 2 + 1  # pairs, and the floor
@@ -272,7 +272,7 @@ def found_after(own_box: boxes.Box, **ways_m: tuple[tuple[float, ...], ...]) -> 
     allowed = dict.fromkeys(boxes.WAYS_M[0], ()) | ways_m
     changes = frame.changes(own_box, [METAL], ARRAY_M, allowed)  # type: ignore[arg-type]
     own = frame.surface(own_box, 7, METAL)
-    return [frame.box_of(each) for change in changes for each in change(own)]
+    return [frame.box_of(box) for change in changes for box in change(own)]
 
 
 def test_a_box_may_be_the_table_below_or_above_its_top() -> None:
@@ -304,7 +304,7 @@ def test_the_face_of_a_box_that_is_held_is_not_moved() -> None:
     own = frame.surface(CRATE_M, 7, METAL)
     held = (1, 0)
     changes = frame.changes(CRATE_M, [METAL], ARRAY_M, boxes.WAYS_M[0], held)
-    moved = [frame.box_of(each) for change in changes for each in change(own)]
+    moved = [frame.box_of(box) for change in changes for box in change(own)]
     np.testing.assert_allclose([box[held] for box in moved], CRATE_M[held], atol=1e-9)
     assert any(abs(box[0, 0] - CRATE_M[0, 0]) > 0.1 for box in moved)
 

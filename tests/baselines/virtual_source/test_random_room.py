@@ -42,7 +42,7 @@ def test_a_random_room_holds_its_array_and_its_transmitters(seed: int, tmp_path:
 def test_most_walls_of_random_rooms_are_found_and_intervals_of_95_percent_hold_them(tmp_path: Path) -> None:
     walls = []
     for seed in range(2):
-        room = RandomRoom.of(seed, 280)
+        room = RandomRoom.of(seed, 220)
         walls += found_walls(room, find_planes(room.traced(tmp_path / f"{seed}.h5"), seed))
     found = [wall for wall in walls if wall is not None]
     assert len(found) > 0.85 * len(walls)
@@ -53,16 +53,16 @@ def test_most_walls_of_random_rooms_are_found_and_intervals_of_95_percent_hold_t
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_a_random_room_is_found_and_predicts_a_carrier_that_it_was_not_trained_on(tmp_path: Path) -> None:
-    room = RandomRoom.of(201, 240)
+    room = RandomRoom.of(201, 200)
     data = room.traced(tmp_path / "room.h5")
     (split,) = make_splits(data, "lofo", [HZ / 1e9])
     method = VirtualSource()
-    fit_within(method, data.subset(split.train), Budget(max_maps=12_000), 0)
+    fit_within(method, data.subset(split.train), Budget(max_maps=5000), 0)
     planes = [
-        Plane(np.array(each.normal), each.distance_m, each.distance_std_m, each.tilt_std_rad, score=0.0)
-        for each in StoredFindings.model_validate(method.findings()).planes
+        Plane(np.array(plane.normal), plane.distance_m, plane.distance_std_m, plane.tilt_std_rad, score=0.0)
+        for plane in StoredFindings.model_validate(method.findings()).planes
     ]
     assert all(wall is not None and abs(wall[0]) < 2e-3 for wall in found_walls(room, planes))
     tested = data.subset(split.test)
     maps = method.predict(tested.tx_position_m, tested.carrier_hz)
-    assert np.median(ssim(maps, tested.pas(), tested.grid)) > 0.96
+    assert np.median(ssim(maps, tested.pas(), tested.grid)) > 0.955  # measured 0.963

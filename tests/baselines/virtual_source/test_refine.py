@@ -88,12 +88,12 @@ def test_a_room_that_was_just_traced_is_not_traced_again(dataset: PasDataset, mo
     monkeypatch.setattr(traced, "channels_in", counted)
     monkeypatch.setattr(traced, "_MOST_KNOWN", 2)
     whole, one, other = told.room, told.room[1:], told.room[2:]
-    first = [told.score(each) for each in (whole, one)]
-    assert [told.score(list(each)) for each in (whole, one)] == first
+    first = [told.score(room) for room in (whole, one)]
+    assert [told.score(list(room)) for room in (whole, one)] == first
     assert seen == [len(whole), len(one)]
     told.score(other)
     assert told.score(whole) == first[0]  # forgotten, and traced anew
-    assert seen == [len(each) for each in (whole, one, other, whole)]
+    assert seen == [len(room) for room in (whole, one, other, whole)]
 
 
 def test_rooms_are_compared_roughly_from_one_of_them_on(dataset: PasDataset) -> None:
@@ -110,7 +110,7 @@ def test_rooms_are_compared_roughly_from_one_of_them_on(dataset: PasDataset) -> 
 def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> None:
     table = Surface("table", "wood", 0.015, (0.6, 0.7, 0.70), (1.9, 2.4, 0.73))
     scene = replace(SCENE, surface=(*SCENE.surface, table))
-    told = refinement(generated(tmp_path, scene, AS_DEEP, num_transmitters=40), found_room())
+    told = refinement(generated(tmp_path, scene, AS_DEEP, num_transmitters=28), found_room())
     frame = BoxFrame.of(told.found)
     places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
     right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
@@ -143,10 +143,10 @@ def test_what_training_rows_contradict_is_changed(dataset: PasDataset, monkeypat
     for _ in told.steps:
         told.step()
     assert told.score(told.room) > told.score(told.found) + 0.01
-    (screen,) = [each for each in told.room if not each.is_wall]
+    (screen,) = [surface for surface in told.room if not surface.is_wall]
     assert screen.corners_m[:, 1].max() == pytest.approx(2.5, abs=0.1)
     assert screen.depth_m == 0.0
-    assert [each.slab.material for each in told.room] == [surface.material for surface in SCENE.surface]
+    assert [surface.slab.material for surface in told.room] == [surface.material for surface in SCENE.surface]
 
 
 def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path) -> None:
@@ -163,12 +163,12 @@ def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path
         faces.append({**faces[-1], "plane": at_plane, "corners_m": corners_m})
     del faces[6]
     told = refinement(
-        generated(tmp_path, scene, AS_DEEP, num_transmitters=24), {**findings, "planes": planes, "faces": faces}
+        generated(tmp_path, scene, AS_DEEP, num_transmitters=16), {**findings, "planes": planes, "faces": faces}
     )
     assert len(told.found) == len(SCENE.surface) + 2
     for _ in range(12):  # up to the depths of the largest front
         told.step()
-    (partition,) = [each for each in told.room if not each.is_wall]
+    (partition,) = [surface for surface in told.room if not surface.is_wall]
     assert partition.depth_m == pytest.approx(0.1)
     assert partition.corners_m.max(axis=0) == pytest.approx([3.4, 2.5, 2.6], abs=2e-3)
     assert partition.corners_m.min(axis=0) == pytest.approx([3.4, 0.0, 0.0], abs=2e-3)
@@ -183,7 +183,7 @@ def test_faces_are_changed_again_once_boxes_are_in_their_places(
     told.done, told.boxes = len(told.steps) + 1, []
     while not told.is_over:
         told.step()
-    (screen,) = [each for each in told.room if not each.is_wall]
+    (screen,) = [surface for surface in told.room if not surface.is_wall]
     assert screen.corners_m[:, 1].max() == pytest.approx(2.5, abs=0.1)
 
 
@@ -191,7 +191,7 @@ def test_only_parts_that_are_better_where_lengths_agree_are_settled(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = refinement(dataset, found_room())
-    right, planes = told.room, [each.plane for each in told.room if each.is_wall]
+    right, planes = told.room, [surface.plane for surface in told.room if surface.is_wall]
     told.room = moved(right, RoomPart("wall", planes[0]), 0.004)
     wrong = moved(right, RoomPart("wall", planes[1]), 0.004)
     monkeypatch.setattr(refine, "settled", lambda *_: wrong)
@@ -238,10 +238,10 @@ def test_a_face_just_behind_another_may_be_its_back() -> None:
         for number, is_wall in ((4, False), (5, True))
     )
     rooms = list(changes.with_depths(0, [front().slab], [front(), behind, before, beside, far, wall]))
-    left = [[each.number for each in room] for room in rooms]
+    left = [[surface.number for surface in room] for room in rooms]
     assert left == [[0, 2, 3, 4, 5]] * 6 + [[0, 3, 4, 5]] * 6
     only_behind = list(changes.with_depths(0, [front().slab], [front(), behind]))
-    assert [[each.number for each in room] for room in only_behind] == [[0]] * 6
+    assert [[surface.number for surface in room] for room in only_behind] == [[0]] * 6
 
 
 def test_faces_of_a_plane_may_be_one() -> None:
@@ -249,7 +249,7 @@ def test_faces_of_a_plane_may_be_one() -> None:
     near_m = ARRAY_M + np.array([[2.6, -3.0, -4.0], [2.6, 3.0, -4.0], [2.6, 3.0, 4.0], [2.6, -3.0, 4.0]])
     wall = front(number=2, plane=1, normal=np.array([1.0, 0.0, 0.0]), corners_m=near_m, is_wall=True)
     rooms = list(changes.as_one(0, [front(), beside, wall]))
-    assert [[each.number for each in room] for room in rooms] == [[2, 0]] * 2
+    assert [[surface.number for surface in room] for room in rooms] == [[2, 0]] * 2
     for room, right_m in zip(rooms, (2.0, 2.6), strict=True):
         np.testing.assert_allclose(room[1].corners_m.min(axis=0) - ARRAY_M, [-0.5, -0.5, -1.0])
         np.testing.assert_allclose(room[1].corners_m.max(axis=0) - ARRAY_M, [right_m, 0.7, -1.0])
@@ -259,10 +259,15 @@ def test_faces_of_a_plane_may_be_one() -> None:
 
 def test_a_wall_some_waves_off_is_put_where_it_is(dataset: PasDataset) -> None:
     told = refinement(dataset, found_room())
-    right, east = (told.room, next(each for each in told.room if each.is_wall and each.corners_m[:, 0].min() > 4.9))
+    right, east = (
+        told.room,
+        next(surface for surface in told.room if surface.is_wall and surface.corners_m[:, 0].min() > 4.9),
+    )
     told.room = next(changes.with_wall_at(east.plane, [0.125], [NamedSlab("metal", 0.002, 0.0)], right))
     assert told.room[3].corners_m[:, 0] == pytest.approx(5.125)
-    others = [each.corners_m[:, 0].max() for each in told.room if each.is_wall and each.number not in (2, 3)]
+    others = [
+        surface.corners_m[:, 0].max() for surface in told.room if surface.is_wall and surface.number not in (2, 3)
+    ]
     assert others == pytest.approx([5.125] * 4)  # walls still meet
     told.step()
     assert told.done == 1
@@ -281,9 +286,9 @@ def test_faces_behind_each_other_may_end_at_another_place_together() -> None:
         ]
         for room in rooms
     ]
-    assert all(each[0] for each in moved)
+    assert all(of_room[0] for of_room in moved)
     assert len(rooms) == 2 * 4  # each edge alone, and with those that end there
-    assert {tuple(each) for each in moved[::2]} == {(True, False, False)}
+    assert {tuple(of_room) for of_room in moved[::2]} == {(True, False, False)}
     for room in rooms[1::2]:
         np.testing.assert_allclose((room[1].corners_m - room[0].corners_m), [[0.0, 0.0, -0.1]] * 4, atol=1e-12)
 
@@ -294,5 +299,5 @@ def test_faces_of_a_plane_still_meet_where_an_edge_between_them_moves() -> None:
     rooms = list(changes.with_edges(0, [0.1], [front(), beside]))
     meeting = [room for room in rooms if room[1].corners_m[:, 0].min() > edge_m + 0.05]
     assert len(meeting) == 1
-    assert [each.corners_m[:, 0].max() for each in meeting[0]] == pytest.approx([edge_m + 0.1, edge_m + 1.0])
+    assert [surface.corners_m[:, 0].max() for surface in meeting[0]] == pytest.approx([edge_m + 0.1, edge_m + 1.0])
     assert meeting[0][1].corners_m[:, 0].min() == pytest.approx(edge_m + 0.1)

@@ -101,7 +101,7 @@ def test_edges_diffract_in_the_room_where_they_do_in_the_data(
         render = rendered(data, learned, mode)
         assert render.tracer is not None
         assert render.tracer.settings == settings
-        assert render.findings() == {"room": [surface_json(each) for each in render.tracer.room]}
+        assert render.findings() == {"room": [surface_json(surface) for surface in render.tracer.room]}
         maps = render.maps(learned(*asked(data)), *asked(data))
         np.testing.assert_allclose(maps, data.pas(), atol=5e-3)
     render.save(tmp_path)
@@ -174,7 +174,7 @@ def test_a_stored_room_predicts_the_same(dataset: PasDataset, tmp_path: Path) ->
     render = rendered(dataset, learned)
     render.save(tmp_path)
     loaded = RoomRender.load("blended", tmp_path, dataset.beam, dataset.header.pas_kind)
-    maps = [each.maps(learned(*asked(dataset)), *asked(dataset)) for each in (render, loaded)]
+    maps = [rendering.maps(learned(*asked(dataset)), *asked(dataset)) for rendering in (render, loaded)]
     np.testing.assert_array_equal(*maps)
     assert np.abs(maps[0] - learned(*asked(dataset))).max() > 0.1
 
@@ -203,13 +203,13 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
         render.advance(dataset, STEPS, 1.0, found_room, learned)
         assert done[-1] == 8
         assert render.tracer is not None
-        rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
+        rooms.append([(surface.number, surface.corners_m.tolist()) for surface in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert len(rooms[0]) == 3
 
 
 def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: PasDataset, tmp_path: Path) -> None:
-    most, learned, shares = 6000, Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist()
+    most, learned, shares = 3000, Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist()
     budget = Budget(max_maps=most)
 
     def go_on(render: RoomRender, up_to: float) -> None:
@@ -228,7 +228,7 @@ def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: P
         go_on(render, CHOOSE_AT)
         render.advance(dataset, budget, 1.0, found_room, learned)
         assert render.tracer is not None
-        rooms.append([(each.number, each.corners_m.tolist()) for each in render.tracer.room])
+        rooms.append([(surface.number, surface.corners_m.tolist()) for surface in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert loaded.count == first.count
     assert most / 2 < first.count.maps < (1 - FROM) * most  # some are compared after the last look at the count
@@ -252,7 +252,10 @@ def test_other_rounds_begin_while_the_budget_allows_and_something_changes(
     for share in np.linspace(FROM, SETTLE_AT - 0.01, 40).tolist():
         render.advance(dataset, budget, share, found_room, Known(dataset))
     found = len(rounds[0].found)
-    assert [len(each.found) for each in rounds[::2]] == [*range(found, 3, -2), 3]  # the last has nothing to change
+    assert [len(refinement.found) for refinement in rounds[::2]] == [
+        *range(found, 3, -2),
+        3,
+    ]  # the last has nothing to change
     assert len(rounds[-1].room) == 3
 
 
@@ -292,6 +295,6 @@ def test_rooms_are_traced_to_arrays_in_any_plane_of_their_frame(dataset: PasData
     refinement = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
     assert refinement is not None
     tx_m = dataset.tx_position_m[:: len(dataset) // 2]
-    own, other = (tracer_in(refinement.room, each, [2.4e9]).channel(tx_m).cfr for each in (receiver, turned))
+    own, other = (tracer_in(refinement.room, array, [2.4e9]).channel(tx_m).cfr for array in (receiver, turned))
     assert abs(own).min() > 0
     np.testing.assert_allclose(other, own, rtol=1e-9)

@@ -53,11 +53,11 @@ def room_with(parts: list[tuple[Sides, NamedSlab]]) -> list[RoomSurface]:
         )
         for number, ((west, east, low, top), slab) in enumerate(parts)
     ]
-    return [*(each for each in room if each is not north), *tiles]
+    return [*(tile for tile in room if tile is not north), *tiles]
 
 
 def door_of(room: list[RoomSurface]) -> RoomSurface:
-    (door,) = [each for each in room if each.plane == NORTH and each.slab == METAL]
+    (door,) = [tile for tile in room if tile.plane == NORTH and tile.slab == METAL]
     return door
 
 
@@ -66,19 +66,19 @@ def test_one_side_of_a_door_moves_and_the_wall_stays_whole() -> None:
     changed = list(with_patches(NORTH, room))
     assert len(changed) > 20
     for there in changed:
-        numbers = [each.number for each in there]
+        numbers = [tile.number for tile in there]
         assert len(set(numbers)) == len(numbers)
-        tiles = [each for each in there if each.plane == NORTH]
-        assert sum(each.area_m2 for each in tiles) == pytest.approx(SIZE_M[0] * SIZE_M[2])
+        tiles = [tile for tile in there if tile.plane == NORTH]
+        assert sum(tile.area_m2 for tile in tiles) == pytest.approx(SIZE_M[0] * SIZE_M[2])
         inside_m = np.random.default_rng(0).uniform([0, 0], [5, 2.6], (200, 2))
         low_m, high_m = (
-            np.array([side(each.corners_m[:, [0, 2]], axis=0) for each in tiles]) for side in (np.min, np.max)
+            np.array([side(tile.corners_m[:, [0, 2]], axis=0) for tile in tiles]) for side in (np.min, np.max)
         )
         holds = ((inside_m[:, None] > low_m) & (inside_m[:, None] < high_m)).all(axis=2)
         assert (holds.sum(axis=1) == 1).all()
         moved_m = door_of(there).corners_m - door_of(room).corners_m
         assert np.count_nonzero(np.abs(moved_m).max(axis=1) > 1e-9) == 2
-        assert [each for each in there if each.plane != NORTH] == [each for each in room if each.plane != NORTH]
+        assert [tile for tile in there if tile.plane != NORTH] == [tile for tile in room if tile.plane != NORTH]
 
 
 def test_patches_that_would_overlap_are_not_tried() -> None:
@@ -86,7 +86,7 @@ def test_patches_that_would_overlap_are_not_tried() -> None:
     parts += [(sides, GLASS) for sides in ((0, 1.0, 0, 2.6), (2.0, 2.1, 0, 2.6), (3.0, 5.0, 0, 2.6))]
     for there in with_patches(NORTH, room_with(parts)):
         west, east = sorted(
-            (each.corners_m[:, 0].min(), each.corners_m[:, 0].max()) for each in there if each.slab == METAL
+            (tile.corners_m[:, 0].min(), tile.corners_m[:, 0].max()) for tile in there if tile.slab == METAL
         )
         assert west[1] <= east[0] + 1e-9
 
@@ -118,7 +118,7 @@ def test_corners_that_are_hardly_there_are_left_out() -> None:
 def test_a_rectangle_that_is_not_there_becomes_the_wall_around_it() -> None:
     room = room_with([*with_door(1.0, 2.0, 2.0)[:1], *with_door(3.0, 4.0, 2.0)[:1], *with_door(1.0, 2.0, 2.0)[1:]])
     rooms = list(without_patches(NORTH, room))
-    numbers = [[each.number for each in one if each.slab == METAL] for one in rooms]
+    numbers = [[tile.number for tile in one if tile.slab == METAL] for one in rooms]
     assert numbers == [[], [21], [20]]
-    assert {(each.slab, each.found_slab) for each in rooms[0] if each.plane == NORTH} == {(GLASS, 0)}
+    assert {(tile.slab, tile.found_slab) for tile in rooms[0] if tile.plane == NORTH} == {(GLASS, 0)}
     assert not list(without_patches(NORTH, rooms[0]))

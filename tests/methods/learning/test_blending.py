@@ -173,7 +173,7 @@ def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
     assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(holdout.rows, 0.0)
     query = train.tx_position_m[:1], np.array([80e9])
     name = next(choice.predictor for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
-    (alone,) = [each() for each in TRIVIAL if each.__name__ == name]
+    (alone,) = [kind() for kind in TRIVIAL if kind.__name__ == name]
     next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
     np.testing.assert_allclose(blend.maps(noise[:1], *query), alone.predict(*query), atol=1e-6)
 

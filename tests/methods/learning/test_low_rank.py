@@ -117,7 +117,7 @@ def test_gradients_are_those_of_differences(config: LowRankConfig) -> None:
     names, values = zip(*network.named_parameters(), strict=True)
     generator = torch.Generator().manual_seed(1)
     start = [0.3 * torch.randn(value.shape, generator=generator).double() for value in values]
-    told = Codes(*(each.double() for each in vars(codes()).values())) if network.of_place is None else None
+    told = Codes(*(table.double() for table in vars(codes()).values())) if network.of_place is None else None
     tx_m, position_m = random(2, 3, seed=9).double(), random(NUM_GAUSSIANS, 3).double()
 
     def outputs(*weights: Tensor) -> tuple[Tensor, ...]:

@@ -35,14 +35,14 @@ def test_it_is_what_torch_calls_a_data_set(dataset: PasDataset) -> None:
     assert isinstance(samples, Dataset)
     assert len(samples) == len(dataset) == 12
     sample = samples[7]
-    assert [each.shape for each in sample] == [(90, 360), (3,), (), (4,)]
-    require_equal([each[None] for each in sample], dataset, [7])
+    assert [tensor.shape for tensor in sample] == [(90, 360), (3,), (), (4,)]
+    require_equal([tensor[None] for tensor in sample], dataset, [7])
     with pytest.raises(IndexError, match="0 to 11, but 12"):
         samples[12]
 
 
 def test_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
-    require_equal([each[None] for each in dataset[[9, 4]].torch()[1]], dataset, [4])
+    require_equal([tensor[None] for tensor in dataset[[9, 4]].torch()[1]], dataset, [4])
 
 
 @pytest.mark.parametrize("maps", [True, False])

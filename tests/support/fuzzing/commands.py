@@ -87,7 +87,7 @@ MEASURING = {  # which take long, and read the records that they add to by the s
     )
 }
 
-_FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {each}' for each in FITTED)}"
+_FIT = f"--method aperture-gs --targets 10 --budget 3steps -q {' '.join(f'--set {option}' for option in FITTED)}"
 _NEAREST = "--method nearest --targets 10 --budget 3steps -q"
 _BENCHMARK = "benchmark --preset fuzz --data data --results results -q"
 _SCORE = f"score theirs.h5 --data {DATA} -q --results"
@@ -185,8 +185,8 @@ def names() -> tuple[str, ...]:
 
 def lines(kind: str) -> st.SearchStrategy[str]:
     """Command lines that read a kind, mostly of the commands that take milliseconds."""
-    quick = [line for command, each in LINES[kind].items() if command not in _SLOW for line in each]
-    every = [line for each in LINES[kind].values() for line in each]
+    quick = [line for command, of_command in LINES[kind].items() if command not in _SLOW for line in of_command]
+    every = [line for of_command in LINES[kind].values() for line in of_command]
     return st.sampled_from([*quick * _QUICKER, *every])
 
 

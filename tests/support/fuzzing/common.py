@@ -109,7 +109,9 @@ def _no_warning() -> Iterator[None]:
             yield
     finally:
         logging.getLogger().removeHandler(handler)
-    told = [f"{each.category.__name__}: {each.message} ({each.filename}:{each.lineno})" for each in caught]
+    told = [
+        f"{warning.category.__name__}: {warning.message} ({warning.filename}:{warning.lineno})" for warning in caught
+    ]
     told += [record.getMessage() for record in heard]
     assert not told, f"a user would read warnings: {told}"
 
@@ -191,22 +193,22 @@ NUM_INPUTS = {
     "an OBJ with one edit": 40,
     "positions of transmitters": 150,
     "option texts of generate": 200,
-    "data set": 60,
-    "records": 40,
-    "maps to show": 20,
+    "data set": 40,
+    "records": 25,
+    "maps to show": 12,
     "checkpoint": 20,
     "predictions made elsewhere": 25,
-    "stored predictions": 20,
-    "split file": 60,
+    "stored predictions": 12,
+    "split file": 40,
     "PNG folder": 20,
     "DeepMIMO scenario": 25,
     "DeepMIMO scenario of MATLAB": 25,
     "fingerprint": 20,
-    "damaged bytes": 60,
+    "damaged bytes": 40,
     "positions": 20,
     "measurement": 20,
     "scene": 20,
-    "mesh": 15,
+    "mesh": 10,
     "option texts of run": 40,
     "a folder of PNG maps": 60,
     "option texts of split": 40,

@@ -52,7 +52,7 @@ class Round:
 
     def end(self, *running: Running) -> None:
         """Wait for commands, and keep their outcomes."""
-        self.outcomes += [each.wait() for each in running]
+        self.outcomes += [process.wait() for process in running]
 
     def site(self) -> Path:
         """A random place at which the command writes, or keeps what is unfinished."""
@@ -62,7 +62,7 @@ class Round:
     def is_output_folder(self, path: Path) -> bool:
         """Whether a path is the folder that the user names for a command's outputs, as that of the results."""
         name = path.relative_to(self.work).as_posix()
-        return name in self.command.outputs and any(each.startswith(f"{name}/") for each in self.written)
+        return name in self.command.outputs and any(place.startswith(f"{name}/") for place in self.written)
 
 
 def killed(round_: Round) -> None:
@@ -160,5 +160,5 @@ def _cleared_site(round_: Round) -> Path | None:
 
 
 DISTURBANCES: dict[str, Disturbance] = {
-    each.__name__: each for each in (killed, interrupted, doubled, rivalled, filled, damaged, linked, foreign)
+    disturb.__name__: disturb for disturb in (killed, interrupted, doubled, rivalled, filled, damaged, linked, foreign)
 }

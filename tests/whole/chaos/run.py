@@ -127,13 +127,13 @@ def _undisturbed(seconds: float, one: Path, other: Path) -> Undisturbed:
 
 
 def _faults_of_outcomes(at: Round, last: Ended) -> Iterator[str]:
-    for each in (*at.outcomes, last):
-        if each.code is None:
+    for ended in (*at.outcomes, last):
+        if ended.code is None:
             yield "it did not end"
-        elif "Traceback" in each.stderr or (each.code == 2 and not each.is_refusal):
-            yield f"no words for a user: {each.stderr[-400:]!r}"
-        elif each.code not in (0, 2, 130, -9):
-            yield f"exit code {each.code}: {each.stderr[-400:]!r}"
+        elif "Traceback" in ended.stderr or (ended.code == 2 and not ended.is_refusal):
+            yield f"no words for a user: {ended.stderr[-400:]!r}"
+        elif ended.code not in (0, 2, 130, -9):
+            yield f"exit code {ended.code}: {ended.stderr[-400:]!r}"
 
 
 def _differences(at: Round, undisturbed: Undisturbed) -> Iterator[str]:

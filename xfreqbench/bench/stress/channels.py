@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.errors import MaterialBandError
 from xfreqbench.maps.bartlett import cfr_of_plane_waves
 from xfreqbench.scene.array import planar_array, steering_vector
@@ -32,8 +28,6 @@ _VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)
 # 100 m at 94 GHz are 31,000 turns: four roundings of 1.1e-16 each, times 2π, make 9e-11 rad
 _PHASE_LIMIT = 1e-10
-# half a unit in the last place of a float32, the same for real and imaginary part, and Friis's 1e-9
-_STORED_LIMIT = 2.0**-24 * 1.02
 
 
 def free_space(receiver: ReceiverArray = RECEIVER) -> Scene:
@@ -53,7 +47,7 @@ def friis(length_m: NDArray[np.longdouble], carrier_hz: float) -> NDArray[np.lon
     return np.asarray(LIGHT_M_S / np.longdouble(carrier_hz) / (4 * PI * length_m))
 
 
-@PHASE.each(
+@PHASE.cases_of(
     {f"plane waves, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ}, limit=_PHASE_LIMIT, unit="rad"
 )
 def _plane_wave_phase(carrier_ghz: float) -> float:
@@ -80,7 +74,7 @@ def _traced(carrier_hz: float) -> tuple[NDArray[np.complex128], NDArray[np.longd
     return cfr, np.sqrt((gap_m * gap_m).sum(axis=-1))
 
 
-@PHASE.each(
+@PHASE.cases_of(
     {f"image method, 0.1 to 100 m at {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ},
     limit=5e-10,  # its polynomials of sine and cosine add 1e-10, and its distances a rounding of their square
     unit="rad",
@@ -100,24 +94,6 @@ def _image_amplitude() -> float:
     return float(max(errors))
 
 
-@PHASE.each(
-    {f"channel stored as complex64 and read, {ghz:g} GHz": (ghz,) for ghz in CARRIERS_GHZ},
-    limit=_STORED_LIMIT,
-    unit="relative",
-)
-def _stored(carrier_ghz: float) -> float:
-    carrier_hz = ghz_to_hz(carrier_ghz)
-    cfr, distance_m = _traced(carrier_hz)
-    with tempfile.TemporaryDirectory() as folder:
-        stored = data_of(Path(folder) / "stored.h5", _horizontal_m(), [carrier_hz], cfr[:, None]).cfr
-    return float(np.abs(stored / (friis(distance_m, carrier_hz) * wave(distance_m, carrier_hz)) - 1).max())
-
-
-def data_of(path: Path, tx_m: NDArray[np.float64], carrier_hz: list[float], cfr: NDArray[np.complex128]) -> PasDataset:
-    """A stored data set of channels (T, F, M) at `RECEIVER`, whose maps are derived when they are read."""
-    return stored_channels(path, RECEIVER, np.array(carrier_hz), tx_m, cfr, maps=False)
-
-
 @PHASE.case("two carriers 1 Hz apart over 100 m", limit=_PHASE_LIMIT, unit="rad")
 def _one_hertz_apart() -> float:
     carriers, length_m = [24.25e9, 24.25e9 + 1], 100.0
@@ -127,33 +103,18 @@ def _one_hertz_apart() -> float:
     return float(abs(np.angle(high / low) + 2 * np.pi * length_m / SPEED_OF_LIGHT_M_S))
 
 
-def _steering_errors() -> tuple[float, float]:
-    """Errors of modulus and phase of the steering vectors of 64×64 elements at 94 GHz, for 50 arrivals."""
-    element_m = planar_array(64, 64, 0.5) * SPEED_OF_LIGHT_M_S / 94e9
-    directions = np.random.default_rng(0).normal(size=(50, 3))
-    arrival = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    steering = steering_vector(element_m, arrival, 94e9)
-    path_m = (arrival.astype(np.longdouble)[:, None] * element_m).sum(axis=-1)
-    modulus_error = float(np.abs(np.abs(steering) - 1).max())
-    return modulus_error, float(np.abs(steering / wave(-path_m, 94e9) - 1).max())
-
-
-@PHASE.case(
-    "steering vectors have modulus 1 at 94 GHz",
-    limit=4.5e-16,  # of cosine and sine, half a unit each
-    unit="absolute",
-)
-def _steering_modulus() -> float:
-    return _steering_errors()[0]
-
-
 @PHASE.case(
     "steering vectors of 64×64 elements at 94 GHz",
     limit=1e-13,  # the corners lie 22 wavelengths from the centre: 140 rad times five roundings
     unit="rad",
 )
-def _steering_phase() -> float:
-    return _steering_errors()[1]
+def _steering() -> float:
+    """Error of steering vectors of unit modulus, for 50 arrivals."""
+    element_m = planar_array(64, 64, 0.5) * SPEED_OF_LIGHT_M_S / 94e9
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    arrival = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    path_m = (arrival.astype(np.longdouble)[:, None] * element_m).sum(axis=-1)
+    return float(np.abs(steering_vector(element_m, arrival, 94e9) / wave(-path_m, 94e9) - 1).max())
 
 
 Side = Literal["lower", "upper"]
@@ -172,7 +133,7 @@ def _edges(side: Side, outward_hz: float) -> Iterator[tuple[str, Band, float]]:
                 yield name, band, carrier_hz
 
 
-@MATERIALS.each(
+@MATERIALS.cases_of(
     {f"P.2040 at the {side} edge of every band": (side,) for side in get_args(Side)},
     limit=1e-9,  # the constants of CODATA agree to 1e-10
     unit="relative",

@@ -40,7 +40,7 @@ def _largest_step(channels: NDArray[np.complex128]) -> float:
     return float((np.abs(channels[1:] - channels[0]) / np.abs(channels[0])).max())
 
 
-@DIFFRACTION.each(
+@DIFFRACTION.cases_of(
     {
         f"transmitter on the boundary of {what}, {material}": (material, side)
         for material in ("metal", "glass")
@@ -73,7 +73,7 @@ def _touching() -> float:
     return float((np.abs(found - expected) / np.abs(expected)).max())
 
 
-@DIFFRACTION.each(
+@DIFFRACTION.cases_of(
     {f"array astride a screen's {what}": (side,) for what, side in (("shadow", 1.5), ("reflection", -1.5))},
     limit=1e-4,  # a conductor of 1e9 S/m reflects all but 2e-5
     unit="relative",

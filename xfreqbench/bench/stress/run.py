@@ -1,31 +1,26 @@
-"""What `bench stress` does: it runs the cases, prints a row for each, and stores the table as a record."""
+"""What `bench stress` does: it runs the cases, and prints and stores a row for each."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-
-from xfreqbench.bench.stress.case import StressCase, Verdict
-from xfreqbench.bench.tables import require_records
+from xfreqbench.bench.stress.case import StressCase
+from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import UnknownNameError
-from xfreqbench.runs.records import BenchRecord, append
 
 COLUMNS = ("area", "case", "error", "limit", "unit", "")
-_WIDTHS = (13, 68, 8, 8, 10, 0)
+_NOTE = "Errors against references that share constants, and no code, with what they check, and the limits they keep."
 
 
 def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
     from xfreqbench.bench.stress.channels import MATERIALS, PHASE
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
-    from xfreqbench.bench.stress.geometry import FACETS, GEOMETRY
-    from xfreqbench.bench.stress.maps import MAPS, SCORES
+    from xfreqbench.bench.stress.geometry import GEOMETRY
+    from xfreqbench.bench.stress.maps import MAPS
     from xfreqbench.bench.stress.splatting import COMPOSITE, FOOTPRINTS, PROJECTION
-    from xfreqbench.bench.stress.training import ENCODING, SEEDS, TRAINING
+    from xfreqbench.bench.stress.training import ENCODING, TRAINING
 
-    physics = (PHASE, MATERIALS, GEOMETRY, FACETS, DIFFRACTION, MAPS, SCORES)
-    learning = (COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING, SEEDS)
-    return tuple(case for area in (*physics, *learning) for case in area.cases)
+    physics, learning = (PHASE, MATERIALS, GEOMETRY, DIFFRACTION, MAPS), (COMPOSITE, FOOTPRINTS, PROJECTION)
+    return tuple(case for area in (*physics, *learning, ENCODING, TRAINING) for case in area.cases)
 
 
 def selected(only: str | None) -> tuple[StressCase, ...]:
@@ -39,49 +34,19 @@ def selected(only: str | None) -> tuple[StressCase, ...]:
     return chosen
 
 
-def run_cases(only: str | None = None) -> Iterator[Verdict]:
-    """The verdicts on the `selected` cases, one by one."""
-    return (case.judge() for case in selected(only))
-
-
-def stress(only: str | None, output: Path | None, say: Callable[[str], None]) -> bool:
+def bench_stress(bench: Bench, only: str | None) -> bool:
     """Print a row for each case as soon as it is done; return whether all cases keep their limits.
 
-    The table is appended to the records in `output`. Raises `UnknownNameError` where no case is selected, and
-    `StorageError` or `DataError`, before the first case, where `output` is no file of records.
+    Raises `UnknownNameError` where no case is selected.
     """
-    require_records(output)
-    verdicts: list[Verdict] = []
-    for verdict in run_cases(only):
-        if not verdicts:
-            say(_line(COLUMNS))
-        verdicts.append(verdict)
-        say(_line(verdict.cells))
-    if output is not None:
-        append(output, record_of(verdicts, only))
-    num_skipped = sum(verdict.is_skipped for verdict in verdicts)
-    failed = [verdict.case.name for verdict in verdicts if not (verdict.is_within or verdict.is_skipped)]
-    skipped, others = (f"{num_skipped} skipped, ", "all others") if num_skipped else ("", "all")
-    outcome = f"{len(failed)} FAILED: {'; '.join(failed)}" if failed else f"{others} within limits"
-    noun = "case" if len(verdicts) == 1 else "cases"
-    say(f"{len(verdicts)} {noun}, {skipped}{outcome}")
+    chosen, failed = selected(only), list[str]()
+    bench.introduce()
+    with bench.table("Numerical stability" + (f", {only}" if only else ""), _NOTE, COLUMNS) as table:
+        for case in chosen:
+            verdict = case.judge()
+            table.add(*verdict.cells)
+            if not verdict.is_within:
+                failed.append(case.name)
+    outcome = f"{len(failed)} FAILED: {'; '.join(failed)}" if failed else "all within limits"
+    bench.say(f"{len(chosen)} {'case' if len(chosen) == 1 else 'cases'}, {outcome}")
     return not failed
-
-
-def record_of(verdicts: Sequence[Verdict], only: str | None = None) -> BenchRecord:
-    """The verdicts as a record with a table that a report shows."""
-    return BenchRecord.here(
-        bench="stress",
-        title="Numerical stability" + (f", {only}" if only else ""),
-        command="xfreqbench bench stress" + (f" --only {only!r}" if only else ""),
-        note=(
-            "Errors against references that share constants, and no code, with what they check, and the limits they "
-            "keep; cases of seeds, threads and shared visibility compare two ways of the same code."
-        ),
-        columns=COLUMNS,
-        rows=tuple(verdict.cells for verdict in verdicts),
-    )
-
-
-def _line(cells: Sequence[str]) -> str:
-    return " ".join(f"{cell:{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)).rstrip()

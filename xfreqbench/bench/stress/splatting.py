@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from xfreqbench.bench.stress.case import Area, needing_two_threads
+from xfreqbench.bench.stress.case import Area
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.splatting.composite import Backend, PixelLists, composite
-from xfreqbench.methods.splatting.composite_kernels import use_threads
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
-from xfreqbench.methods.splatting.gaussians import covariance, rotation_matrix
-from xfreqbench.methods.splatting.projection import Projection, project, projection_jacobian
+from xfreqbench.methods.splatting.gaussians import covariance
+from xfreqbench.methods.splatting.projection import Projection, project
 from xfreqbench.types import NDArray
 
 COMPOSITE = Area("composite")
@@ -154,7 +153,7 @@ for _which, (_kind, _is_full) in enumerate(_LISTS):
         COMPOSITE.case(_name, _which, _backend, limit=_limit, unit="relative")(_long_product)
 
 
-@COMPOSITE.each(
+@COMPOSITE.cases_of(
     _of_both_backends(f"{_NUM_FACTORS:,} attenuations of a half: underflow"), limit=_SINGLE, unit="relative"
 )
 def _underflow(backend: Backend) -> float:
@@ -178,53 +177,7 @@ def _underflow(backend: Backend) -> float:
     )
 
 
-# the kernels keep G at 2^−124 or more, and the gradient of 1/λ is a distance of 1e12 times that
-@COMPOSITE.each(_of_both_backends("footprints 1e12 deviations² away"), limit=1e-25, unit="absolute")
-def _far_outside(backend: Backend) -> float:
-    """Field and gradients far outside a footprint, where G underflows; the signals are 1."""
-    kind = torch.float32 if backend == "numba" else torch.float64
-    ones = torch.ones(3, 1, dtype=kind)
-    signal, clear = ones.to(kind.to_complex()), (0 * ones).to(kind.to_complex())
-    leaves = _tracked((torch.tensor([1e3, 1e6, 1e12], dtype=kind), ones, signal, clear), kind)
-    values = _with_gradients(
-        composite(PixelLists(torch.tensor([0, 3]), torch.arange(3), 3), *leaves, backend)[:, 0], leaves
-    )
-    return max(float(value.abs().max()) for value in values)
-
-
-@COMPOSITE.each(_of_both_backends("directions without a Gaussian"), limit=0, unit="absolute")
-def _no_gaussians(backend: Backend) -> float:
-    """Field and gradients of directions that see no Gaussian."""
-    lists = PixelLists(torch.zeros(6, dtype=torch.int64), torch.zeros(0, dtype=torch.int64), 2)
-    signal = torch.ones(2, 3, dtype=torch.complex64)
-    leaves = _tracked((torch.zeros(0), torch.ones(2, 3), signal, signal), torch.float32)
-    field, *gradients = _with_gradients(composite(lists, *leaves, backend), leaves)
-    assert field.shape == (3, 5), f"field of shape {tuple(field.shape)}"
-    return float(field.abs().max()) + sum(float(gradient.abs().sum()) for gradient in gradients)
-
-
-@COMPOSITE.case("one thread and two", limit=_SINGLE, unit="relative")
-@needing_two_threads
-def _threads() -> float:
-    """Difference between the fields of one thread and of two, relative to the largest value."""
-    leaves, number = _tracked(_leaves(), torch.float32), len(_LISTS) * _NUM_FACTORS
-    lists = PixelLists(torch.arange(0, number + 1, 100), torch.arange(number), number)
-    one, two = (_composited_on(threads, lists, leaves) for threads in (1, 2))
-    return float((one - two).abs().max() / one.abs().max())
-
-
-def _composited_on(threads: int, lists: PixelLists, leaves: Leaves) -> Tensor:
-    """The field that the kernels compute on so many threads."""
-    before, numba_before = torch.get_num_threads(), use_threads(threads)
-    torch.set_num_threads(threads)
-    try:
-        return composite(lists, *leaves, "numba").detach()
-    finally:
-        torch.set_num_threads(before)
-        use_threads(numba_before)
-
-
-@FOOTPRINTS.each(_PLACES_AND_SIZES_DEG, limit=0, unit="pairs")
+@FOOTPRINTS.cases_of(_PLACES_AND_SIZES_DEG, limit=0, unit="pairs")
 def _misplaced_pairs(centre_deg: list[tuple[float, float]], deviation_deg: list[tuple[float, float]]) -> float:
     """Number of pairs of a direction and a Gaussian that are missing, wrong or double, in both backends.
 
@@ -265,32 +218,6 @@ def _squared_distances(projection: Projection) -> NDArray[np.float64]:
     return np.asarray(np.einsum("kni,nij,knj->kn", offset, precision, offset))
 
 
-@FOOTPRINTS.case("larger than the sphere", limit=0, unit="directions")
-def _larger_than_the_sphere() -> float:
-    """Number of directions that do not see each of three Gaussians, larger than the sphere, exactly once."""
-    angles = torch.tensor([[0.0, 0.5], [3.0, 1.5], [-math.pi, -1.0]]).double()
-    projection = _projection(angles, 1e4 * torch.eye(2).double().expand(3, 2, 2))
-    lists = [bin_footprints(projection, _GRID, _SUPPORT, backend) for backend in _BACKENDS]
-    return float(sum((tile_list.start.diff() != 3).sum() for tile_list in lists))
-
-
-# up to 360 per rad² times 2 · 3e-7 rad, the rounding of π, of roots of distances of 1e-3 and more
-@FOOTPRINTS.case("distances across the seam", limit=1e-4, unit="relative")
-def _seam() -> float:
-    """Relative error of distances across the azimuth's seam in float32, against the same in double precision."""
-    azimuth_rad = torch.tensor([0.0, -1e-7, math.pi, -math.pi, 2 * math.pi - 1e-3])
-    elevation_rad = torch.tensor([0.0, 0.01, 0.0, -0.02, 0.03])
-    covariances = torch.tensor([[0.01, 0.012], [0.012, 0.02]]).expand(5, 2, 2)
-    projection = Projection(azimuth_rad, elevation_rad, covariances, torch.ones(5))
-    start = torch.tensor([0] + [5] * 180 + [10] * 180 + [10] * (89 * 360))  # directions 0° and 180° alone
-    found = squared_distance(projection, PixelLists(start, torch.arange(5).repeat(2), 5), _GRID).double()
-    gap = torch.tensor([0.0, math.pi]).repeat_interleave(5).double() - azimuth_rad.double().repeat(2)
-    across, along = torch.atan2(gap.sin(), gap.cos()), -elevation_rad.double().repeat(2)
-    # the inverse of [[a, b], [b, c]] is [[c, −b], [−b, a]] over ac − b²
-    expected = (0.02 * across**2 - 0.024 * across * along + 0.01 * along**2) / (0.01 * 0.02 - 0.012**2)
-    return float(((found - expected).abs() / (1e-3 + expected)).max())
-
-
 @PROJECTION.case("Gaussians of all places, sizes, and zero quaternions", limit=0, unit="values")
 def _faults_of_strange_gaussians() -> float:
     """Number of results and gradients that are not finite, and of footprints that are no ellipse."""
@@ -315,44 +242,6 @@ def _strange_gaussians(kind: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
     return position_m, scale_m.log(), quaternion
 
 
-# it is moved by 2 µm to have an azimuth, and seen from 3 m
-@PROJECTION.each(
-    {"Gaussian exactly at the zenith": (3.0,), "Gaussian exactly at the nadir": (-3.0,)}, limit=1e-6, unit="rad"
-)
-def _pole(height_m: float) -> float:
-    """Angle in radians between the pole and a Gaussian exactly above or below the receiver."""
-    position_m = torch.tensor([[0.0, 0.0, height_m]])
-    projection = project(position_m, torch.zeros(1, 3, 3))
-    return float((projection.elevation_rad - math.copysign(math.pi / 2, height_m)).abs())
-
-
-@PROJECTION.case("Jacobian up to 1.1° from the pole", limit=_SINGLE, unit="relative")
-def _jacobian() -> float:
-    """Error of the Jacobian in float32 against differences, relative to its largest entry."""
-    elevation = torch.tensor([0.0, 30.0, -45.0, 80.0, 88.0, 88.9]).double().deg2rad()
-    azimuth = torch.tensor([0.0, 1.0, 2.0, 3.0, -1.0, -3.1]).double()
-    horizontal = 5 * elevation.cos()
-    position_m = torch.stack([horizontal * azimuth.cos(), horizontal * azimuth.sin(), 5 * elevation.sin()], -1)
-
-    def angles(at: Tensor) -> Tensor:
-        return torch.stack([torch.atan2(at[:, 1], at[:, 0]), torch.asin(at[:, 2] / at.norm(dim=-1))], -1)
-
-    step_m = 1e-5 * torch.eye(3, dtype=torch.float64)
-    expected = torch.stack([(angles(position_m + e) - angles(position_m - e)) / 2e-5 for e in step_m], dim=-1)
-    found = projection_jacobian(position_m.float()).double()
-    return float(((found - expected).abs().amax((1, 2)) / expected.abs().amax((1, 2))).max())
-
-
-@PROJECTION.case("Jacobian within 1° of the pole", limit=_SINGLE, unit="relative")
-def _jacobian_at_the_pole() -> float:
-    """Within 1° of the pole the azimuth changes by 1/(sin 1° · range) per metre, the elevation by 1/range."""
-    position_m = torch.tensor([[1e-12, 0, 5], [1e-6, 1e-6, 5], [0.01, -0.01, -5], [0.08, 0, 5]])
-    found = projection_jacobian(position_m).double().norm(dim=-1)
-    range_m = position_m.double().norm(dim=-1, keepdim=True)
-    expected = torch.tensor([1 / math.sin(math.pi / 180), 1.0]).double() / range_m
-    return float((found / expected - 1).abs().max())
-
-
 @PROJECTION.case("covariances of 1e-8 to 1e4 m", limit=5 * _SINGLE, unit="relative")
 def _extreme_scales() -> float:
     """Σ of a needle turned so that its axes change places is the diagonal matrix with exchanged entries.
@@ -369,20 +258,3 @@ def _extreme_scales() -> float:
     entries = scale.double()[:, [2, 0, 1]] ** 2
     beside = (exact - torch.diag_embed(exact.diagonal(dim1=1, dim2=2))).abs()
     return max(float(off.max()), float((exact.diagonal(dim1=1, dim2=2) / entries - 1).abs().max()), float(beside.max()))
-
-
-@PROJECTION.case("quaternions of length 0, 1e-6, 1e6", limit=_SINGLE, unit="absolute")
-def _quaternions() -> float:
-    """Quaternions of length 1e-6, 1 and 1e6 give the same rotation; one of length 0 gives the identity."""
-    unit = torch.nn.functional.normalize(torch.randn(10, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
-    still = rotation_matrix(torch.zeros(1, 4)) - torch.eye(3)
-    others = [rotation_matrix(length * unit) - rotation_matrix(unit) for length in (1e-6, 1e6)]
-    product = rotation_matrix(unit).double()
-    return max(float(off.abs().max()) for off in (still, *others, product @ product.mT - torch.eye(3).double()))
-
-
-@PROJECTION.case("Gaussian without extent", limit=_SINGLE, unit="relative")
-def _smallest_footprint() -> float:
-    """A Gaussian without extent has a circular footprint with a deviation of half a degree."""
-    found = project(torch.tensor([[1.0, 2.0, 1.0]]), torch.zeros(1, 3, 3)).covariance
-    return float((found / math.radians(0.5) ** 2 - torch.eye(2)).abs().max())

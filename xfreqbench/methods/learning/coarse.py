@@ -33,7 +33,7 @@ class CoarseDataset(PasDataset):
     def of(cls, fine: PasDataset, stride: int) -> CoarseDataset:
         """The samples of a data set, coarsely."""
         grid = AngularGrid(fine.grid.elevation_rad[::stride], fine.grid.azimuth_rad[::stride])
-        known: dict[str, Any] = {each.name: getattr(fine, each.name) for each in fields(PasDataset)}
+        known: dict[str, Any] = {entry.name: getattr(fine, entry.name) for entry in fields(PasDataset)}
         known["beam"] = BartlettBeam(fine.beam.element_position_wavelengths, grid)
         return cls(**known, fine=fine, stride=stride)
 

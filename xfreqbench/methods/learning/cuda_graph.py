@@ -27,7 +27,7 @@ class StepGraph:
 
     def __call__(self, *inputs: Tensor, device: torch.device) -> tuple[Tensor, ...]:
         """The function's results for tensors on any device."""
-        on_device = tuple(each.to(device, non_blocking=True) for each in inputs)
+        on_device = tuple(tensor.to(device, non_blocking=True) for tensor in inputs)
         self._calls += 1
         if self._calls <= _WARM_UP:
             self._stream.wait_stream(torch.cuda.current_stream())

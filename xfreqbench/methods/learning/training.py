@@ -450,7 +450,9 @@ def _gradients(field: ChannelField, loss: Tensor) -> tuple[list[nn.Parameter], T
     field.zero_grad(set_to_none=True)
     loss.backward()
     parameters = [parameter for parameter in field.parameters() if parameter.grad is not None]
-    return parameters, nn.utils.get_total_norm([each.grad for each in parameters if each.grad is not None])
+    return parameters, nn.utils.get_total_norm(
+        [parameter.grad for parameter in parameters if parameter.grad is not None]
+    )
 
 
 def _update(training: Training, parameters: list[nn.Parameter], norm: Tensor) -> None:

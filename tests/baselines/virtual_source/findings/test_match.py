@@ -21,7 +21,7 @@ def normals() -> np.ndarray:
 def test_a_found_rectangle_is_read_along_the_axes_that_it_was_written_along() -> None:
     normal = normals()
     written = Mirrors.of_tensors(torch.as_tensor(normal), torch.ones(len(normal), dtype=torch.float64)).axes
-    read = np.array([axes_within(each) for each in normal])
+    read = np.array([axes_within(unit) for unit in normal])
     np.testing.assert_allclose(read, written.numpy(), rtol=0, atol=ROUNDING)
 
 

@@ -30,7 +30,7 @@ def materials_of(box: PasDataset, findings: dict[str, object]) -> dict[str, Show
 
 def test_every_slab_of_the_scene_has_the_planes_that_show_it(box: PasDataset) -> None:
     shown = materials_of(box, found_room())
-    planes = {title: [each.plane for each in material.learned] for title, material in shown.items()}
+    planes = {title: [learned.plane for learned in material.learned] for title, material in shown.items()}
     assert planes == {
         "concrete 100 mm": [2, 3],
         "concrete 200 mm": [0, 1],

@@ -102,7 +102,7 @@ def test_a_plane_left_out_is_missed_in_the_found_planes_alone(complete: Residual
         lower = ssim_of(floorless, Selection(True, order)), ssim_of(complete, Selection(True, order))
         assert np.median(lower[0]) < np.median(lower[1]) - 0.005  # a floor carries percents of the power
     for order in (0, 1, 2, 3, None):
-        same = [ssim_of(each, Selection(False, order)) for each in (floorless, complete)]
+        same = [ssim_of(residual, Selection(False, order)) for residual in (floorless, complete)]
         np.testing.assert_array_equal(*same)
     assert floorless.share_not_found.min() > 0
 

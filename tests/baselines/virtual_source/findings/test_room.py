@@ -153,11 +153,11 @@ def test_faces_that_name_nothing_are_refused(dataset: PasDataset, change: dict[s
 
 def test_the_room_that_the_run_refined_is_shown_as_it_is(dataset: PasDataset) -> None:
     found = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
-    refined = [replace(each, slab=each.slab._replace(thickness_m=0.07)) for each in found[1:]]
-    told = {**found_room(), "room": [surface_json(each) for each in refined]}
+    refined = [replace(surface, slab=surface.slab._replace(thickness_m=0.07)) for surface in found[1:]]
+    told = {**found_room(), "room": [surface_json(surface) for surface in refined]}
     refinement = refinement_of(ComparedFindings.of(record_of(dataset, json.loads(json.dumps(told))), dataset))
     assert refinement.is_over
-    assert [surface_json(each) for each in refinement.room] == [surface_json(each) for each in refined]
+    assert [surface_json(surface) for surface in refinement.room] == [surface_json(surface) for surface in refined]
     assert len(refinement.found) == len(found)
 
 
@@ -200,7 +200,7 @@ def test_the_box_is_as_large_as_its_surfaces(dataset: PasDataset) -> None:
     surfaces = refinement_of(ComparedFindings.of(record_of(dataset, found_room()), dataset)).found
     length_m, width_m, height_m = SIZE_M
     shell_m2 = 2 * (length_m * width_m + length_m * height_m + width_m * height_m)
-    assert sum(each.area_m2 for each in surfaces if each.is_wall) == pytest.approx(shell_m2)
+    assert sum(surface.area_m2 for surface in surfaces if surface.is_wall) == pytest.approx(shell_m2)
 
 
 def test_rooms_are_scored_at_tested_rows(dataset: PasDataset, tmp_path: Path) -> None:
