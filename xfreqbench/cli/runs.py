@@ -291,6 +291,9 @@ def report(
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
     ] = None,
+    since: Annotated[
+        str | None, Parameter(help="Earlier results, such as v1: print which methods got worse since, and what is new.")
+    ] = None,
     maps: Annotated[
         Path | None,
         Parameter(
@@ -314,7 +317,8 @@ def report(
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
     found = list(map(results_at, results))
-    written = write_report(found, output, details)
+    earlier = None if since is None else results_at(since)
+    written = write_report(found, output, details, earlier)
     for path in written.paths:
         say(f"wrote {path}", quiet)
     if written.num_truncated:
@@ -328,7 +332,7 @@ def report(
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
-        say(f"wrote {write_page(found, html)} and, beside it, its tables", quiet)
+        say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))

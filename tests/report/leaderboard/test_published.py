@@ -6,13 +6,16 @@ from tests.support.leaderboard_records import leaderboard_markdown, make_records
 from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, sources_of
+from xfreqbench.report.leaderboard.tables import csv_tables
 
 XFREQ = {"sees_carrier": True, "footprint": "projected"}
 
 
 def test_a_method_has_what_was_published_of_it_beside_it_on_the_same_splits() -> None:
     records = [make_record("xfreq-gs", 0.9, split, config=XFREQ) for split in SPLITS]
-    summary, *of_splits = rows_of(leaderboard_markdown([*make_records(), *records]), "xfreq-gs")
+    summary, *of_splits = [
+        row for row in csv_tables(boards([*make_records(), *records]))["scores"] if row["method"] == "xfreq-gs"
+    ]
     assert summary["published, other data"] == "XFreq-GS 0.9098"
     assert [row["published, other data"] for row in of_splits] == [
         "XFreq-GS 0.9085",

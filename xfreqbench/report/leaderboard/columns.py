@@ -74,10 +74,6 @@ _OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
 BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
 RANKING = (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS, "published")
 OVERVIEW = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
-ONE_SPLIT = (
-    *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
-    *("skill", "seeds", *COSTS, "published"),
-)
 TABLE = (
     *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
     *("skill", "seed spread", "seeds", *COSTS, "published", "trained on"),
@@ -91,7 +87,7 @@ PAGE = (
 
 
 def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `ONE_SPLIT`, `TABLE`, `PAIR` or `PAGE`.
+    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `TABLE`, `PAIR` or `PAGE`.
 
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
     number for, and published numbers where no row has any, are left out.

@@ -8,7 +8,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from xfreqbench.report.drawing.markdown import table
 from xfreqbench.report.leaderboard.rows import BoardRow
 
 PUBLISHED_TITLE = "published, other data"
@@ -27,20 +26,6 @@ def published_cell(row: BoardRow, splits: Sequence[str]) -> str:
             places = [whole] if whole else [cells.get(split) for split in splits]
             return f"{counterpart['name']} {' / '.join(map(published_value, places))}" if all(places) else ""
     return ""
-
-
-def published_section(protocol: str) -> list[str]:
-    """A heading and every published table of a protocol, as Markdown; empty where nothing was published."""
-    content = published_content()
-    tables = [shown for shown in content["table"].values() if shown["protocol"] == protocol]
-    if not tables:
-        return []
-    parts = ["### Published, other data, not comparable", f"{content['citation']}: {content['conditions']}."]
-    for published in tables:
-        rows = [[name, *values] for name, values in published["rows"].items()]
-        header = [published["first_column"], *published["columns"]]
-        parts.append(f"{published['title']}:\n\n{table(header, rows)}")
-    return parts
 
 
 def reduced_statement(rows: Sequence[BoardRow]) -> str:
