@@ -41,7 +41,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, protocol_tasks, require_importable, require_runnable
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
-from xfreqbench.runs.records import RunRecord
+from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.rooms import RoomTask, room_tasks, run_in_rooms
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine

@@ -11,7 +11,7 @@ from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
 from xfreqbench.report.leaderboard.origins import machine_name, record_key, short_commit
-from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, reduced_statement
+from xfreqbench.report.leaderboard.published import reduced_statement
 from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
@@ -32,8 +32,6 @@ _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "
     "average over them",
     **{COSTS[name].title: f"{COSTS[name].hint}, mean over splits and seeds" for name in _EXPLAINED_COSTS},
-    PUBLISHED_TITLE: "median SSIM from the paper named below the table, of other data and another machine; not "
-    "comparable",
 }
 
 

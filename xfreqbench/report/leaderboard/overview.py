@@ -21,7 +21,7 @@ from xfreqbench.runs.records import BenchRecord
 
 ROOMS = "unseen-rooms"  # the measurement whose first table is of rooms that were never seen
 _BRIEFLY = {"generate": "Generator", "render": "Rendering", "stress": "Stability"}
-_MOST_ROWS = 3
+_MOST_ROWS, _MOST_SPLITS = 3, 5
 _FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
 _GAIN = "quick → converged"
 _FLAT = 0.002  # of SSIM
@@ -43,7 +43,7 @@ def overview_markdown(
     """
     scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
-    compared = [_first_comparison(board) for board in _main_boards(ranked)]
+    compared = [_first_comparison(board) for board in main_boards(ranked)]
     every = {**pages, "measurements": measurements_page}
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
@@ -71,7 +71,7 @@ def main_scene(ranked: Sequence[Board]) -> str:
     return max(records, key=lambda scene: (records[scene], scene), default="")
 
 
-def _main_boards(ranked: Sequence[Board]) -> list[Board]:
+def main_boards(ranked: Sequence[Board]) -> list[Board]:
     """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations."""
     by_place: dict[tuple[str, str], list[Board]] = {}
     for board in ranked:
@@ -152,7 +152,7 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
 
 def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
     """What carrier-conditioned attributes add, with and without the aids that the paper does not have."""
-    said = {}
+    said: dict[str, str] = {}
     for words, pairs in (
         (
             "with our aids",
@@ -182,7 +182,7 @@ def _difference(board: Board, row: BoardRow, other: BoardRow) -> str:
 
 def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
     """How far the paper's method comes with nothing that the paper does not have, beside the aided one."""
-    shown = {}
+    shown: dict[str, str] = {}
     for method in ("xfreq-gs-paper", "xfreq-gs"):
         for board in of_scene if len(shown) < 2 else ():
             rows = [row for row in board.rows if row.job.method == method and row.family == "learned"]
@@ -205,7 +205,8 @@ def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene:
     board = comparison.board
     title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
     more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
-    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, OVERVIEW)}"]
+    columns = [name for name in OVERVIEW if name != "splits" or len(comparison.splits) <= _MOST_SPLITS]
+    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, columns)}"]
 
 
 def _budget_table(lanes: Sequence[Board]) -> list[str]:

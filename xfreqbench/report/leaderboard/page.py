@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -159,11 +160,12 @@ def overview_protocols(ranked: Sequence[Board]) -> list[str]:
 def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
     """Links to the boards, by scene and then by protocol; `compared` holds one comparison of every board."""
     protocols = overview_protocols([comparison.board for comparison in compared])
+    num_data = Counter(scene for scene, _ in {(each.board.scene, each.board.data) for each in compared})
     scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
         scene: [
             [
-                _link(comparison)
+                _link(comparison, num_data[scene] > 1)
                 for comparison in compared
                 if (comparison.board.scene, comparison.board.protocol) == (scene, protocol)
             ]
@@ -173,7 +175,7 @@ def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLi
     }
 
 
-def _link(comparison: Comparison) -> BoardLink:
+def _link(comparison: Comparison, names_data: bool) -> BoardLink:
     board = comparison.board
     competing = list(filter(_competes, comparison.rows))
     if competing:
@@ -186,7 +188,8 @@ def _link(comparison: Comparison) -> BoardLink:
         standing = f"{best.short_label}: {scores}{among}"
     else:
         standing = f"{' and '.join(dict.fromkeys(_PLURALS[row.family] for row in comparison.rows))} alone"
-    return BoardLink(board.slug, board.lane_title or "without budget", standing)
+    data = f", {board.data_name}" if names_data else ""
+    return BoardLink(board.slug, (board.lane_title or "without budget") + data, standing)
 
 
 def _set_table(comparison: Comparison) -> SetTable:

@@ -20,10 +20,10 @@ from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.columns import metric_title
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
+from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
-from xfreqbench.report.leaderboard.overview import main_scene
+from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.published import published_content, stands_for
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
@@ -62,18 +62,18 @@ Value = TypeVar("Value")
 def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
     """Published numbers beside ours, and the paper's claims with a verdict, for the boards of one scene.
 
-    `grids` are maps by the links to their figures.
+    Claims are judged in several budgets; tables and figures are of the one with most runs. `grids` are maps by the
+    links to their figures.
     """
-    content = published_content()
-    resampling = {board.slug: Resampling() for board in ranked}
+    content, shown = published_content(), main_boards(ranked)
     parts = [
         f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
         "## Claims",
         claims_table(ranked) or "None was measured.",
         "## The paper's tables",
         "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
-        *_papers_tables(content, ranked, resampling),
-        *_distributions(ranked),
+        *_papers_tables(content, shown),
+        *_distributions(shown),
         *_maps(grids or {}),
     ]
     return "\n\n".join(parts) + "\n"
@@ -144,23 +144,21 @@ def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, me
     }
     for board in ranked:
         if (board.protocol, board.lane) == (claim["protocol"], lane):
-            for comparison, better, worse in _pairs(named, board, Resampling()):
+            for comparison, better, worse in _pairs(named, board):
                 splits, difference, verdict = _verdict(comparison, better, worse)
                 where = f" at {splits}" if len(comparison.splits) == 1 else ""
                 return f"{difference}{where}: {verdict}"
     return ABSENT
 
 
-def _pairs(
-    claim: Mapping[str, Any], board: Board, resampling: Resampling
-) -> list[tuple[Comparison, BoardRow, BoardRow]]:
+def _pairs(claim: Mapping[str, Any], board: Board) -> list[tuple[Comparison, BoardRow, BoardRow]]:
     """The two rows that a claim compares, on the splits that both were run on; none where one is missing."""
     named = claim["better"], claim["worse"]
     better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
     if better is None or worse is None:
         return []
     splits = tuple(split for split in board.splits if split in better.by_split and split in worse.by_split)
-    return [(Comparison(board, splits, resampling), better, worse)] if splits else []
+    return [(Comparison(board, splits), better, worse)] if splits else []
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
@@ -178,79 +176,55 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
     return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
-def _papers_tables(
-    content: Mapping[str, Any], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
-) -> list[str]:
-    """The paper's tables, with its rows and columns, for each budget of which we have a number."""
+def _papers_tables(content: Mapping[str, Any], ranked: Sequence[Board]) -> list[str]:
+    """The paper's tables, with its rows and columns, of which we have a number."""
     ours = {
         (name, row, statistic): (counterpart, place, statistic if column in _STATISTICS else _MEDIAN_SSIM)
         for counterpart in content["counterpart"]
         for place, (name, row, column) in counterpart["cells"].items()
         for statistic in (_STATISTICS if column in _STATISTICS else (column,))
     }
+    boards = {board.protocol: board for board in ranked}
     parts = []
     for name, published in content["table"].items():
-        boards = [board for board in ranked if board.protocol == published["protocol"] and name != "cdf"]
-        for lane, title in {board.lane: board.lane_title or "no budget" for board in boards}.items():
-            rows = []
-            for row, theirs in published["rows"].items():
-                cells = [
-                    _cell(ours.get((name, row, column)), value, lane, boards, resampling)
-                    for column, value in zip(published["columns"], theirs, strict=True)
-                ]
-                rows.append([heading(row), *cells])
-            if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
-                header = (published["first_column"], *published["columns"])
-                parts.append(
-                    f"{published['title']}; ours in the budget {heading(title)}:\n\n{table(header, rows, prose)}"
-                )
+        if name == "cdf" or published["protocol"] not in boards:
+            continue
+        board = boards[published["protocol"]]
+        rows = []
+        for row, theirs in published["rows"].items():
+            found = [_ours(ours.get((name, row, column)), board) for column in published["columns"]]
+            rows.append([heading(row), *(f"{cell} ({value})" for cell, value in zip(found, theirs, strict=True))])
+        if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
+            header, title = (published["first_column"], *published["columns"]), heading(board.lane_title or "no budget")
+            parts.append(f"{published['title']}; ours in the budget {title}:\n\n{table(header, rows, prose)}")
     return parts
 
 
-def _cell(
-    ours: tuple[Mapping[str, Any], str, str] | None,
-    theirs: str,
-    lane: str,
-    boards: Sequence[Board],
-    resampling: Mapping[str, Resampling],
-) -> str:
-    """Our number in a budget and behind it, in round brackets, the paper's."""
-    counterpart, place, statistic = ours or ({}, "", "")
-    found = _found_rows(counterpart, place, boards).get(lane) if ours else None
-    return f"{_ours(*found, statistic, resampling) if found else ABSENT} ({theirs})"
+def _ours(cell: tuple[Mapping[str, Any], str, str] | None, board: Board) -> str:
+    """Our number beside a published one, the mean over splits; a median SSIM has its interval. A dash without any.
 
+    The splits are those that the paper names, or all of the row where it names none.
+    """
+    counterpart, place, statistic = cell or ({}, "", "")
+    for row in board.rows if cell else ():
+        splits = tuple(row.by_split) if place == "any" else tuple(place.split())
+        if not (_is_named(counterpart, row) and set(splits) <= set(row.by_split)):
+            continue
+        metric, name, decimals = _STATISTICS[statistic]
 
-def _found_rows(
-    counterpart: Mapping[str, Any], place: str, boards: Sequence[Board]
-) -> dict[str, tuple[Board, BoardRow, tuple[str, ...]]]:
-    """Our row for a published cell, and its splits, by budget; all its splits if the paper does not name them."""
-    found: dict[str, tuple[Board, BoardRow, tuple[str, ...]]] = {}
-    for board in boards:
-        for row in board.rows if board.protocol == counterpart["protocol"] else ():
-            splits = tuple(row.by_split) if place == "any" else tuple(place.split())
-            if _is_named(counterpart, row) and set(splits) <= set(row.by_split):
-                found.setdefault(board.lane, (board, row, splits))
-    return found
+        def quantity(record: RunRecord, metric: str = metric, name: str = name) -> float:
+            return float(getattr(record.scores[metric], name))
 
-
-def _ours(
-    board: Board, row: BoardRow, splits: tuple[str, ...], statistic: str, resampling: Mapping[str, Resampling]
-) -> str:
-    """Our number beside a published one, the mean over splits; a median SSIM has its interval."""
-    metric, name, decimals = _STATISTICS[statistic]
-
-    def quantity(record: RunRecord) -> float:
-        return float(getattr(record.scores[metric], name))
-
-    value = row.average(splits, quantity)
-    if statistic != _MEDIAN_SSIM:
-        return number(value, decimals)
-    return with_interval(value, Comparison(board, splits, resampling[board.slug]).interval(row), decimals)
+        value = row.average(splits, quantity)
+        if statistic != _MEDIAN_SSIM:
+            return number(value, decimals)
+        return with_interval(value, Comparison(board, splits).interval(row), decimals)
+    return ABSENT
 
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
     """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
-    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
+    return {cdf_link(board): partial(_draw_cdf, board) for board in main_boards(ranked) if _splits(board)}
 
 
 def cdf_link(board: Board) -> str:
@@ -354,7 +328,7 @@ def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
 
 def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
     """The paper's maps of every board whose maps are stored or shipped, by the links to their figures."""
-    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in ranked}
+    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in main_boards(ranked)}
     return {link: grid for link, grid in grids.items() if grid}
 
 

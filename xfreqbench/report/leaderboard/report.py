@@ -97,7 +97,7 @@ class _Page:
     drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
 
     @cached_property
-    def tables(self) -> dict[Path, Sequence[CsvRow]]:
+    def tables(self) -> dict[Path, list[CsvRow]]:
         """The files of CSV beside the page, with their rows."""
         folder, stem = self.path.parent, self.path.stem
         long = [bench for bench in self.benches if len(bench.rows) > _MOST_ROWS]

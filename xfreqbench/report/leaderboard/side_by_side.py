@@ -87,7 +87,9 @@ def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[l
             if row.is_trivial or row.label not in known:
                 continue
             pair = RowPair.of(old[place], known[row.label], row)
-            if pair.comparison.splits and pair.interval[1] < 0:
+            splits = pair.comparison.splits
+            is_lower = splits and pair.b.average(splits, median_ssim) < pair.a.average(splits, median_ssim)
+            if is_lower and pair.interval[1] < 0:
                 board = ", ".join(place[:2])
                 cells = _ssim_cells(pair)[3:6]
                 rows.append((float(cells[2].split()[0]), [board, row.label, *cells, _what_is_different(pair)]))

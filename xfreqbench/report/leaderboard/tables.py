@@ -13,7 +13,7 @@ from xfreqbench.report.drawing.markdown import paragraph, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
 from xfreqbench.report.leaderboard.columns import RANKING, TABLE, LeaderboardColumn, leaderboard_columns
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling, comparisons_of
+from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.learning_curves import learning_curves
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import CURVE_SHARES
@@ -119,11 +119,10 @@ def _cells(column: LeaderboardColumn, row: BoardRow) -> CsvRow:
 
 def _scores(board: Board) -> Iterator[CsvRow]:
     """The rows on every set of splits, and on every split alone, there with the median SSIM at each tested carrier."""
-    resampling = Resampling()
     sets = [splits for splits in board.split_sets() if len(splits) > 1]
-    yield from table_rows(Comparison(board, splits, resampling) for splits in sets)
+    yield from table_rows(Comparison(board, splits) for splits in sets)
     for split in board.splits:
-        comparison = Comparison(board, (split,), resampling)
+        comparison = Comparison(board, (split,))
         for row, cells in zip(comparison.rows, _table_rows(comparison), strict=True):
             medians = [record.scores["ssim"].median_by_carrier_hz for record in row.by_split[split]]
             carriers = sorted(set.intersection(*map(set, medians)), key=float) if len(medians[0]) > 1 else ()
