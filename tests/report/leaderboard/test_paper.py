@@ -67,7 +67,8 @@ def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_abla
 
 
 def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(tmp_path: Path) -> None:
-    records = [*fitted("xfreq-gs", 0.0, config=TOLD), *make_records()]
+    trivial = [record for record in make_records() if record.job.method != "ours"]
+    records = [*fitted("xfreq-gs", 0.0, config=TOLD), *trivial]
     ranked = boards(records)
     (row,) = [each for each in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in each]
     quantiles = pooled_quantiles([record for record in records if record.job.method == "xfreq-gs"], "ssim")
