@@ -71,6 +71,11 @@ def test_a_record_is_kept_with_its_predictions_alone_and_its_checkpoints_go(tmp_
     folder.keep(record)
     assert folder.records == (record,)
     assert not checkpoint.parent.exists()
+    without = folder.keep(record, with_predictions=False)
+    assert without.removed_predictions_sha256 and folder.finished(record.id) == without
+    assert folder.predictions_paths() == []
+    with pytest.raises(DataError, match="were removed after they were scored"):
+        folder.predictions(without)
 
 
 def test_predictions_that_are_absent_or_of_another_split_are_refused(tmp_path: Path) -> None:

@@ -213,10 +213,10 @@ def benchmark(
         str,
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
-            "converged: longer fits; full: days, or many cores; carrier: whether xfreq-gs gains by being told the "
-            "carrier; clutter: one room full of things; rooms: rooms that were never seen; paper: the paper's "
-            "experiments, and paper-lofo, paper-sparse, paper-ablation, paper-maps: one of them; paper-size: its "
-            "method as it is; equal-terms: its method and its two reductions with and without aids."
+            "converged: longer fits; carrier: whether xfreq-gs gains by being told the carrier; rooms: rooms that were "
+            "never seen; paper: the paper's experiments, and paper-lofo, paper-sparse, paper-ablation, paper-maps: one "
+            "of them; paper-size: its method as it is; equal-terms: its method and its two reductions with and without "
+            "aids."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
@@ -231,6 +231,13 @@ def benchmark(
             "which generate the data too; a process a core if absent, or one for a GPU."
         ),
     ] = None,
+    predictions: Annotated[
+        Literal["all", "shown"],
+        Parameter(
+            help="Stored predictions that stay after they were scored: all, or those of the first seed in the first "
+            "scene, of which reports show maps. Records have the hash of what was removed."
+        ),
+    ] = "all",
     dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -243,7 +250,7 @@ def benchmark(
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.workers import open_workers
 
-    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device)
+    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device, predictions)
     with benchmarks.run_workers(planned, executor) as workers:
         say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:
@@ -284,6 +291,9 @@ def report(
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
     ] = None,
+    since: Annotated[
+        str | None, Parameter(help="Earlier results, such as v1: print which methods got worse since, and what is new.")
+    ] = None,
     maps: Annotated[
         Path | None,
         Parameter(
@@ -307,7 +317,8 @@ def report(
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
     found = list(map(results_at, results))
-    written = write_report(found, output, details)
+    earlier = None if since is None else results_at(since)
+    written = write_report(found, output, details, earlier)
     for path in written.paths:
         say(f"wrote {path}", quiet)
     if written.num_truncated:
@@ -321,7 +332,7 @@ def report(
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
-        say(f"wrote {write_page(found, html)} and, beside it, its tables", quiet)
+        say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))

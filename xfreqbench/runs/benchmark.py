@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from runpy import run_module
 from types import MappingProxyType
+from typing import Literal
 
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -27,7 +28,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
-from xfreqbench.runs.records import BenchRecord
+from xfreqbench.runs.records import BenchRecord, Job
 from xfreqbench.runs.rooms import room_tasks
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
@@ -62,14 +63,10 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "fixed-frequency-gs": 1e-4,
     "frequency-embedded-gs": 1e-4,
     "xfreq-gs": 1.5e-4,
-    "aperture-gs": 4.5e-4,
-    "wideband-3dgs": 8e-4,
-    "virtual-source": 1e-3,
-    "swift-wrf": 1.2e-3,
-    "wrf-gs-plus": 3.3e-3,
+    "virtual-source": 9e-4,
     "xfreq-gs-paper": 0.018,
 }
-_USUAL_SECONDS_A_MAP = 4e-4
+_USUAL_SECONDS_A_MAP = 4.5e-4
 # to trace a room; to fit a method in a room, or to look maps up there, and score; and rooms tested of a thousand
 _ROOM_S, _ADAPTED_S, _LOOKED_UP_S, _TESTED_ROOMS = 2.0, 4.0, 0.5, 100
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
@@ -77,13 +74,18 @@ _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the prese
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A preset, the folders of its data sets and results, and the device for methods that can use a GPU."""
+    """A preset, the folders of its data sets and results, and the device for methods that can use a GPU.
+
+    `predictions` says which stored predictions stay after they were scored: `all`, or `shown`, those of the first
+    seed in the first scene, of which reports show maps.
+    """
 
     name: str
     preset: Preset
     data_dir: Path
     results_dir: Path
     device: str = "cpu"
+    predictions: Literal["all", "shown"] = "all"
 
     @cached_property
     def results(self) -> ResultsFolder:
@@ -153,13 +155,20 @@ class Benchmark:
         """Hold the folder of results; raises `StorageError` where another benchmark does, which would run the same."""
         return sole_worker(self.results.lock_path, self.results_dir)
 
+    def keeps_predictions(self, job: Job) -> bool:
+        """Whether the predictions of a job stay after they were scored."""
+        shown = str(self.data_path(self.preset.blocks[0].scene)), self.preset.blocks[0].seeds[0]
+        return self.predictions == "all" or (job.dataset, job.seed) == shown
+
     @property
     def num_places(self) -> int:
         """Number of runs at a time: one for each core, or one alone on a GPU."""
         return len(own_cores()) if self.device == "cpu" else 1
 
 
-def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "cpu") -> Benchmark:
+def plan_benchmark(
+    name: str, data_dir: Path, results_dir: Path, device: str = "cpu", predictions: Literal["all", "shown"] = "all"
+) -> Benchmark:
     """The benchmark of the preset with a name; raises `UnknownNameError`, and whatever building its methods raises."""
     if name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
@@ -167,7 +176,7 @@ def plan_benchmark(name: str, data_dir: Path, results_dir: Path, device: str = "
     require_text(data_dir)
     for setting in dict.fromkeys(setting for block in preset.blocks for setting in block.settings):
         build_method(setting.method, setting.overrides)
-    return Benchmark(name, preset, data_dir, results_dir, device)
+    return Benchmark(name, preset, data_dir, results_dir, device, predictions)
 
 
 def run_workers(benchmark: Benchmark, executor: str | None) -> AbstractContextManager[Workers]:
@@ -190,10 +199,11 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
     places = num_places or benchmark.num_places
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
+    is_all = benchmark.predictions == "all"
     num_bytes = sum(  # if every split tests every transmitter once
-        _num_runs(block) * len(benchmark.plans[block.scene].tx_position_m) * 90 * 360 * 2
+        _num_runs(block) // (1 if is_all else len(block.seeds)) * len(plan.tx_position_m) * 90 * 360 * 2
         for block in preset.blocks
-        if block.scene in benchmark.plans
+        if (plan := benchmark.plans.get(block.scene)) and (is_all or block.scene == preset.blocks[0].scene)
     )
     return "\n".join(
         [
@@ -207,7 +217,7 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
             ),
             f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
             f"{len(preset.benches)} measurements: about {in_hours(seconds_needed(benchmark, places))}; "
-            f"{num_bytes / 1e9:.0f} GB of predictions",
+            f"{num_bytes / 1e9:.0f} GB of predictions" + ("" if is_all else " stay"),
         ]
     )
 
@@ -256,7 +266,13 @@ def run_benchmark(benchmark: Benchmark, progress: RunProgress | None = None, exe
     """
     with run_workers(benchmark, executor) as workers:
         try:
-            run_jobs(benchmark.tasks(), benchmark.results_dir, workers, progress)
+            run_jobs(
+                benchmark.tasks(),
+                benchmark.results_dir,
+                workers,
+                progress,
+                keeps_predictions=benchmark.keeps_predictions,
+            )
         except RunsFailedError as error:
             return error.lines
     return []

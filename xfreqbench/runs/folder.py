@@ -11,6 +11,7 @@ methods/ID/NUMBER/       the method as that run fitted it
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -62,19 +63,23 @@ class ResultsFolder:
         return self.stored.records
 
     def finished(self, record_id: str) -> RunRecord | None:
-        """The latest record with an id, if its predictions are stored too, else None; raises `DataError`."""
-        if not self.predictions_path(record_id).exists():
-            return None
-        return next((record for record in reversed(self.records) if record.id == record_id), None)
+        """The latest record with an id, if its predictions are stored or were removed on purpose; raises `DataError`.
+
+        Else it is None.
+        """
+        is_stored = self.predictions_path(record_id).exists()
+        known = (record for record in reversed(self.records) if record.id == record_id)
+        return next((record for record in known if is_stored or record.removed_predictions_sha256), None)
 
     def append(self, record: RunRecord | BenchRecord) -> None:
         """Store a record behind the others; raises `StorageError`, and `DataError` for a file of something else."""
         append(self.records_path, record)
 
-    def keep(self, record: RunRecord) -> None:
-        """Store the record of a run whose `lock` is held, and remove the run's checkpoints.
+    def keep(self, record: RunRecord, with_predictions: bool = True) -> RunRecord:
+        """Store the record of a run whose `lock` is held, and remove the run's checkpoints; returns what was stored.
 
-        Raises `ClusterError` where the predictions are not here: a worker has lost this folder and uses its own disk.
+        Without predictions their file is removed after that, and the record has its hash. Raises `ClusterError` where
+        the predictions are not here: a worker has lost this folder and uses its own disk.
         """
         path = self.predictions_path(record.id)
         if not path.exists():
@@ -84,8 +89,16 @@ class ResultsFolder:
                 f"A worker made this run, but its predictions are not at {path}. Nothing of it is recorded; mount the "
                 "folder at the same path on every machine."
             )
+        if not with_predictions:
+            with storage_errors(path), path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            record = record.model_copy(update={"removed_predictions_sha256": digest})
         self.append(record)
         self.checkpoints(record.id).remove()
+        if not with_predictions:
+            with storage_errors(path):
+                path.unlink()
+        return record
 
     @property
     def lock_path(self) -> Path:
@@ -109,6 +122,11 @@ class ResultsFolder:
         """The predictions of a record; raises `DataError` if they are absent, damaged or of another split."""
         path = self.predictions_path(record.id)
         if not path.exists():
+            if record.removed_predictions_sha256:
+                raise DataError(
+                    f"The predictions of record {record.id} were removed after they were scored, as `benchmark "
+                    "--predictions shown` does. Run the same in another results folder, which keeps them."
+                )
             raise DataError(
                 f"The predictions of record {record.id} are not at {path}. Run the same `xfreqbench run` again, "
                 "which stores them, or choose another record."

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from xfreqbench.data.splits import LOFO_TARGETS_GHZ
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 TargetsGhz = tuple[float, ...] | Literal["all"] | None
 
@@ -53,8 +55,7 @@ TRIVIAL_SETTINGS = tuple(map(Setting, EVERY_TRIVIAL))
 LEARNED = tuple(map(Setting, ("aperture-gs", "fixed-frequency-gs", "frequency-embedded-gs", "xfreq-gs")))
 # published systems, reduced and re-implemented: those of the paper of XFreq-GS, and one more
 _SYSTEMS_OF_THE_PAPER = tuple(map(Setting, ("gsrf", "wrf-gs-plus", "wideband-3dgs")))
-SWIFT_WRF = Setting("swift-wrf")
-NAMED = (*_SYSTEMS_OF_THE_PAPER, SWIFT_WRF)
+NAMED = (*_SYSTEMS_OF_THE_PAPER, Setting("swift-wrf"))
 VIRTUAL_SOURCE = Setting("virtual-source")
 VIRTUAL_SOURCE_ABLATIONS = tuple(
     Setting("virtual-source", (override,))
@@ -92,63 +93,60 @@ ABLATIONS = (
     Setting("xfreq-gs", ("blend=none",)),
 )
 BENCHES = ("generate", "plain", "render", "savings", "stress", "scale-out", "peers")
-_SCENES = ("office", "two_rooms")
-_ALL_SCENES = (*_SCENES, "corridor")
-_PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx")
+_SCENES = ("office", "two_rooms", "corridor", "lounge", "office_cluttered")
+_PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")
+_OTHER_CARRIERS_GHZ = tuple(carrier for carrier in PAPER_CARRIERS_GHZ if carrier not in LOFO_TARGETS_GHZ)
 
 
-def _trivial(protocol: str, scene: str) -> Block:
-    """Runs of the predictors that learn nothing, on every split, with one seed."""
-    return Block(scene, protocol, TRIVIAL_SETTINGS, None, targets_ghz="all" if protocol == "lofo" else None)
+def _trivial(scene: str, protocol: str, targets_ghz: TargetsGhz = None) -> Block:
+    """Runs of the predictors that learn nothing, with one seed."""
+    return Block(scene, protocol, TRIVIAL_SETTINGS, None, targets_ghz=targets_ghz)
 
-
-_TRIVIAL_BLOCKS = tuple(_trivial(protocol, scene) for scene in _SCENES for protocol in _PROTOCOLS)
 
 QUICK = Preset(
     description="a look at our methods and the reduced baselines on 240 office transmitters, one seed, 64,000 maps "
     "a fit",
     blocks=(
-        *(Block("office", protocol, TRIVIAL_SETTINGS, None) for protocol in ("lofo", "held-out-tx", "lofo-unseen-tx")),
+        *(_trivial("office", protocol) for protocol in ("lofo", "held-out-tx", "lofo-unseen-tx")),
         *(Block("office", protocol, LEARNED, "quick") for protocol in ("lofo", "held-out-tx")),
         Block("office", "lofo", (VIRTUAL_SOURCE,), "quick"),
         Block("office", "lofo-unseen-tx", LEARNED, "quick", targets_ghz=(24.25,)),
     ),
-    left_out="two_rooms and corridor; sparse, held-out-block and random-samples; the named systems and xfreq-gs-paper; "
+    left_out="every other scene; sparse, held-out-block and random-samples; the named systems and xfreq-gs-paper; "
     "virtual-source but on lofo; ablations, other lanes, more than one seed (so nothing learned is ranked), and the "
     "measurements of generator, renderer and stability",
     num_tx={"office": 240},
 )
-_OURS = (Setting("xfreq-gs"), Setting("aperture-gs"), VIRTUAL_SOURCE)
-_REDUCED = (Setting("fixed-frequency-gs"), Setting("frequency-embedded-gs"))
+_OURS = (*LEARNED, VIRTUAL_SOURCE)
+_EVERY = (*_OURS, *NAMED)
+
+
+def _boards(places: Sequence[tuple[str, str]], targets_ghz: TargetsGhz = None) -> Iterator[Block]:
+    """For each scene and protocol the trivial predictors, then every method with three seeds."""
+    for scene, protocol in places:
+        yield _trivial(scene, protocol, targets_ghz)
+        yield Block(scene, protocol, _EVERY, "quick", SEEDS, targets_ghz)
+
+
 STANDARD = Preset(
-    description="the lane quick, 64,000 maps a fit, with three seeds: the paper's three, our two and swift-wrf on lofo "
-    "in the office, the first five in two_rooms, and xfreq-gs and our two on the other protocols and in the corridor; "
-    "in the lane minutes xfreq-gs and virtual-source at 24.25 GHz in the office",
+    description="every method with three seeds in the lane quick, 64,000 maps a fit, in five scenes on six protocols, "
+    "on lofo in the office at all ten carriers; what says most runs first: the office, then lofo in the other scenes",
     blocks=(
-        *_TRIVIAL_BLOCKS,
-        Block("corridor", "lofo", TRIVIAL_SETTINGS, None),
-        _trivial("held-out-block", "office"),
-        Block("office", "lofo", (*_OURS, *_REDUCED, SWIFT_WRF), "quick", SEEDS),
-        *(Block("office", protocol, _OURS, "quick", SEEDS) for protocol in (*_PROTOCOLS[1:], "held-out-block")),
-        Block("two_rooms", "lofo", (*_OURS, *_REDUCED), "quick", SEEDS),
-        Block("corridor", "lofo", _OURS, "quick", SEEDS),
-        Block("two_rooms", "held-out-tx", _OURS, "quick", SEEDS),
-        *(Block("two_rooms", protocol, _OURS[:2], "quick", SEEDS) for protocol in ("sparse", "lofo-unseen-tx")),
-        Block("office", "lofo", (VIRTUAL_SOURCE, Setting("xfreq-gs")), "minutes", SEEDS, targets_ghz=(24.25,)),
+        *_boards([("office", protocol) for protocol in _PROTOCOLS]),
+        *_boards([(scene, "lofo") for scene in _SCENES[1:]]),
+        *_boards([(scene, protocol) for scene in _SCENES[1:] for protocol in _PROTOCOLS[1:]]),
+        *_boards([("office", "lofo")], _OTHER_CARRIERS_GHZ),
     ),
-    left_out="gsrf, wrf-gs-plus and wideband-3dgs (preset paper); ablations (presets ablations and paper); the lane "
-    "converged (preset converged), and the lane minutes for other methods, carriers, protocols and scenes (preset "
-    "full); the reduced baselines and swift-wrf where they are not named above; but for trivial predictors, the "
-    "carriers that the paper does not test; virtual-source on sparse and lofo-unseen-tx in two_rooms; in the corridor "
-    "all but lofo, and held-out-block but in the office; random-samples (preset paper), and xfreq-gs-paper (preset "
-    "paper-size)",
+    left_out="xfreq-gs-paper (preset paper-size), ablations (preset ablations), the lane converged (preset converged), "
+    "on lofo-unseen-tx and outside of the office the carriers that the paper does not test, and unseen rooms (preset "
+    "rooms)",
     benches=BENCHES,
 )
 ABLATED = Preset(
     description="every ablation of xfreq-gs, aperture-gs and virtual-source, in the lane quick, on lofo at 24.25 GHz "
     "in the office; three seeds, of virtual-source one",
     blocks=(
-        Block("office", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(24.25,)),
+        _trivial("office", "lofo", (24.25,)),
         Block(
             "office",
             "lofo",
@@ -165,32 +163,10 @@ CONVERGED = Preset(
     description="every method on lofo at 24.25 GHz in the office with 200,000 maps a fit, as many as the paper's fits "
     "have iterations, three seeds",
     blocks=(
-        Block("office", "lofo", TRIVIAL_SETTINGS, None, targets_ghz=(24.25,)),
-        Block("office", "lofo", (*_OURS, *_REDUCED, *NAMED), "converged", SEEDS, targets_ghz=(24.25,)),
+        _trivial("office", "lofo", (24.25,)),
+        Block("office", "lofo", _EVERY, "converged", SEEDS, targets_ghz=(24.25,)),
     ),
     left_out="other carriers, scenes and protocols, and xfreq-gs-paper (preset paper-size)",
-)
-FULL = Preset(
-    description="every method and the ablations of xfreq-gs and aperture-gs on most protocols and every carrier, three "
-    "seeds, in the lane minutes",
-    blocks=(
-        *_TRIVIAL_BLOCKS,
-        *(
-            Block(
-                scene,
-                protocol,
-                (VIRTUAL_SOURCE, *LEARNED, *NAMED, *ABLATIONS, BLIND_APERTURE),
-                "minutes",
-                SEEDS,
-                _trivial(protocol, scene).targets_ghz,
-            )
-            for scene in _SCENES
-            for protocol in _PROTOCOLS
-        ),
-    ),
-    left_out="the scene corridor; held-out-block and random-samples; on lofo-unseen-tx the carriers that the paper "
-    "does not test; xfreq-gs-paper, and the ablations of virtual-source",
-    benches=BENCHES,
 )
 _TOLD = Setting("xfreq-gs", ("blend=none",))
 _BLIND = Setting("xfreq-gs", ("blend=none", "sees_carrier=false"))
@@ -202,12 +178,12 @@ CARRIER = Preset(
     description="whether xfreq-gs gains by being told the carrier: told against blind, equal steps, five seeds, all "
     "carriers of three scenes; and other trends and blurred carriers in the office, three seeds",
     blocks=(
-        *(_trivial("lofo", scene) for scene in _ALL_SCENES),
-        *(Block(scene, "lofo", (_TOLD, _BLIND), "300steps", (*SEEDS, 3, 4), "all") for scene in _ALL_SCENES),
+        *(_trivial(scene, "lofo", "all") for scene in _SCENES[:3]),
+        *(Block(scene, "lofo", (_TOLD, _BLIND), "300steps", (*SEEDS, 3, 4), "all") for scene in _SCENES[:3]),
         Block("office", "lofo", _TOLD_OTHERWISE, "300steps", SEEDS, "all"),
     ),
     left_out="other methods and protocols, two thirds of the transmitters, and the other trends outside of the office",
-    num_tx=dict.fromkeys(_ALL_SCENES, 480),
+    num_tx=dict.fromkeys(_SCENES[:3], 480),
 )
 _PAPERS = (Setting("xfreq-gs"), *_SYSTEMS_OF_THE_PAPER)
 _PAPERS_LOFO = Block("office", "lofo", _PAPERS, "quick", SEEDS)
@@ -218,7 +194,8 @@ PAPER = Preset(
     "the office, xfreq-gs on sparse, its ablations at 24.25 GHz, its methods on random samples, which its released "
     "code draws, and xfreq-gs at two more carriers, of which maps are shown",
     blocks=(
-        *(_trivial(protocol, "office") for protocol in ("lofo", "sparse", "random-samples")),
+        _trivial("office", "lofo", "all"),
+        *(_trivial("office", protocol) for protocol in ("sparse", "random-samples")),
         _PAPERS_LOFO,
         _PAPERS_SPARSE,
         _PAPERS_ABLATION,
@@ -230,7 +207,7 @@ PAPER = Preset(
 PARTS_OF_PAPER = {
     f"paper-{part}": Preset(
         description=f"{what}: a part of preset paper",
-        blocks=(Block("office", block.protocol, TRIVIAL_SETTINGS, None, targets_ghz=block.targets_ghz), block),
+        blocks=(_trivial("office", block.protocol, block.targets_ghz), block),
         left_out="the other parts of preset paper",
     )
     for part, what, block in (
@@ -249,7 +226,7 @@ PAPER_SIZE = Preset(
     description="xfreq-gs-paper, XFreq-GS with nothing that its paper does not have, 200,000 maps a fit, three seeds: "
     "lofo and sparse in the office, and its ablations at 24.25 GHz; an hour of a core a fit, half a minute of a GPU",
     blocks=(
-        *(Block("office", protocol, TRIVIAL_SETTINGS, None) for protocol in ("lofo", "sparse")),
+        *(_trivial("office", protocol) for protocol in ("lofo", "sparse")),
         *(Block("office", protocol, (_AT_PAPER_SIZE,), "converged", SEEDS) for protocol in ("lofo", "sparse")),
         Block(
             "office",
@@ -273,32 +250,16 @@ EQUAL_TERMS = Preset(
     blocks=tuple(
         block
         for protocol in ("lofo", "sparse")
-        for block in (
-            Block("office", protocol, TRIVIAL_SETTINGS, None),
-            Block("office", protocol, _EQUAL, "quick", SEEDS),
-        )
+        for block in (_trivial("office", protocol), Block("office", protocol, _EQUAL, "quick", SEEDS))
     ),
     left_out="every other method, scene and protocol",
-)
-CLUTTER = Preset(
-    description="whether methods rank in a room full of things as in the bare ones: xfreq-gs and our two on every "
-    "protocol but random-samples in office_cluttered, in the lane quick, three seeds",
-    blocks=tuple(
-        block
-        for protocol in (*_PROTOCOLS, "held-out-block")
-        for block in (
-            Block("office_cluttered", protocol, TRIVIAL_SETTINGS, None),
-            Block("office_cluttered", protocol, _OURS, "quick", SEEDS),
-        )
-    ),
-    left_out="every other scene, method and budget, random-samples, and the carriers that the paper does not test",
 )
 ROOMS = Preset(
     description="unseen rooms: 1,000 rooms of the family rooms; trivial predictors, xfreq-gs and aperture-gs fitted "
     "anew to what is heard in each room, room-lags after an hour of learning across rooms, and without its parts after "
     "ten minutes, and a tracer that is told the plan but not the materials",
     blocks=(
-        Block("rooms", "unseen-rooms", TRIVIAL_SETTINGS, None),
+        _trivial("rooms", "unseen-rooms"),
         Block("rooms", "unseen-rooms", (Setting("room-lags"),), "1h"),
         Block(
             "rooms",
@@ -307,7 +268,7 @@ ROOMS = Preset(
             "10m",
         ),
         Block("rooms", "unseen-rooms", (Setting("aperture-gs"), Setting("xfreq-gs", ("blend=none",))), "4000maps"),
-        Block("rooms", "unseen-rooms-plan", TRIVIAL_SETTINGS, None),
+        _trivial("rooms", "unseen-rooms-plan"),
         Block("rooms", "unseen-rooms-plan", (Setting("plan-tracer"),), None),
     ),
     left_out="virtual-source, which finds planes among more transmitters than are heard, other families and numbers of "
@@ -319,9 +280,7 @@ PRESETS: Mapping[str, Preset] = {
     "standard": STANDARD,
     "ablations": ABLATED,
     "converged": CONVERGED,
-    "full": FULL,
     "carrier": CARRIER,
-    "clutter": CLUTTER,
     "rooms": ROOMS,
     "paper": PAPER,
     **PARTS_OF_PAPER,

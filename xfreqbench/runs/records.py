@@ -213,6 +213,7 @@ class RunRecord(SealedModel):
     * `findings` is what the method says it has learned.
     * `fit_processor_seconds` is the time of all cores during the fit; see `core_share`.
     * `trained_band_hz` are the lowest and the highest carrier that was trained on.
+    * `removed_predictions_sha256` is the hash of the file of predictions, if that was removed after it was scored.
 
     If `external` is given, nothing was fitted or timed here: `fit_seconds`, `predict_ms_per_map` and `parameters` are
     as declared, or None; `peak_memory_mib` is None, `step` is 0 and `hardware` is empty. Only the scores were computed
@@ -254,6 +255,7 @@ class RunRecord(SealedModel):
     external: External | None = None
     fit_processor_seconds: Seconds | None = None
     trained_band_hz: tuple[Amount, Amount] | None = None
+    removed_predictions_sha256: Sha256 | None = None
 
     @property
     def extrapolated_from(self) -> str:

@@ -41,7 +41,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, protocol_tasks, require_importable, require_runnable
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
-from xfreqbench.runs.records import RunRecord
+from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.rooms import RoomTask, room_tasks, run_in_rooms
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
@@ -181,6 +181,7 @@ def run_jobs(
     workers: Workers = HERE,
     progress: RunProgress | None = None,
     fitting: FitProgress | None = None,
+    keeps_predictions: Callable[[Job], bool] = lambda job: True,
 ) -> list[RunRecord]:
     """Run jobs and store their records in `results_dir`; returns the records, in the order of the jobs.
 
@@ -193,8 +194,9 @@ def run_jobs(
     A job that fails stops no other. At the end `RunsFailedError` names those that failed; the records of the others are
     kept. Ctrl-C ends all of it at once.
 
-    `progress` is called whenever a job has ended, and at first for those that are finished. `fitting` is called at
-    every step of a fit in this process with how it stands.
+    Predictions of jobs for which `keeps_predictions` says so stay; others are removed once they are scored, and their
+    records say that. `progress` is called whenever a job has ended, and at first for those that are finished.
+    `fitting` is called at every step of a fit in this process with how it stands.
     """
     folder = ResultsFolder(results_dir.absolute())
     require_runnable(tasks, folder)
@@ -251,7 +253,7 @@ def run_jobs(
                 task, record = claim.task, None if error else ended.result()
                 if record:
                     try:
-                        folder.keep(record)
+                        record = folder.keep(record, keeps_predictions(task.job))
                     except ClusterError as lost:
                         error, record = lost, None
                 if error:

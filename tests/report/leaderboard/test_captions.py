@@ -7,7 +7,7 @@ from xfreqbench.report.leaderboard.report import leaderboard_summary
 
 
 def test_samples_without_a_path_are_said_to_be_left_out() -> None:
-    assert "100 samples; 7 without any path" in leaderboard_markdown([make_record(num_without_path=7)])
+    assert "100 test maps a split; 7 without any path" in leaderboard_markdown([make_record(num_without_path=7)])
 
 
 def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
@@ -18,7 +18,10 @@ def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
 
 def test_a_board_says_its_maps_its_rays_and_whose_times_these_are() -> None:
     markdown = leaderboard_markdown(make_records())
-    assert "Data set `office@1-aaaaaaaa`: power maps, image solver, specular, depth 1. **Tested" in markdown
+    assert (
+        "Data set `office@1-aaaaaaaa`: power maps, image solver, specular, depth 1; 100 test maps a split. **Tested"
+        in markdown
+    )
     assert "** Times were taken on AMD EPYC, 2 cores. Commit ?; seed 0." in markdown
 
 

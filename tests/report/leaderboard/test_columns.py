@@ -11,7 +11,7 @@ from tests.support.leaderboard_records import leaderboard_markdown, make_records
 from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.columns import COSTS, ONE_SPLIT, PAGE, RANKING, leaderboard_columns, metric_title
+from xfreqbench.report.leaderboard.columns import COSTS, PAGE, RANKING, TABLE, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.runs.records import append
@@ -44,7 +44,7 @@ def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_pat
 
 
 def test_scores_are_sorted_with_the_best_first_and_costs_with_the_least() -> None:
-    columns, _ = columns_of([make_record()], ONE_SPLIT)
+    columns, _ = columns_of([make_record()], TABLE)
     for name, metric in METRICS.items():
         assert columns[metric_title(name)].is_largest_first == metric.higher_is_better
     known = [cost.title for cost in COSTS.values() if cost.title in columns]

@@ -6,7 +6,7 @@ import pytest
 from tests.support.stored_records import make_record, make_summary
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling, resampled_medians
+from xfreqbench.report.leaderboard.comparison import Comparison, medians_of, resampled_medians
 from xfreqbench.runs.records import Job, RunRecord
 
 SPLIT = "lofo-24.25GHz"
@@ -69,7 +69,7 @@ def test_a_verdict_does_not_hang_on_the_draws() -> None:
         found = []
         for name in names:
             comparison, row = compared(*seeds_of(name, shift, 10), *other)
-            drawn = [comparison.resampling.medians(row[each], SPLIT) for each in (name, "other")]
+            drawn = [medians_of(row[each], SPLIT) for each in (name, "other")]
             low, _ = comparison.difference(row[name], row["other"])
             found.append(float(np.quantile(drawn[0] - drawn[1], 0.025)) if plain else low)
         return found
@@ -84,7 +84,7 @@ def test_a_verdict_does_not_hang_on_the_draws() -> None:
 def test_paired_differences_are_narrower_than_unpaired_ones() -> None:
     comparison, row = compared(*seeds_of("one", 0.0, 10), *seeds_of("other", 0.0, 20))
     low, high = comparison.difference(row["one"], row["other"])
-    medians = [Resampling().medians(row[name], SPLIT) for name in ("one", "other")]
+    medians = [medians_of(row[name], SPLIT) for name in ("one", "other")]
     shuffled = np.random.default_rng(0).permutation(medians[1])
     unpaired = np.quantile(medians[0] - shuffled, [0.025, 0.975])
     assert high - low < 0.6 * (unpaired[1] - unpaired[0])  # noise is a fifth of what the places make
@@ -177,11 +177,3 @@ def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatte
         comparison, row = compared(*records)
         num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
     assert num_told_apart / num_trials < 0.12  # nominally 0.05, and three standard deviations of 100 trials
-
-
-def test_comparisons_that_share_their_resampling_agree_with_those_that_do_not() -> None:
-    (board,) = boards([*seeds_of("one", 0.0, 10), *seeds_of("other", 0.01, 20)])
-    shared = Resampling()
-    first, second, alone = (Comparison(board, (SPLIT,), each) for each in (shared, shared, Resampling()))
-    for row in board.rows:
-        assert first.interval(row) == second.interval(row) == alone.interval(row)

@@ -1,36 +1,37 @@
 from __future__ import annotations
 
+from math import inf, isnan
+
 import numpy as np
 import pytest
 
-from tests.support.leaderboard_records import leaderboard_markdown, make_followed, make_records, rows_of
+from tests.support.leaderboard_records import make_followed, make_records
 from tests.support.stored_records import SPLITS, make_record
-from xfreqbench.report.leaderboard.learning_curves import pareto_front
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.learning_curves import best_trivial, learning_curves, pareto_front, split_front
+from xfreqbench.report.leaderboard.tables import csv_tables
+
+REACHED = "best trivial reached after s"
+
+
+def curve_of(*records):
+    """The rows of `ours` in the table of learning curves: share, seconds and SSIM of each; and when it beat trivial."""
+    rows = [row for row in csv_tables(boards(records)).get("curves", []) if row["method"] == "ours (≤ 64 steps)"]
+    return [(row["share"], row["seconds"], row["SSIM"]) for row in rows], [row[REACHED] for row in rows][-1:]
 
 
 def test_a_learning_curve_stands_by_share_of_the_budget() -> None:
-    markdown = leaderboard_markdown([make_followed(), make_record("nearest", 0.6, SPLITS[0])])
-    assert list(
-        rows_of(markdown.partition("on a fixed sample of 64 test maps")[2], "ours (≤ 64 steps)")[0].values()
-    ) == [
-        "ours (≤ 64 steps)",
-        "2.4GHz",
-        "0.5000 (0.10 s)",
-        *["–"] * 2,
-        "0.6000 (0.90 s)",
-        *["–"] * 2,
-        "0.7000 (6.4 s)",
-        "–",  # without samples nobody knows where the trivial predictor stands on them
-    ]
-    assert "on a fixed sample" not in leaderboard_markdown(make_records())
+    points, (reached,) = curve_of(make_followed(), make_record("nearest", 0.6, SPLITS[0]))
+    assert points == [(1 / 64, 0.1, 0.5), (1 / 8, 0.9, 0.6), (1, 6.4, 0.7)]
+    assert isnan(reached)  # without samples nobody knows where the trivial predictor stands on them
+    assert curve_of(*make_records()) == ([], [])
 
 
-@pytest.mark.parametrize(("trivial", "expected"), [(0.55, "0.90 s"), (0.6, "0.90 s"), (0.65, "6.4 s"), (0.75, "never")])
-def test_a_fit_reaches_the_best_trivial_predictor_on_the_same_maps(trivial: float, expected: str) -> None:
+@pytest.mark.parametrize(("trivial", "expected"), [(0.55, 0.9), (0.6, 0.9), (0.65, 6.4), (0.75, inf)])
+def test_a_fit_reaches_the_best_trivial_predictor_on_the_same_maps(trivial: float, expected: float) -> None:
     records = [make_record("nearest", trivial, SPLITS[0], ssim_by_tx=[(trivial,)] * 100)]
     records += [make_record("line-of-sight", 0.5, SPLITS[0], ssim_by_tx=[(0.5,)] * 100)]
-    markdown = leaderboard_markdown([make_followed(), *records]).partition("### Error against time")[2]
-    assert rows_of(markdown, "ours (≤ 64 steps)")[0]["best trivial reached after"] == expected
+    assert curve_of(make_followed(), *records)[1] == [expected]
 
 
 def test_a_point_stands_at_the_share_that_was_spent_and_not_at_a_mean_over_steps() -> None:
@@ -38,34 +39,32 @@ def test_a_point_stands_at_the_share_that_was_spent_and_not_at_a_mean_over_steps
     followed = make_followed()
     points = [point.model_copy(update={"share": 2 * point.step / 64}) for point in followed.curve[:-1]]
     shares = followed.model_copy(update={"curve": (*points, followed.curve[-1])})
-    before, after = (
-        list(rows_of(leaderboard_markdown([each]).partition("Error against time")[2], "ours (≤ 64 steps)")[0].values())
-        for each in (followed, shares)
-    )
-    assert before[2:5] == ["0.5000 (0.10 s)", "–", "–"]
-    assert after[2:5] == ["–", "0.5000 (0.10 s)", "–"]
+    assert [curve_of(each)[0][0] for each in (followed, shares)] == [(1 / 64, 0.1, 0.5), (1 / 32, 0.1, 0.5)]
 
 
 def test_fits_whose_batches_differ_in_size_have_points_at_different_shares() -> None:
     followed = make_followed()
     larger = [point.model_copy(update={"share": min(1.0, 4 * point.step / 64)}) for point in followed.curve]
     other = make_followed(seed=1).model_copy(update={"curve": (*larger[1:-1], larger[-1])})
-    markdown = leaderboard_markdown([followed, other]).partition("### Error against time")[2]
-    assert list(rows_of(markdown, "ours (≤ 64 steps)")[0].values())[2:] == [*["–"] * 6, "0.7000 (6.4 s)", "–"]
+    assert curve_of(followed, other)[0] == [(1, 6.4, 0.7)]
 
 
 def test_learning_curves_are_means_over_seeds_and_times_their_medians() -> None:
     trivial = make_record("nearest", 0.68, SPLITS[0], ssim_by_tx=[(0.68,)] * 100)
     followed = [make_followed(seed=seed, end=end) for seed, end in enumerate((0.67, 0.70, 0.73))]
-    markdown = leaderboard_markdown([trivial, *followed]).partition("### Error against time")[2]
-    row = rows_of(markdown, "ours (≤ 64 steps)")[0]
-    assert (row["end"], row["best trivial reached after"]) == ("0.7000 (6.4 s)", "6.4 s")
+    points, reached = curve_of(trivial, *followed)
+    assert (points[-1], reached) == ((1, 6.4, 0.7), [6.4])
 
 
 def test_the_pareto_front_starts_with_the_best_trivial_predictor() -> None:
     trivial = make_record("nearest", 0.55, SPLITS[0], ssim_by_tx=[(0.55,)] * 100, fit_seconds=0.0)
-    markdown = leaderboard_markdown([trivial, make_followed(), make_followed("slow", end=0.65)])
-    assert "* 2.4GHz: nearest 0.5500 (0.00 s); ours (≤ 64 steps) 0.6000 (0.90 s), 0.7000 (6.4 s)." in markdown
+    (board, *_) = boards([trivial, make_followed(), make_followed("slow", end=0.65)])
+    front = split_front(learning_curves(board, board.splits), best_trivial(board, SPLITS[0]))
+    assert [(point.label, point.ssim) for point in front] == [
+        ("nearest", 0.55),
+        ("ours (≤ 64 steps)", 0.6),
+        ("ours (≤ 64 steps)", 0.7),
+    ]
 
 
 def test_the_front_is_what_a_literal_search_finds() -> None:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.leaderboard_records import make_bench, make_followed, make_records, rows_of, with_job
+from tests.support.leaderboard_records import make_bench, make_followed, make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import make_record
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.methods.contract import LANES
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
+from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import write_report
+from xfreqbench.report.leaderboard.side_by_side import got_worse
 from xfreqbench.runs.records import RunRecord, append
 
 ABLATION = "ours (rank=2)"
@@ -63,8 +66,8 @@ def test_every_link_of_a_short_report_leads_to_a_file(written: tuple[Path, ...])
 
 
 def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ...]) -> None:
-    matrix = rows_of(written[0].read_text("utf-8"), "ours")[-1]
-    assert matrix == {"method": "ours", "corridor, lofo": "–", "office, lofo": "0.500"}
+    matrix = rows_of(written[0].read_text("utf-8"), "office, lofo")[-1]
+    assert matrix == {"board": "office, lofo", "ours": "0.500"}
 
 
 def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) -> None:
@@ -83,7 +86,42 @@ def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) 
 
 
 def test_the_stability_suite_is_summed_up_by_area(written: tuple[Path, ...]) -> None:
-    assert rows_of(written[0].read_text("utf-8"), "phase") == [{"area": "phase", "cases": "9", "failed": "1"}]
+    assert rows_of(written[0].read_text("utf-8"), "all") == [{"area": "all", "cases": "9", "failed": "1"}]
+
+
+def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: Path) -> None:
+    def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
+        return [
+            with_job(record, overrides=overrides, budget=LANES["quick"])
+            for record in of_three_seeds(method, shift, len(method))
+        ]
+
+    idea = [("xfreq-gs", 0.04), ("fixed-frequency-gs", 0.03)]
+    records = [record for method, shift in idea for record in stored(method, shift)]
+    records += [record for method, shift in idea for record in stored(method, 3 * shift, "aided=false")]
+    records += [record for name in NEEDED_TRIVIAL for record in of_three_seeds(name, 0.0, 40)[:1]]
+    for record in records:
+        append(tmp_path / "records.jsonl", record)
+    write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
+    best, idea_adds = re.findall(r"^\d\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
+    assert "`xfreq-gs` is best" in best and "The next, `fixed-frequency-gs`" in best and "1 of the 1 boards" in best
+    assert re.search(r"by 0\.0\d+ \[0\..*with our aids and by 0\.0.* without them", idea_adds)
+
+
+def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp_path: Path) -> None:
+    earlier = [*of_three_seeds("ours", 0.02, 10), *of_three_seeds("same", 0.0, 20)]
+    worse = [record.model_copy(update={"code_sha256": "f" * 64}) for record in of_three_seeds("ours", 0.0, 10)]
+    for name, records in (("before", earlier), ("after", [*worse, *earlier[3:]])):
+        for record in records:
+            append(tmp_path / name / "records.jsonl", record)
+    write_report(tmp_path / "after", tmp_path / "B.md", tmp_path / "all", tmp_path / "before")
+    ((board, method, *_, difference, why),) = got_worse(earlier, [*worse, *earlier[3:]])
+    assert (board, method) == ("office, lofo", "ours") and difference.startswith("-0.02") and "code" in why
+    assert why in (tmp_path / "B.md").read_text("utf-8")
+    assert f"<td>{why}</td>" in write_page(tmp_path / "after", tmp_path / "p.html", tmp_path / "before").read_text(
+        "utf-8"
+    )
+    assert got_worse(earlier, earlier) == []
 
 
 def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,9 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.report import leaderboard_summary
+from xfreqbench.report.leaderboard.report import leaderboard_summary, write_report
 from xfreqbench.report.leaderboard.results import ranked_beside
+from xfreqbench.report.leaderboard.tables import csv_tables
 from xfreqbench.runs.records import append
 
 
@@ -63,13 +65,12 @@ def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
     some = [make_record("partial", 0.97, split) for split in SPLITS[1::-1]]
     lucky = make_record("lucky", 0.99, SPLITS[0])
     markdown = leaderboard_markdown([*make_records(), *some, lucky])
-    shared, whole, *of_splits = markdown.split("best average first;")[1:][:2] + markdown.split("### ")[1:]
-    whole = whole.partition("###")[0]
+    shared, whole, lone = re.split("best average first;|, best first;", markdown)[1:]
     assert not rows_of(whole, "partial") + rows_of(whole + shared, "lucky")
     assert rows_of(shared, "partial")[0]["average"] == "0.9700"
     assert rows_of(shared, "ours")[0]["average"] == "0.9500"
     assert shared.index("| partial ") < shared.index("| ours ")
-    assert rows_of(of_splits[0], "lucky")
+    assert rows_of(lone, "lucky")
 
 
 def test_targets_stand_in_order_of_frequency() -> None:
@@ -134,7 +135,7 @@ def test_gaussians_are_counted_where_a_method_has_any() -> None:
     markdown = leaderboard_markdown([make_record("nearest", 0.9, SPLITS[0]), *counted])
     ours, nearest = (rows_of(markdown, name)[0] for name in ("ours", "nearest"))
     assert ours["Gaussians"] == "2,000"
-    assert rows_of(markdown.partition("### 2.4GHz")[2], "nearest")[0]["Gaussians"] == "–" == nearest["Gaussians"]
+    assert nearest["Gaussians"] == "–"
     assert "Gaussians" not in leaderboard_markdown(make_records())
 
 
@@ -156,12 +157,11 @@ def test_pairs_say_what_beats_what_and_what_is_level() -> None:
     markdown = leaderboard_markdown([*records, unranked])
     ranks = {name: rows_of(markdown, name)[0]["rank"] for name in ("best", "second", "third", "fast")}
     assert ranks == {"best": "1", "second": "2–3", "third": "2–3", "fast": "–"}
-    pairs = markdown.partition("× 1000")[2].partition("###")[0]
-    first = next(line for line in pairs.splitlines() if line.startswith("| 1 best"))
-    assert first.count("+") == 2
-    middle = next(line for line in pairs.splitlines() if line.startswith("| 2 "))
-    assert [cell.strip() for cell in middle.strip("|").split("|")][1:] == ["", "="]
-    assert "fast" not in pairs
+    pairs = {(row["method"], row["other"]): row for row in csv_tables(boards([*records, unranked]))["pairs"]}
+    assert {pair for pair, row in pairs.items() if row["low"] > 0} == {("best", "second"), ("best", "third")}
+    assert {frozenset(pair) for pair in pairs} == {
+        frozenset(pair) for pair in combinations(("best", "second", "third"), 2)
+    }
 
 
 def test_of_trivial_predictors_only_the_best_is_paired_with_methods() -> None:
@@ -170,9 +170,12 @@ def test_of_trivial_predictors_only_the_best_is_paired_with_methods() -> None:
         for shift, name in ((0, "nearest"), (-0.1, "line-of-sight"))
         for record in of_three_seeds(name, shift, 40)
     ]
-    with_method = leaderboard_markdown([*of_three_seeds("ours", 0.02, 10), *trivial]).partition("× 1000")[2]
-    assert "| 2 nearest " in with_method and " line-of-sight " not in with_method.partition("###")[0]
-    assert "| 2 line-of-sight " in leaderboard_markdown(trivial).partition("× 1000")[2]
+    both = {
+        (row["method"], row["other"])
+        for row in csv_tables(boards([*of_three_seeds("ours", 0.02, 10), *trivial]))["pairs"]
+    }
+    assert both == {("ours", "nearest")}
+    assert [row["other"] for row in csv_tables(boards(trivial))["pairs"]] == ["line-of-sight"]
 
 
 def test_samples_give_the_score_and_the_skill_an_interval() -> None:
@@ -187,24 +190,28 @@ def test_samples_give_the_score_and_the_skill_an_interval() -> None:
     assert re.fullmatch(pattern, row["skill"])
 
 
-def test_a_split_of_several_carriers_has_a_table_by_carrier() -> None:
+def test_every_split_stands_in_the_table_of_scores_with_its_carriers() -> None:
     by_carrier = {"24250000000": 0.9, "1000000000": 0.7}
     scores = {name: make_summary(0.9).model_copy(update={"median_by_carrier_hz": by_carrier}) for name in METRICS}
-    markdown = leaderboard_markdown([make_record("ours", 0.9, "held-out-tx", "held-out-tx", scores=scores)])
-    assert rows_of(markdown.partition("by carrier")[2], "ours")[0] == {
-        "method": "ours",
-        "1 GHz": "0.7000",
-        "24.25 GHz": "0.9000",
-    }
-    assert "by carrier" not in leaderboard_markdown(make_records())
+    several = make_record("ours", 0.9, "held-out-tx", "held-out-tx", scores=scores)
+    rows = csv_tables(boards([several, *make_records()]))["scores"]
+    (of_several,) = [row for row in rows if row["protocol"] == "held-out-tx"]
+    assert (of_several["SSIM at 1 GHz"], of_several["SSIM at 24.25 GHz"]) == (0.7, 0.9)
+    ours = [row for row in rows if row["method"] == "ours" and row["protocol"] == "lofo"]
+    assert [row["splits"] for row in ours] == [SPLITS, *((split,) for split in SPLITS)]
+    assert not any("SSIM at 1 GHz" in row for row in ours)
 
 
-def test_splits_on_which_fewer_methods_were_run_are_folded() -> None:
-    lone = make_record("nearest", 0.8, "lofo-94GHz")
-    opened, _, folded = leaderboard_markdown([*make_records(), lone]).partition("<details><summary>94GHz</summary>")
-    assert "### 77GHz" in opened
-    assert "### 94GHz" in folded.partition("</details>")[0]
-    assert "<details>" not in leaderboard_markdown(make_records())
+@pytest.mark.parametrize("num_rows", [12, 13])
+def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Path, num_rows: int) -> None:
+    append(tmp_path / "records.jsonl", make_bench(columns=("ms", "ms"), rows=[(f"{n}", "x") for n in range(num_rows)]))
+    for _ in range(2):  # the second time over files of its own
+        page, *_ = write_report(tmp_path, tmp_path / "B.md").paths
+    whole = tmp_path / "bench-generate-error-against-run-time.csv"
+    assert whole.exists() == (f"]({whole.name})" in page.read_text("utf-8")) == (num_rows > 12)
+    if whole.exists():
+        first, *_, last = whole.read_text("utf-8").splitlines()
+        assert (first, last) == ("measurement,ms 1,ms 2", "Error against run time,12,x")
 
 
 def test_of_a_measurement_taken_twice_the_later_counts() -> None:

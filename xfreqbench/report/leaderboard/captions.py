@@ -10,8 +10,8 @@ from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
-from xfreqbench.report.leaderboard.origins import machine_name, short_commit
-from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, reduced_statement
+from xfreqbench.report.leaderboard.origins import machine_name, record_key, short_commit
+from xfreqbench.report.leaderboard.published import reduced_statement
 from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
@@ -31,11 +31,7 @@ LEADERBOARD_TERMS = {
 _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "
     "average over them",
-    "best trivial reached after": "time of the first point of the learning curve at which the SSIM is that of "
-    "the best trivial predictor or higher; the fit may have reached it earlier",
     **{COSTS[name].title: f"{COSTS[name].hint}, mean over splits and seeds" for name in _EXPLAINED_COSTS},
-    PUBLISHED_TITLE: "median SSIM from the paper named below the table, of other data and another machine; not "
-    "comparable",
 }
 
 
@@ -74,7 +70,7 @@ def _shared_with_training(board: Board) -> str:
 
 
 def data_statement(board: Board) -> str:
-    """The data set, the kind of its maps and, as far as it is known, how they were traced."""
+    """The data set, the kind of its maps, as far as it is known how they were traced, and how many are tested."""
     settings = board.settings
     parts = [f"{board.pas_kind} maps"]
     if "solver" in settings:
@@ -86,7 +82,15 @@ def data_statement(board: Board) -> str:
         parts.append(f"depth {settings['max_depth']}")
     # backticks are ours
     name, words = (text.replace("`", "'") for text in (board.data_name, ", ".join(parts)))
-    return f"Data set `{name}`: {words}"
+    tested, left_out = (
+        " or ".join(f"{count:,}" for count in sorted(set(counts)))
+        for counts in (
+            [record.num_test for record in board.records],
+            [record.num_without_path for record in board.records if record.num_without_path],
+        )
+    )
+    without = f"; {left_out} without any path are left out" if left_out else ""
+    return f"Data set `{name}`: {words}; {tested} test maps a split{without}"
 
 
 def origin_statement(board: Board) -> str:
@@ -96,6 +100,19 @@ def origin_statement(board: Board) -> str:
     commits = sorted({short_commit(record.git_commit) for record in board.records})
     seeds = sorted({record.job.seed for record in board.records})
     return f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
+
+
+def facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
+    """Data sets, machines, commits and dates of all records, each fact with its lines."""
+    records = list({record_key(record): record for board in ranked for record in board.records}.values())
+    commits = {short_commit(record.git_commit) for record in records}
+    days = sorted({record.time_utc[:10] for record in records})
+    return {
+        "Data": sorted({f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}),
+        "Machines": machine_names(records) or ["none: every row is external"],
+        "Commits": [", ".join(sorted(commits))],
+        "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
+    }
 
 
 def notes(comparison: Comparison) -> list[str]:
@@ -199,8 +216,7 @@ def legend() -> str:
 
 def short_legend() -> str:
     """The section that explains the columns of a short leaderboard."""
-    metrics = {metric_title(name): METRICS[name].description for name in ("ssim", "aoa_error")}
-    return _section(metrics | LEADERBOARD_TERMS)
+    return _section({metric_title("aoa_error"): METRICS["aoa_error"].description} | LEADERBOARD_TERMS)
 
 
 def _section(terms: dict[str, str]) -> str:

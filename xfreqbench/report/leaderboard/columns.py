@@ -12,7 +12,6 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
 from xfreqbench.report.leaderboard.boards import or_nan, short_name
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
-from xfreqbench.report.leaderboard.published import PUBLISHED_TITLE, published_cell
 from xfreqbench.report.leaderboard.rows import BoardRow, Quantity, median_ssim
 from xfreqbench.units import band_text
 
@@ -72,15 +71,11 @@ COSTS = {
 
 _OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
 BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
-RANKING = (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS, "published")
+RANKING = (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS)
 OVERVIEW = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
-ONE_SPLIT = (
-    *("rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
-    *("skill", "seeds", *COSTS, "published"),
-)
 TABLE = (
     *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
-    *("skill", "seed spread", "seeds", *COSTS, "published", "trained on"),
+    *("skill", "seed spread", "seeds", *COSTS, "trained on"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
 PAGE = (
@@ -91,10 +86,10 @@ PAGE = (
 
 
 def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `ONE_SPLIT`, `TABLE`, `PAIR` or `PAGE`.
+    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `TABLE`, `PAIR` or `PAGE`.
 
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
-    number for, and published numbers where no row has any, are left out.
+    number for are left out.
     """
     every = (
         _place_columns(comparison)
@@ -131,8 +126,6 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         lambda row: float(row.num_seeds(splits)[0]),
         is_largest_first=True,
     )
-    published = LeaderboardColumn(PUBLISHED_TITLE, "median SSIM in the paper", lambda row: published_cell(row, splits))
-    known = [published] if any(map(published.text, comparison.rows)) else []
     origins = comparison.board.origins
 
     def origin_text(row: BoardRow) -> str:
@@ -148,7 +141,6 @@ def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]
         "method": [method],
         "seeds": [seeds],
         "origin": [origin] if origins else [],
-        "published": known,
         "trained on": [trained],
     }
 

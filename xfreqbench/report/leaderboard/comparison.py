@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import chain
 from math import isqrt, nan
@@ -26,23 +26,19 @@ Interval = tuple[float, float]
 UNKNOWN: Interval = (nan, nan)
 
 
-class Resampling:
-    """Resampled medians of a board's rows. Each is computed once and kept for further comparisons."""
+def medians_of(row: BoardRow, split: str, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
+    """Median SSIM over the drawn transmitters in each of R = `number` resamples, mean over the drawn seeds.
 
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, str, int], Float[FloatArray, "R"]] = {}
-
-    def medians(self, row: BoardRow, split: str, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
-        """Median SSIM over the drawn transmitters in each of R = `number` resamples, mean over the drawn seeds."""
-        key = row.label, split, number
-        if key not in self._known:
-            records = row.by_split[split]
-            medians = np.array([resampled_medians(record.ssim_by_tx, number) for record in records])  # (S, R)
-            seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
-            drawn = np.random.default_rng(seed).integers(len(records), size=medians.shape)
-            resampled = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
-            self._known[key] = np.asarray(resampled)
-        return self._known[key]
+    It is computed once for a row, and kept there.
+    """
+    if (split, number) not in row.drawn:
+        records = row.by_split[split]
+        medians = np.array([resampled_medians(record.ssim_by_tx, number) for record in records])  # (S, R)
+        seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
+        drawn = np.random.default_rng(seed).integers(len(records), size=medians.shape)
+        resampled = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
+        row.drawn[split, number] = np.asarray(resampled)
+    return row.drawn[split, number]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +47,7 @@ class Comparison:
 
     Every resample draws transmitters with all their samples, the same ones for every row (paired) and for
     every split that tests as many, and draws seeds for each row. Intervals are 95 % percentile intervals, not
-    corrected for how many comparisons are made. Comparisons of one board may share its `resampling`.
+    corrected for how many comparisons are made.
 
     Of a difference, the sign of a bound decides. Where a bound is not known to a tenth of its distance from zero, there
     are sixteen times as many resamples; where it is not known so well even then, it is 0, and the difference open.
@@ -59,7 +55,6 @@ class Comparison:
 
     board: Board
     splits: tuple[str, ...]
-    resampling: Resampling = field(default_factory=Resampling)
 
     @cached_property
     def rows(self) -> list[BoardRow]:
@@ -118,9 +113,9 @@ class Comparison:
             return UNKNOWN
         skills = []
         for split in self.splits:
-            best = np.max([self.resampling.medians(trivial, split) for trivial in self._trivial(split)], axis=0)
+            best = np.max([medians_of(trivial, split) for trivial in self._trivial(split)], axis=0)
             left_open = np.where(best < 1, 1 - best, nan)
-            skills.append(1 - (1 - self.resampling.medians(row, split)) / left_open)
+            skills.append(1 - (1 - medians_of(row, split)) / left_open)
         return _interval(np.mean(skills, axis=0))
 
     def interval(self, row: BoardRow) -> Interval:
@@ -136,7 +131,7 @@ class Comparison:
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 
     def _average(self, row: BoardRow, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
-        return np.mean([self.resampling.medians(row, split, number) for split in self.splits], axis=0)
+        return np.mean([medians_of(row, split, number) for split in self.splits], axis=0)
 
     @cached_property
     def _differences(self) -> dict[tuple[str, str], Interval]:
@@ -145,10 +140,9 @@ class Comparison:
 
 
 def comparisons_of(board: Board) -> list[Comparison]:
-    """One for each set of splits that rows share, and one for each lone split; they share their resamples."""
-    resampling = Resampling()
+    """One for each set of splits that rows share, and one for each lone split."""
     lone = [(split,) for split in board.lone_splits()]
-    return [Comparison(board, splits, resampling) for splits in [*board.split_sets(), *lone]]
+    return [Comparison(board, splits) for splits in [*board.split_sets(), *lone]]
 
 
 def resampled_medians(ssim_by_tx: Sequence[Sequence[float]], number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:

@@ -6,9 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from xfreqbench.report.leaderboard.boards import Board, file_stem, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.boards import Board, file_stem, short_name
 from xfreqbench.report.leaderboard.learning_curves import Reached, best_trivial, learning_curves, split_front
-from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import BenchRecord
 
 FIGURES_FOLDER = "figures"  # beside the report
@@ -17,10 +16,10 @@ _MAX_PANELS = 4
 _MAX_CURVES = 10
 
 
-def figure_links(board: Board) -> dict[str, str]:
-    """Links from the report to a board's figures: `cdf` and, where a fit has a learning curve, `time`."""
-    names = ["cdf", *(["time"] if any(record.curve for record in board.records) else [])]
-    return {name: f"{FIGURES_FOLDER}/{board.slug}-{name}.svg" for name in names}
+def time_link(board: Board) -> str:
+    """The link from the report to a board's figure of error against time; empty where no fit has a learning curve."""
+    followed = any(record.curve for record in board.records)
+    return f"{FIGURES_FOLDER}/{board.slug}-time.svg" if followed else ""
 
 
 def bench_figure(record: BenchRecord) -> str:
@@ -38,18 +37,9 @@ def require_own_figures(
     """
     from xfreqbench.report.drawing.figures import require_own_figure
 
-    links = [link for board in boards for link in figure_links(board).values()]
+    links = filter(None, map(time_link, boards))
     for link in [*links, *others, *(bench_figure(record) for record in benches if record.figure)]:
         require_own_figure(folder / link)
-
-
-def draw_board(board: Board, folder: Path) -> list[Path]:
-    """Draw a board's figures and return their paths; `folder` holds the report. Raises `StorageError`."""
-    draw = {"cdf": _draw_cdf, "time": _draw_curves}
-    paths = {name: folder / link for name, link in figure_links(board).items()}
-    for name, path in paths.items():
-        draw[name](board, path)
-    return list(paths.values())
 
 
 def draw_bench(record: BenchRecord, folder: Path) -> Path:
@@ -62,31 +52,27 @@ def draw_bench(record: BenchRecord, folder: Path) -> Path:
     return path
 
 
-def _draw_cdf(board: Board, path: Path) -> None:
-    from xfreqbench.report.leaderboard.plots import plot_score_cdf
+def draw_time(board: Board, folder: Path) -> list[Path]:
+    """Draw a board's figure of error against time, if it has one, and return its path; `folder` holds the report.
 
-    splits = board.split_sets()[0]
-    rows = _legible(board.rows_on(splits))
-    panels = {
-        short_name(split): {row.label: pooled_quantiles(row.by_split[split], "ssim") for row in rows}
-        for split in _panels(splits)
-    }
-    plot_score_cdf(panels, "SSIM", path)
-
-
-def _draw_curves(board: Board, path: Path) -> None:
+    Raises `StorageError`.
+    """
     from xfreqbench.report.leaderboard.plots import TimePanel, plot_error_against_time
 
+    if not time_link(board):
+        return []
+    path = folder / time_link(board)
     panels: dict[str, TimePanel] = {}
     followed = [split for split in board.splits if learning_curves(board, [split])]
     for split in _panels(followed):
         curves, trivial = learning_curves(board, [split]), best_trivial(board, split)
         points = {curve.row.label: _points(curve.known_points) for curve in curves}
-        shown = _legible([row for row in board.rows_on([split]) if row.label in points])
+        shown = [row for row in board.rows_on([split]) if row.label in points][:_MAX_CURVES]
         lines = {row.label: points[row.label] for row in shown}
         front = [point for point in split_front(curves, trivial) if point is not trivial]
         panels[short_name(split)] = TimePanel(lines, _points(front), trivial.ssim if trivial else None)
     plot_error_against_time(panels, path)
+    return [path]
 
 
 def _points(reached: Iterable[Reached]) -> list[tuple[float, float]]:
@@ -99,10 +85,3 @@ def _panels(splits: Sequence[str]) -> Sequence[str]:
         return splits
     of_paper = [split for split in splits if short_name(split).rpartition("-")[2] in _PAPER_TARGETS]
     return of_paper or splits[:_MAX_PANELS]
-
-
-def _legible(rows: Sequence[BoardRow]) -> Sequence[BoardRow]:
-    """At most `_MAX_CURVES` rows to draw, the best first; the best trivial predictor is always among them."""
-    shown = rows[:_MAX_CURVES]
-    trivial = [row for row in rows if row.is_trivial]
-    return shown if not trivial or trivial[0] in shown else [*shown[:-1], trivial[0]]

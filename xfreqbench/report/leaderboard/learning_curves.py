@@ -68,12 +68,6 @@ def best_trivial(board: Board, split: str) -> Reached | None:
     return max(reached, key=lambda point: point.ssim, default=None)
 
 
-def num_sampled(board: Board) -> int:
-    """The number of maps in the sample that curves are computed on, the largest of all splits; 0 without curves."""
-    records = (record for record in board.records if record.curve)
-    return max((len(curve_positions(record.split_sha256, record.num_test)) for record in records), default=0)
-
-
 def split_front(curves: Sequence[LearningCurve], trivial: Reached | None) -> list[Reached]:
     """The Pareto front of a split's curves and of the best trivial predictor, if there is one."""
     points = [point for curve in curves for point in curve.known_points]

@@ -1,76 +1,66 @@
-"""The short form of a report: a few tables that answer the first questions, with links to pages that hold the rest."""
+"""The short form of a report: findings and a few tables, made from records, with links to pages that hold the rest."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress
 from math import isnan, nan
 
 from xfreqbench.methods.contract import LANES
-from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table
+from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, short_name
-from xfreqbench.report.leaderboard.captions import leak_statement, short_legend
+from xfreqbench.report.leaderboard.captions import facts, leak_statement, short_legend
 from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.figures import figure_links
+from xfreqbench.report.leaderboard.figures import bench_figure, time_link
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
+from xfreqbench.report.leaderboard.unseen_rooms import TRAINED_TYPES
 from xfreqbench.runs.records import BenchRecord
 
-_BRIEFLY = {  # measurements of which the first rows are shown
-    "generate": "Generator",
-    "render": "Rendering",
-    "stress": "Stability",
-}
-_MOST_ROWS = 5
+ROOMS = "unseen-rooms"  # the measurement whose first table is of rooms that were never seen
+_BRIEFLY = {"generate": "Generator", "render": "Rendering", "stress": "Stability"}
+_MOST_ROWS, _MOST_SPLITS = 3, 5
 _FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
 _GAIN = "quick → converged"
 _FLAT = 0.002  # of SSIM
-_ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers nor unseen places
+_UNSEEN, _REGIONS = "held-out-tx", "held-out-block"
 
 
 def overview_markdown(
-    ranked: Sequence[Board], benches: Sequence[BenchRecord], pages: Mapping[str, str], measurements_page: str
+    ranked: Sequence[Board],
+    benches: Sequence[BenchRecord],
+    pages: Mapping[str, str],
+    measurements_page: str,
+    *,
+    claims: Sequence[str] = (),
+    worse: Sequence[str] = (),
 ) -> str:
-    """The generated part of a short report; `pages` holds the link to each scene's page."""
-    scene, main = main_scene(ranked), _main_boards(ranked)
+    """The generated part of a short report; `pages` holds the link to each page by what it is of.
+
+    `claims` and `worse` are the sections on the paper's claims and on what got worse.
+    """
+    scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
-    compared = [_first_comparison(board) for board in main]
-    is_shown = [board.scene == scene and board.protocol not in _ON_ITS_PAGE_ALONE for board in main]
-    rankings = []
-    for comparison in compress(compared, is_shown):
-        board = comparison.board
-        title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
-        more = f"**{leak_statement(board)}** [More]({pages[scene]})"
-        rankings.append(f"## {title}\n\n{more}\n\n{ranking_table(comparison, OVERVIEW)}")
-    links = ", ".join(f"[{heading(name)}]({link})" for name, link in pages.items())
+    compared = [_first_comparison(board) for board in main_boards(ranked)]
+    every = {**pages, "measurements": measurements_page}
+    links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
-        *rankings,
-        *_budget_tables(of_scene),
-        *([_skill_matrix(compared)] if len(main) > 1 else []),
-        *_time_figure(of_scene, pages),
-        f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
+        *_provenance(ranked),
+        *_findings(compared, of_scene),
+        *_main_board(compared, pages, scene),
+        *_skill_matrix(compared),
+        *_unseen_rooms(benches, pages),
+        *_time(of_scene, pages),
+        *claims,
         *_measured_parts(benches, measurements_page),
+        *worse,
+        f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
+        "carrier, pair of methods and learning curve.",
         short_legend(),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _main_boards(ranked: Sequence[Board]) -> list[Board]:
-    """Of the boards of each data set and protocol, which differ in their budgets, the one with most runs."""
-    return list({_place(board): board for board in reversed(ranked)}.values())[::-1]
-
-
-def _place(board: Board) -> tuple[str, str, str]:
-    return board.scene, board.data, board.protocol
-
-
-def _first_comparison(board: Board) -> Comparison:
-    """The rows of a board without ablations, on the splits that most of them share."""
-    whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
-    return Comparison(whole, whole.split_sets()[0])
 
 
 def main_scene(ranked: Sequence[Board]) -> str:
@@ -81,32 +71,160 @@ def main_scene(ranked: Sequence[Board]) -> str:
     return max(records, key=lambda scene: (records[scene], scene), default="")
 
 
-def _budget_tables(ranked: Sequence[Board]) -> list[str]:
-    """For each protocol that was run with several budgets: the average of each method by budget."""
-    parts = []
-    for main in _main_boards(ranked):
-        lanes = [board for board in ranked if _place(board) == _place(main)]
-        if len(lanes) > 1:
-            parts += _budget_table(lanes, main)
-    return ["## Other budgets", *parts] if parts else []
+def main_boards(ranked: Sequence[Board]) -> list[Board]:
+    """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations."""
+    by_place: dict[tuple[str, str], list[Board]] = {}
+    for board in ranked:
+        by_place.setdefault((board.scene, board.protocol), []).append(board)
+    return [max(boards, key=_num_plain_runs) for boards in by_place.values()]
 
 
-def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
-    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
-    fitted = [  # trivial predictors have one value in all columns, and a row in the table above
-        (lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"
+def _num_plain_runs(board: Board) -> int:
+    return sum(len(row.records) for row in board.rows if row.family != "ablation")
+
+
+def _first_comparison(board: Board) -> Comparison:
+    """The rows of a board without ablations, on the splits that most of them share."""
+    whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
+    return Comparison(whole, whole.split_sets()[0])
+
+
+def _provenance(ranked: Sequence[Board]) -> list[str]:
+    known = facts(ranked)
+    shown = [f"* {name}: {prose('; '.join(texts))}." for name, texts in known.items() if name != "Commits"]
+    shown[-1] += f" Commits: {prose(', '.join(known['Commits']))}."
+    return ["\n".join(shown)] if ranked else []
+
+
+def _fitted(comparison: Comparison) -> list[BoardRow]:
+    return [row for row in comparison.rows if not row.is_trivial]
+
+
+def _skill(comparison: Comparison, row: BoardRow) -> str:
+    """The average skill of a row with its interval; a dash where it is unknown."""
+    (column,) = leaderboard_columns(comparison, ("skill",))
+    return f"{column.text(row)} {column.interval(row)}".strip()
+
+
+def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list[str]:
+    """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
+    scene = of_scene[0].scene if of_scene else ""
+    known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
+    found = [
+        *_best(known.get("lofo"), compared),
+        *_elsewhere(known.get(_UNSEEN), "At transmitters that were never heard"),
+        *_elsewhere(known.get(_REGIONS), "Where whole regions of the room were never heard"),
+        *_papers_idea(of_scene),
+        *_as_it_is(of_scene),
     ]
-    splits = [split for split in _first_comparison(main).splits if all(split in row.by_split for _, row in fitted)]
-    every = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
-    num_lanes = Counter(label for label, _ in every)
-    rows = {place: value for place, value in every.items() if num_lanes[place[0]] > 1}
+    numbered = [f"{place}. {sentence}" for place, sentence in enumerate(found, 1)]
+    return ["## Findings", "\n".join(numbered)] if found else []
+
+
+def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[str]:
+    if lofo is None:
+        return
+    first, *others = _fitted(lofo)
+    competing = [
+        fitted for fitted in map(_fitted, compared) if any(row.job.method == first.job.method for row in fitted)
+    ]
+    num_won = sum(fitted[0].job.method == first.job.method for fitted in competing)
+    second = f" The next, `{others[0].short_label}`, has {_skill(lofo, others[0])}." if others else ""
+    yield (
+        f"At a carrier that was never trained on (`lofo`, {lofo.board.scene}) `{first.short_label}` is best: its "
+        f"skill, the share that it closes of what the best trivial predictor leaves open, is {_skill(lofo, first)}."
+        f"{second} It is first on {num_won} of the {len(competing)} boards on which it was run."
+    )
+
+
+def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
+    if comparison is None:
+        return
+    first, *others = _fitted(comparison)
+    trivial = next((row for row in comparison.rows if row.is_trivial), None)
+    better = [row for row in (first, *others) if trivial and comparison.beats(row, trivial)]
+    beside = f" and `{others[0].short_label}` {_skill(comparison, others[0])}" if others else ""
+    yield (
+        f"{where} (`{comparison.board.protocol}`) `{first.short_label}` has a skill of {_skill(comparison, first)}"
+        f"{beside}; {len(better)} of {1 + len(others)} methods are clearly better than the best trivial predictor."
+    )
+
+
+def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
+    """What carrier-conditioned attributes add, with and without the aids that the paper does not have."""
+    said: dict[str, str] = {}
+    for words, pairs in (
+        (
+            "with our aids",
+            (("xfreq-gs (aided=true)", "fixed-frequency-gs (aided=true)"), ("xfreq-gs", "fixed-frequency-gs")),
+        ),
+        ("without them", (("xfreq-gs (aided=false)", "fixed-frequency-gs (aided=false)"),)),
+    ):
+        for board in of_scene:
+            rows = {row.short_label: row for row in board.rows}
+            pair = next((pair for pair in pairs if set(pair) <= rows.keys()), None)
+            if board.protocol == "lofo" and pair:
+                said.setdefault(words, _difference(board, rows[pair[0]], rows[pair[1]]))
+    if said:
+        yield (
+            "The paper's own idea, attributes that follow the carrier, changes the median SSIM of a fixed-frequency "
+            f"Gaussian field by {' and by '.join(f'{value} {words}' for words, value in said.items())} (`lofo`)."
+        )
+
+
+def _difference(board: Board, row: BoardRow, other: BoardRow) -> str:
+    """How much higher the average median SSIM of a row is than another's, on the splits of both."""
+    splits = tuple(split for split in board.splits if split in row.by_split and split in other.by_split)
+    comparison = Comparison(board, splits)
+    value = row.average(splits, median_ssim) - other.average(splits, median_ssim)
+    return with_interval(value, comparison.paired_difference(row, other), 4)
+
+
+def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
+    """How far the paper's method comes with nothing that the paper does not have, beside the aided one."""
+    shown: dict[str, str] = {}
+    for method in ("xfreq-gs-paper", "xfreq-gs"):
+        for board in of_scene if len(shown) < 2 else ():
+            rows = [row for row in board.rows if row.job.method == method and row.family == "learned"]
+            splits = board.split_sets()[0]
+            if board.protocol == "lofo" and rows and set(splits) <= rows[0].by_split.keys() and method not in shown:
+                value = rows[0].average(splits, median_ssim)
+                shown[method] = f"{with_interval(value, Comparison(board, splits).interval(rows[0]), 4)} ({board.lane})"
+    if len(shown) == 2:
+        yield (
+            "With nothing that the paper does not have (`xfreq-gs-paper`) its method reaches a median SSIM of "
+            f"{shown['xfreq-gs-paper']} on `lofo`; with our aids (`xfreq-gs`) {shown['xfreq-gs']}."
+        )
+
+
+def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene: str) -> list[str]:
+    """The ranking of the main scene on its first protocol."""
+    comparison = next((each for each in compared if each.board.scene == scene), None)
+    if comparison is None:
+        return []
+    board = comparison.board
+    title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
+    more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
+    columns = [name for name in OVERVIEW if name != "splits" or len(comparison.splits) <= _MOST_SPLITS]
+    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, columns)}"]
+
+
+def _budget_table(lanes: Sequence[Board]) -> list[str]:
+    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
+    fitted = [(lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"]
+    every = _first_comparison(lanes[0]).splits if lanes else ()
+    splits = [split for split in every if all(split in row.by_split for _, row in fitted)]
+    known = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
+    num_lanes = Counter(label for label, _ in known)
+    rows = {place: value for place, value in known.items() if num_lanes[place[0]] > 1}
+    if not rows:
+        return []
     header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
     body = [
         [label, *(number(rows.get((label, lane.lane), nan), 4) for lane in lanes)]
         for label in sorted({label for label, _ in rows})
     ]
-    words = heading(f"{main.scene} · {main.protocol}")
-    caption = f"{words}, average median SSIM on {', '.join(map(short_name, splits))}"
+    caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
     if {_FEW_MAPS, _MANY_MAPS} <= {lane.lane for lane in lanes}:
         header.append(_GAIN)
         for line in body:
@@ -114,48 +232,63 @@ def _budget_table(lanes: Sequence[Board], main: Board) -> list[str]:
             gain = many - few  # each of the two fits let its learning rate fall to its own end
             line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < _FLAT else ""))
         caption += f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
-    return [f"{caption}:\n\n{table(header, body)}"] if body else []
+    return [f"{caption}:\n\n{table(header, body)}"]
 
 
-def _skill_matrix(compared: Sequence[Comparison]) -> str:
+def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     """The skill of each method on each board; trivial predictors are left out."""
     best: list[dict[str, BoardRow]] = [{} for _ in compared]
     for comparison, by_method in zip(compared, best, strict=True):
-        for row in reversed(comparison.rows):  # the best comes last
-            if not row.is_trivial:
-                by_method[row.job.method] = row
-    boards = [comparison.board for comparison in compared]
-    header = ["method", *(f"{board.scene}, {board.protocol}" for board in boards)]
+        for row in reversed(_fitted(comparison)):  # the best comes last
+            by_method[row.job.method] = row
+    methods = sorted({method for by_method in best for method in by_method})
+    if len(compared) < 2 or not methods:
+        return []
     rows = [
-        [method, *map(_skill_cell, compared, (by_method.get(method) for by_method in best))]
-        for method in sorted({method for by_method in best for method in by_method})
+        [f"{each.board.scene}, {each.board.protocol}", *(_skill_cell(each, of.get(method)) for method in methods)]
+        for each, of in zip(compared, best, strict=True)
+        if of
     ]
-    budgets = dict.fromkeys(board.lane_title for board in boards)
+    budgets = dict.fromkeys(each.board.lane_title for each, of in zip(compared, best, strict=True) if of)
     budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
-    caption = f"Average skill on the splits that most methods share{budget}:"
-    return f"## Skill on every scene and protocol\n\n{caption}\n\n{table(header, rows)}"
+    dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
+    caption = f"Average skill on the splits that most methods share{budget}.{dash}"
+    return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
 
 
 def _skill_cell(comparison: Comparison, row: BoardRow | None) -> str:
     (column,) = leaderboard_columns(comparison, ("skill",))
-    if row is None or column.value is None or isnan(column.value(row)):
-        return ABSENT
-    return column.text(row)
+    return ABSENT if row is None else column.text(row)
 
 
-def _time_figure(shown: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
-    """The figure of error against time of the first board that has one."""
-    drawn = next((board for board in shown if "time" in figure_links(board)), None)
-    if drawn is None:
+def _unseen_rooms(benches: Sequence[BenchRecord], pages: Mapping[str, str]) -> list[str]:
+    """How good methods are in rooms that were never seen, of types that were trained on, with a link to the rest."""
+    record = next((bench for bench in benches if bench.bench == ROOMS), None)
+    if record is None or ROOMS not in pages:
         return []
-    folder = pages[drawn.scene].rpartition("/")[0]
-    link = "/".join(filter(None, [folder, figure_links(drawn)["time"]]))
-    words = heading(f"{drawn.scene} · {drawn.protocol}")
-    return [f"## Error against time\n\n![SSIM against seconds of fitting, {words}]({link})"]
+    link = pages[ROOMS]
+    figure = f" ([figure]({link.rpartition('/')[0]}/{bench_figure(record)}))" if record.figure else ""
+    caption = f"{paragraph(record.note, prose)} [More]({link}){figure}"
+    rows = [row for row in record.rows if TRAINED_TYPES in row]
+    return [f"## Rooms that were never seen\n\n{caption}\n\n{table(record.columns, rows, prose)}"]
+
+
+def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
+    """The figure of error against time of the first board that has one, and scores by budget."""
+    if not of_scene:
+        return []
+    first = next(filter(time_link, of_scene), of_scene[0])
+    folder = pages[first.scene].rpartition("/")[0]
+    link = "/".join(filter(None, [folder, time_link(first)]))
+    words = heading(f"{first.scene} · {first.protocol}")
+    lanes = [board for board in of_scene if (board.data, board.protocol) == (first.data, first.protocol)]
+    figure = [f"![SSIM against seconds of fitting, {words}]({link})"] if time_link(first) else []
+    parts = [*figure, *(_budget_table(lanes) if len(lanes) > 1 else [])]
+    return ["## Error against time", *parts] if parts else []
 
 
 def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
-    """The first measurement of each kind that `_BRIEFLY` names, and a link to all."""
+    """The first measurement of each kind that `_BRIEFLY` names."""
     first = {record.bench: record for record in reversed(benches)}
     parts = []
     for bench, title in _BRIEFLY.items():
@@ -166,13 +299,14 @@ def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
         left = f"{len(rows) - _MOST_ROWS} more rows" if len(rows) > _MOST_ROWS else "More"
         caption = f"{paragraph(record.title, prose)}. [{left}]({page})"
         parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}")
-    rest = f"Every measurement with its command and its machine: [measurements]({page})."
-    return [*parts, rest] if benches else []
+    return parts
 
 
 def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Cases of the stress suite by area: how many there are, and how many failed, most cases first."""
+    """Cases of the stress suite by area: how many there are, and how many failed; failures first, then most cases."""
     area, verdict = 0, len(record.columns) - 1
     cases = Counter(row[area] for row in record.rows)
     failed = Counter(row[area] for row in record.rows if row[verdict].startswith("FAILED"))
-    return ("area", "cases", "failed"), [(name, str(number), str(failed[name])) for name, number in cases.most_common()]
+    ordered = sorted(cases.items(), key=lambda item: (-failed[item[0]], -item[1]))
+    every = [("all", str(cases.total()), str(failed.total()))]
+    return ("area", "cases", "failed"), [*every, *((name, str(count), str(failed[name])) for name, count in ordered)]

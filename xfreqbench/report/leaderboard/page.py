@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -15,16 +16,17 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import COLOURS, render
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
-from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, machine_names, notes
+from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_statement, notes
 from xfreqbench.report.leaderboard.columns import COSTS, PAGE, LeaderboardColumn, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
-from xfreqbench.report.leaderboard.origins import machine_name, record_key, short_commit
+from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
 from xfreqbench.report.leaderboard.text import write_tables
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
@@ -36,10 +38,10 @@ _DIGITS = 4
 _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 
-def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
+def write_page(results: Path | Sequence[Path], output_html: Path, since: Path | None = None) -> Path:
     """Write the page of `results`, results folders or files of records, and return the file written.
 
-    Its tables are written beside it, as `write_tables` does.
+    Its tables are written beside it, as `write_tables` does. With earlier results `since` it says what got worse.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
@@ -57,12 +59,18 @@ def write_page(results: Path | Sequence[Path], output_html: Path) -> Path:
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
     comparisons = list(map(_comparisons, boards))
-    write_text(output_html, _page(found, boards, comparisons))
+    worse = None if since is None else got_worse(read_results(since).records, found.records)
+    write_text(output_html, _page(found, boards, comparisons, worse))
     write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
     return output_html
 
 
-def _page(found: RankedResults, boards: Sequence[Board], comparisons: Sequence[Sequence[Comparison]]) -> str:
+def _page(
+    found: RankedResults,
+    boards: Sequence[Board],
+    comparisons: Sequence[Sequence[Comparison]],
+    worse: Sequence[Sequence[str]] | None,
+) -> str:
     galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
         "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
@@ -74,12 +82,15 @@ def _page(found: RankedResults, boards: Sequence[Board], comparisons: Sequence[S
     return render(
         "leaderboard/page.html",
         title=_TITLE,
-        facts=page_facts(boards),
+        facts=facts(boards),
         boards=list(map(board_tables, comparisons)),
         overview_rows=overview_rows([of_board[0] for of_board in comparisons]),
         overview_protocols=overview_protocols(boards),
         costs={name: COSTS[name].hint for name in CHART_COSTS},
         sources=sources_of([row for board in boards for row in board.rows]),
+        worse=worse,
+        worse_header=WORSE_HEADER,
+        nothing_worse=NOTHING_WORSE,
         benches=found.benches,
         machine_name=machine_name,
         content=_finite(content),
@@ -128,8 +139,7 @@ class BoardTables:
 def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
     """Tables of a board, from one comparison for each of its sets of splits."""
     board = comparisons[0].board
-    counts = " or ".join(f"{count:,}" for count in sorted({record.num_test for record in board.records}))
-    conditions = f"{data_statement(board)}; {counts} test maps a split. {leak_statement(board)}"
+    conditions = f"{data_statement(board)}. {leak_statement(board)}"
     return BoardTables(board.slug, board.title, conditions, list(map(_set_table, comparisons)))
 
 
@@ -150,11 +160,12 @@ def overview_protocols(ranked: Sequence[Board]) -> list[str]:
 def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
     """Links to the boards, by scene and then by protocol; `compared` holds one comparison of every board."""
     protocols = overview_protocols([comparison.board for comparison in compared])
+    num_data = Counter(scene for scene, _ in {(each.board.scene, each.board.data) for each in compared})
     scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
         scene: [
             [
-                _link(comparison)
+                _link(comparison, num_data[scene] > 1)
                 for comparison in compared
                 if (comparison.board.scene, comparison.board.protocol) == (scene, protocol)
             ]
@@ -164,7 +175,7 @@ def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLi
     }
 
 
-def _link(comparison: Comparison) -> BoardLink:
+def _link(comparison: Comparison, names_data: bool) -> BoardLink:
     board = comparison.board
     competing = list(filter(_competes, comparison.rows))
     if competing:
@@ -177,21 +188,8 @@ def _link(comparison: Comparison) -> BoardLink:
         standing = f"{best.short_label}: {scores}{among}"
     else:
         standing = f"{' and '.join(dict.fromkeys(_PLURALS[row.family] for row in comparison.rows))} alone"
-    return BoardLink(board.slug, board.lane_title or "without budget", standing)
-
-
-def page_facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
-    """Data sets, machines, commits and dates of all records, each fact with its lines."""
-    records = list({record_key(record): record for board in ranked for record in board.records}.values())
-    data = {f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}
-    commits = {short_commit(record.git_commit) for record in records}
-    days = sorted({record.time_utc[:10] for record in records})
-    return {
-        "Data": sorted(data),
-        "Machines": machine_names(records) or ["none: every row is external"],
-        "Commits": [", ".join(sorted(commits))],
-        "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
-    }
+    data = f", {board.data_name}" if names_data else ""
+    return BoardLink(board.slug, (board.lane_title or "without budget") + data, standing)
 
 
 def _set_table(comparison: Comparison) -> SetTable:

@@ -16,24 +16,23 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
+from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
-from xfreqbench.report.leaderboard.captions import leak_statement
-from xfreqbench.report.leaderboard.columns import BRIEF, metric_title
-from xfreqbench.report.leaderboard.comparison import Comparison, Resampling
+from xfreqbench.report.leaderboard.columns import metric_title
+from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
-from xfreqbench.report.leaderboard.overview import main_scene
+from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.published import published_content, stands_for
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
-from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
-from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.types import IntArray
 
-_HOLDS = "holds"
+_HOLDS, _OPEN, _FAILS = "holds", "open", "does not hold"
 _MEDIAN_SSIM = "SSIM median"
 _STATISTICS = {  # as the published tables name them: metric, statistic, decimals
     "SSIM mean": ("ssim", "mean", 4),
@@ -41,12 +40,15 @@ _STATISTICS = {  # as the published tables name them: metric, statistic, decimal
     "PSNR mean (dB)": ("psnr", "mean", 2),
     "PSNR median (dB)": ("psnr", "median", 2),
 }
-_RANDOM = "random-samples"
 _INTRODUCTION = (
     "Their data, rooms and receivers are others than ours, and the sizes of their models too, so that numbers do not "
     "compare. What can be compared are claims: which of two methods is better, and by how much. A claim *holds* here "
     "where the whole 95 % interval of the difference, paired by transmitters and with three seeds of each, lies above "
     "zero, and *does not hold* where it lies below."
+)
+CLAIMS_CAPTION = (
+    "A claim *holds* where the whole interval of the difference of median SSIM × 1000 lies above zero. Data, rooms and "
+    "sizes are others than the paper's."
 )
 _LEVEL = 90  # per cent of the maps, as in the paper
 _METRICS = {"ssim": 4, "psnr": 2}  # with decimals
@@ -60,19 +62,18 @@ Value = TypeVar("Value")
 def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
     """Published numbers beside ours, and the paper's claims with a verdict, for the boards of one scene.
 
-    `grids` are maps by the links to their figures.
+    Claims are judged in several budgets; tables and figures are of the one with most runs. `grids` are maps by the
+    links to their figures.
     """
-    content = published_content()
-    resampling = {board.slug: Resampling() for board in ranked}
+    content, shown = published_content(), main_boards(ranked)
     parts = [
         f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
         "## Claims",
-        _claims_table(content["claim"], ranked, resampling),
+        claims_table(ranked) or "None was measured.",
         "## The paper's tables",
         "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
-        *_papers_tables(content, ranked, resampling),
-        *_distributions(ranked),
-        *_random_samples(ranked, resampling),
+        *_papers_tables(content, shown),
+        *_distributions(shown),
         *_maps(grids or {}),
     ]
     return "\n\n".join(parts) + "\n"
@@ -101,19 +102,6 @@ def _distributions(ranked: Sequence[Board]) -> list[str]:
     return ["## Distributions of SSIM and PSNR", caption, *parts]
 
 
-def _random_samples(ranked: Sequence[Board], resampling: Mapping[str, Resampling]) -> list[str]:
-    """The rankings on random samples, which the paper has no table of; empty where they were not run."""
-    boards = [board for board in ranked if board.protocol == _RANDOM]
-    if not boards:
-        return []
-    why = "The released code of XFreq-GS splits samples at random by default. The paper has no numbers of that."
-    parts = ["## Random samples", f"{why} **{leak_statement(boards[0])}**"]
-    for board in boards:
-        comparison = Comparison(board, board.split_sets()[0], resampling[board.slug])
-        parts += [f"{heading(board.lane_title or 'no budget')}:", ranking_table(comparison, BRIEF)]
-    return parts
-
-
 def _maps(grids: Mapping[str, MapGrid]) -> list[str]:
     """The figures of maps; empty where there are none."""
     parts = []
@@ -127,39 +115,50 @@ def _maps(grids: Mapping[str, MapGrid]) -> list[str]:
     return ["## Maps", *parts] if parts else []
 
 
-def _claims_table(
-    claims: Sequence[Mapping[str, Any]], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
-) -> str:
-    """A row for each claim and board on which both methods stand; one without a verdict where there is none."""
-    rows: list[list[str]] = []
-    for claim in claims:
-        measured = [
-            (board, comparison, better, worse)
-            for board in ranked
-            if board.protocol == claim["protocol"]
-            for comparison, better, worse in _pairs(claim, board, resampling[board.slug])
-        ]
-        published = f"{claim['claim']} ({claim['theirs']})"
-        for board, comparison, better, worse in measured:
-            splits, difference, verdict = _verdict(comparison, better, worse)
-            why = "" if verdict == _HOLDS else claim.get("why", "")
-            rows.append([published, board.lane_title or "no budget", splits, difference, verdict, why])
-        if not measured:
-            rows.append([published, ABSENT, ABSENT, ABSENT, "not measured here", ""])
-    header = ("claim (published)", "budget", "on", "difference × 1000", "here", "why")
-    return table(header, rows, prose)
+def claims_table(ranked: Sequence[Board]) -> str:
+    """A row for each claim: ours with its aids at two budgets, and the method as the paper has it.
+
+    A cell has the difference of average median SSIM × 1000 with its interval, and the verdict. Empty where nothing of
+    it was measured.
+    """
+    columns = {
+        "ours, 64,000 maps": ("quick", "xfreq-gs"),
+        "ours, 200,000 maps": ("converged", "xfreq-gs"),
+        "as the paper has it, 200,000 maps": ("converged", "xfreq-gs-paper"),
+    }
+    rows = []
+    for claim in published_content()["claim"]:
+        cells = [_claim_cell(claim, ranked, budget_text(LANES[lane]), method) for lane, method in columns.values()]
+        why = claim.get("why", "") if any(words in cell for cell in cells for words in (_OPEN, _FAILS)) else ""
+        rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, why])
+    if all(cell == ABSENT for row in rows for cell in row[1:-1]):
+        return ""
+    return table(("claim (published)", *columns, "why not"), rows, prose)
 
 
-def _pairs(
-    claim: Mapping[str, Any], board: Board, resampling: Resampling
-) -> list[tuple[Comparison, BoardRow, BoardRow]]:
+def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str) -> str:
+    """The difference and the verdict on the first board of a budget on which both methods stand; a dash without any."""
+    named = {
+        end: claim[end] | ({"method": method} if claim[end]["method"] == "xfreq-gs" else {})
+        for end in ("better", "worse")
+    }
+    for board in ranked:
+        if (board.protocol, board.lane) == (claim["protocol"], lane):
+            for comparison, better, worse in _pairs(named, board):
+                splits, difference, verdict = _verdict(comparison, better, worse)
+                where = f" at {splits}" if len(comparison.splits) == 1 else ""
+                return f"{difference}{where}: {verdict}"
+    return ABSENT
+
+
+def _pairs(claim: Mapping[str, Any], board: Board) -> list[tuple[Comparison, BoardRow, BoardRow]]:
     """The two rows that a claim compares, on the splits that both were run on; none where one is missing."""
     named = claim["better"], claim["worse"]
     better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
     if better is None or worse is None:
         return []
     splits = tuple(split for split in board.splits if split in better.by_split and split in worse.by_split)
-    return [(Comparison(board, splits, resampling), better, worse)] if splits else []
+    return [(Comparison(board, splits), better, worse)] if splits else []
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
@@ -173,83 +172,59 @@ def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[
     difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
     low, high = comparison.difference(better, worse)
     bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-    verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else "does not hold" if high < 0 else "open"
+    verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else _FAILS if high < 0 else _OPEN
     return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
-def _papers_tables(
-    content: Mapping[str, Any], ranked: Sequence[Board], resampling: Mapping[str, Resampling]
-) -> list[str]:
-    """The paper's tables, with its rows and columns, for each budget of which we have a number."""
+def _papers_tables(content: Mapping[str, Any], ranked: Sequence[Board]) -> list[str]:
+    """The paper's tables, with its rows and columns, of which we have a number."""
     ours = {
         (name, row, statistic): (counterpart, place, statistic if column in _STATISTICS else _MEDIAN_SSIM)
         for counterpart in content["counterpart"]
         for place, (name, row, column) in counterpart["cells"].items()
         for statistic in (_STATISTICS if column in _STATISTICS else (column,))
     }
+    boards = {board.protocol: board for board in ranked}
     parts = []
     for name, published in content["table"].items():
-        boards = [board for board in ranked if board.protocol == published["protocol"] and name != "cdf"]
-        for lane, title in {board.lane: board.lane_title or "no budget" for board in boards}.items():
-            rows = []
-            for row, theirs in published["rows"].items():
-                cells = [
-                    _cell(ours.get((name, row, column)), value, lane, boards, resampling)
-                    for column, value in zip(published["columns"], theirs, strict=True)
-                ]
-                rows.append([heading(row), *cells])
-            if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
-                header = (published["first_column"], *published["columns"])
-                parts.append(
-                    f"{published['title']}; ours in the budget {heading(title)}:\n\n{table(header, rows, prose)}"
-                )
+        if name == "cdf" or published["protocol"] not in boards:
+            continue
+        board = boards[published["protocol"]]
+        rows = []
+        for row, theirs in published["rows"].items():
+            found = [_ours(ours.get((name, row, column)), board) for column in published["columns"]]
+            rows.append([heading(row), *(f"{cell} ({value})" for cell, value in zip(found, theirs, strict=True))])
+        if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
+            header, title = (published["first_column"], *published["columns"]), heading(board.lane_title or "no budget")
+            parts.append(f"{published['title']}; ours in the budget {title}:\n\n{table(header, rows, prose)}")
     return parts
 
 
-def _cell(
-    ours: tuple[Mapping[str, Any], str, str] | None,
-    theirs: str,
-    lane: str,
-    boards: Sequence[Board],
-    resampling: Mapping[str, Resampling],
-) -> str:
-    """Our number in a budget and behind it, in round brackets, the paper's."""
-    counterpart, place, statistic = ours or ({}, "", "")
-    found = _found_rows(counterpart, place, boards).get(lane) if ours else None
-    return f"{_ours(*found, statistic, resampling) if found else ABSENT} ({theirs})"
+def _ours(cell: tuple[Mapping[str, Any], str, str] | None, board: Board) -> str:
+    """Our number beside a published one, the mean over splits; a median SSIM has its interval. A dash without any.
 
+    The splits are those that the paper names, or all of the row where it names none.
+    """
+    counterpart, place, statistic = cell or ({}, "", "")
+    for row in board.rows if cell else ():
+        splits = tuple(row.by_split) if place == "any" else tuple(place.split())
+        if not (_is_named(counterpart, row) and set(splits) <= set(row.by_split)):
+            continue
+        metric, name, decimals = _STATISTICS[statistic]
 
-def _found_rows(
-    counterpart: Mapping[str, Any], place: str, boards: Sequence[Board]
-) -> dict[str, tuple[Board, BoardRow, tuple[str, ...]]]:
-    """Our row for a published cell, and its splits, by budget; all its splits if the paper does not name them."""
-    found: dict[str, tuple[Board, BoardRow, tuple[str, ...]]] = {}
-    for board in boards:
-        for row in board.rows if board.protocol == counterpart["protocol"] else ():
-            splits = tuple(row.by_split) if place == "any" else tuple(place.split())
-            if _is_named(counterpart, row) and set(splits) <= set(row.by_split):
-                found.setdefault(board.lane, (board, row, splits))
-    return found
+        def quantity(record: RunRecord, metric: str = metric, name: str = name) -> float:
+            return float(getattr(record.scores[metric], name))
 
-
-def _ours(
-    board: Board, row: BoardRow, splits: tuple[str, ...], statistic: str, resampling: Mapping[str, Resampling]
-) -> str:
-    """Our number beside a published one, the mean over splits; a median SSIM has its interval."""
-    metric, name, decimals = _STATISTICS[statistic]
-
-    def quantity(record: RunRecord) -> float:
-        return float(getattr(record.scores[metric], name))
-
-    value = row.average(splits, quantity)
-    if statistic != _MEDIAN_SSIM:
-        return number(value, decimals)
-    return with_interval(value, Comparison(board, splits, resampling[board.slug]).interval(row), decimals)
+        value = row.average(splits, quantity)
+        if statistic != _MEDIAN_SSIM:
+            return number(value, decimals)
+        return with_interval(value, Comparison(board, splits).interval(row), decimals)
+    return ABSENT
 
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
     """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
-    return {cdf_link(board): partial(_draw_cdf, board) for board in ranked if _splits(board)}
+    return {cdf_link(board): partial(_draw_cdf, board) for board in main_boards(ranked) if _splits(board)}
 
 
 def cdf_link(board: Board) -> str:
@@ -353,7 +328,7 @@ def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
 
 def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
     """The paper's maps of every board whose maps are stored or shipped, by the links to their figures."""
-    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in ranked}
+    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in main_boards(ranked)}
     return {link: grid for link, grid in grids.items() if grid}
 
 

@@ -8,39 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from xfreqbench.report.drawing.markdown import table
 from xfreqbench.report.leaderboard.rows import BoardRow
-
-PUBLISHED_TITLE = "published, other data"
-
-
-def published_cell(row: BoardRow, splits: Sequence[str]) -> str:
-    """The published name and median SSIM of a row's method on these splits, such as `XFreq-GS 0.9098`.
-
-    Where no number for all splits together was published, it has one for each: `XFreq-GS 0.7381 / 0.7642`. It is
-    empty where nothing was published.
-    """
-    for counterpart in published_content()["counterpart"]:
-        if stands_for(counterpart, row):
-            cells = counterpart["cells"]
-            whole = cells.get(" ".join(splits)) or cells.get("any")
-            places = [whole] if whole else [cells.get(split) for split in splits]
-            return f"{counterpart['name']} {' / '.join(map(published_value, places))}" if all(places) else ""
-    return ""
-
-
-def published_section(protocol: str) -> list[str]:
-    """A heading and every published table of a protocol, as Markdown; empty where nothing was published."""
-    content = published_content()
-    tables = [shown for shown in content["table"].values() if shown["protocol"] == protocol]
-    if not tables:
-        return []
-    parts = ["### Published, other data, not comparable", f"{content['citation']}: {content['conditions']}."]
-    for published in tables:
-        rows = [[name, *values] for name, values in published["rows"].items()]
-        header = [published["first_column"], *published["columns"]]
-        parts.append(f"{published['title']}:\n\n{table(header, rows)}")
-    return parts
 
 
 def reduced_statement(rows: Sequence[BoardRow]) -> str:
@@ -77,11 +45,3 @@ def stands_for(counterpart: Mapping[str, Any], row: BoardRow) -> bool:
     return (row.job.protocol, row.job.method) == (counterpart["protocol"], counterpart["method"]) and all(
         config.get(name) == value for name, value in counterpart.get("config", {}).items()
     )
-
-
-def published_value(place: Sequence[str]) -> str:
-    """The published number at a place, given as table, row and column."""
-    name, row, column = place
-    found = published_content()["table"][name]
-    values: list[str] = found["rows"][row]
-    return values[found["columns"].index(column)]

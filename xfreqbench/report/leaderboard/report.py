@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 
@@ -14,20 +14,30 @@ from xfreqbench.report.drawing.markdown import heading, literal, paragraph, pros
 from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
-from xfreqbench.report.leaderboard.comparison import Resampling, comparisons_of
-from xfreqbench.report.leaderboard.figures import (
-    bench_figure,
-    draw_bench,
-    draw_board,
-    figure_links,
-    require_own_figures,
-)
+from xfreqbench.report.leaderboard.comparison import comparisons_of
+from xfreqbench.report.leaderboard.figures import bench_figure, draw_bench, draw_time, require_own_figures, time_link
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
-from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
-from xfreqbench.report.leaderboard.paper import MapGrid, has_counterparts, paper_figures, paper_maps, paper_markdown
-from xfreqbench.report.leaderboard.published import published_section
+from xfreqbench.report.leaderboard.overview import ROOMS, main_scene, overview_markdown
+from xfreqbench.report.leaderboard.paper import (
+    CLAIMS_CAPTION,
+    MapGrid,
+    claims_table,
+    has_counterparts,
+    paper_figures,
+    paper_maps,
+    paper_markdown,
+)
 from xfreqbench.report.leaderboard.results import RankedResults, read_results
-from xfreqbench.report.leaderboard.tables import curve_tables, ranking_table, ranking_tables, split_tables
+from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
+from xfreqbench.report.leaderboard.tables import (
+    CsvRow,
+    csv_tables,
+    measurement_rows,
+    ranking_table,
+    ranking_tables,
+    require_own_csv,
+    write_csv,
+)
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -44,7 +54,9 @@ _BENCH_SECTIONS = {
     "stress": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
-_MEASUREMENTS_PAGE, _PAPER_PAGE = "measurements.md", "paper.md"
+_MEASUREMENTS_PAGE, _PAPER_PAGE, _ROOMS_PAGE = "measurements.md", "paper.md", "unseen-rooms.md"
+_MOST_WORSE = 6
+_MOST_ROWS = 12  # of a measurement; all of them stand in a file beside the page
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,7 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
 class _Page:
     """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it.
 
-    `drawn` has what draws further figures, by the links to them.
+    `drawn` has what draws further figures, by the links to them. Tables of CSV lie beside it, see `tables`.
     """
 
     path: Path
@@ -84,35 +96,70 @@ class _Page:
     benches: Sequence[BenchRecord] = ()
     drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
 
+    @cached_property
+    def tables(self) -> dict[Path, list[CsvRow]]:
+        """The files of CSV beside the page, with their rows."""
+        folder, stem = self.path.parent, self.path.stem
+        long = [bench for bench in self.benches if len(bench.rows) > _MOST_ROWS]
+        return {folder / f"{stem}-{name}.csv": rows for name, rows in csv_tables(self.boards).items()} | {
+            folder / _bench_csv(bench): measurement_rows(bench.title, bench.columns, bench.rows) for bench in long
+        }
 
-def write_report(results: Path | Sequence[Path], output_md: Path, details: Path | None = None) -> WrittenReport:
-    """Write a Markdown report and its figures from `results`: results folders or files of records, one or several.
+    @property
+    def text(self) -> str:
+        """The generated part, with links to the tables of its boards."""
+        links = [f"[{path.name}]({path.name})" for path in self.tables if path.stem.startswith(f"{self.path.stem}-")]
+        beside = f"\nEvery split, metric, cost, pair of methods and learning curve: {', '.join(links)}.\n"
+        return self.generated.replace("<!--", "&lt;!--") + (beside if links else "")  # no marker but ours
 
-    With a folder `details` the report is a short one, and a page for each scene and one of the measurements are
-    written there. In an existing page only the text between the two marker comments is replaced. Raises `DataError`
-    where there are no records and as `boards` does, `OutputExistsError` where a page or a figure is another file,
-    and `StorageError`.
+
+def write_report(
+    results: Path | Sequence[Path], output_md: Path, details: Path | None = None, since: Path | None = None
+) -> WrittenReport:
+    """Write a Markdown report, its figures and tables from `results`: results folders or files of records.
+
+    With a folder `details` the report is a short one, and a page for each scene, one of the paper's claims, one of
+    unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
+    In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there are
+    no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
+    `StorageError`.
     """
     found = read_results(results)
+    worse = _worse(found, since)
     if details is None:
-        text = report_markdown(found.boards, found.benches)
+        text = report_markdown(found.boards, found.benches, worse)
         pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
     else:
-        pages = _pages(found, output_md, details)
+        pages = _pages(found, output_md, details, worse)
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
         require_own_figures(page.boards, page.benches, page.drawn, page.path.parent)
-    figures = []
+        for path in page.tables:
+            require_own_csv(path)
+    beside = []
     for page, (before, after) in zip(pages, kept, strict=True):
-        figures += [path for board in page.boards for path in draw_board(board, page.path.parent)]
-        figures += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
+        beside += [path for board in page.boards for path in draw_time(board, page.path.parent)]
+        beside += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
         for link, draw in page.drawn.items():
             draw(page.path.parent / link)
-            figures.append(page.path.parent / link)
-        generated = page.generated.replace("<!--", "&lt;!--")  # no marker but ours
-        write_text(page.path, f"{before}{BEGIN}\n\n{generated}\n{END}{after}")
-    return WrittenReport((*(page.path for page in pages), *figures), found.num_truncated)
+            beside.append(page.path.parent / link)
+        for path, rows in page.tables.items():
+            write_csv(rows, path)
+            beside.append(path)
+        write_text(page.path, f"{before}{BEGIN}\n\n{page.text}\n{END}{after}")
+    return WrittenReport((*(page.path for page in pages), *beside), found.num_truncated)
+
+
+def _worse(found: RankedResults, since: Path | None) -> list[str]:
+    """The section on what got worse; empty without earlier results."""
+    if since is None:
+        return []
+    rows = got_worse(read_results(since).records, found.records)
+    shown = f" The largest losses of {len(rows)}:" if len(rows) > _MOST_WORSE else ""
+    caption = f"Average median SSIM beside that in {literal(since.stem)}, paired by transmitters.{shown}"
+    said = table(WORSE_HEADER, rows[:_MOST_WORSE], prose) if rows else NOTHING_WORSE
+    return [f"## What got worse\n\n{caption}\n\n{said}"]
 
 
 def _require_files_of_their_own(paths: Sequence[Path]) -> None:
@@ -126,38 +173,42 @@ def _require_files_of_their_own(paths: Sequence[Path]) -> None:
         )
 
 
-def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
-    """The short report, a page for each scene, one of the paper's claims if it has any, and one of the measurements."""
+def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence[str]) -> list[_Page]:
+    """The short report, a page for each scene, and those of claims, unseen rooms and measurements that there are."""
     by_scene: dict[str, list[Board]] = {}
     for board in found.boards:
         by_scene.setdefault(board.scene, []).append(board)
     names = {scene: slug_of(scene) + ".md" for scene in by_scene}
     of_main = by_scene.get(main_scene(found.boards), [])
-    has_paper = any(map(has_counterparts, of_main))
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     links = {scene: f"{folder}/{name}" for scene, name in names.items()}
-    paper = []
-    if has_paper:
+    of_rooms = [bench for bench in found.benches if bench.bench == ROOMS]
+    others = [bench for bench in found.benches if bench.bench != ROOMS]
+    pages, claims = [], []
+    if any(map(has_counterparts, of_main)):
         grids = paper_maps(of_main, found)
         drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
         text = paper_markdown(of_main, grids)
-        paper = [_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn)]
-    linked = links | ({"the paper's claims": f"{folder}/{_PAPER_PAGE}"} if has_paper else {})
-    short = overview_markdown(found.boards, found.benches, linked, f"{folder}/{_MEASUREMENTS_PAGE}")
+        pages.append(_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn))
+        links["the paper's claims"] = f"{folder}/{_PAPER_PAGE}"
+        claimed = claims_table(of_main)
+        claims = [f"## The paper's claims\n\n{CLAIMS_CAPTION}\n\n{claimed}"] if claimed else []
+    if of_rooms:
+        text = "\n\n".join(_bench_sections(of_rooms)) + "\n"
+        pages.append(_Page(details / _ROOMS_PAGE, "Rooms that were never seen", text, (), of_rooms))
+        links[ROOMS] = f"{folder}/{_ROOMS_PAGE}"
+    short = overview_markdown(
+        found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}", claims=claims, worse=worse
+    )
+    measured = "\n\n".join([*_what_was_run(others), *_bench_sections(others)]) + "\n"
     return [
         _Page(output_md, "Benchmark", short),
         *(
             _Page(details / names[scene], heading(scene), report_markdown(ranked, ()), ranked)
             for scene, ranked in by_scene.items()
         ),
-        *paper,
-        _Page(
-            details / _MEASUREMENTS_PAGE,
-            "Measurements",
-            "\n\n".join([*_what_was_run(found.benches), *_bench_sections(found.benches)]) + "\n",
-            (),
-            found.benches,
-        ),
+        *pages,
+        _Page(details / _MEASUREMENTS_PAGE, "Measurements", measured, (), others),
     ]
 
 
@@ -168,9 +219,9 @@ def _draw_maps(grid: MapGrid, path: Path) -> None:
     plot_map_grid(grid.columns, names, path)
 
 
-def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord]) -> str:
+def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = ()) -> str:
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
-    sections = [_what_was_run(benches), map(_board_section, ranked), _bench_sections(benches), [legend()]]
+    sections = [_what_was_run(benches), map(_board_section, ranked), worse, _bench_sections(benches), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
 
 
@@ -180,18 +231,12 @@ def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
 
 
 def _board_section(board: Board) -> str:
-    resampling, title = Resampling(), heading(board.title)
-    links = figure_links(board)
-    time = [f"![SSIM against seconds of fitting, {title}]({links['time']})"] if "time" in links else []
+    title, link = heading(board.title), time_link(board)
     parts = [
         f"## {title}",
         f"{prose(data_statement(board))}. **{leak_statement(board)}** {literal(origin_statement(board))}",
-        *ranking_tables(board, resampling),
-        *curve_tables(board),
-        *time,
-        *split_tables(board, resampling),
-        f"![Distribution of SSIM, {title}]({links['cdf']})",
-        *published_section(board.protocol),
+        *ranking_tables(board),
+        *([f"![SSIM against seconds of fitting, {title}]({link})"] if link else []),
     ]
     return "\n\n".join(parts)
 
@@ -214,11 +259,17 @@ def _bench(record: BenchRecord) -> str:
         f"### {heading(record.title)}" if record.title != _WHAT_WAS_RUN_TITLE else "",
         "\n".join(f"    {line}" for line in record.command.splitlines()),
         paragraph(record.note, prose),
-        table(record.columns, record.rows, prose),
+        table(record.columns, record.rows[:_MOST_ROWS], prose),
+        f"[All {len(record.rows)} rows]({_bench_csv(record)})" if len(record.rows) > _MOST_ROWS else "",
         paragraph(taken),
         f"![{heading(record.title)}]({bench_figure(record)})" if record.figure else "",
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def _bench_csv(record: BenchRecord) -> str:
+    """The link to the file of all rows of a measurement."""
+    return f"{Path(bench_figure(record)).stem}.csv"
 
 
 def _kept_text(page: _Page) -> tuple[str, str]:

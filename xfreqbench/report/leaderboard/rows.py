@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, count
 from math import nan
 from statistics import mean, stdev
@@ -14,6 +15,7 @@ from xfreqbench.methods.contract import LANES, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.runs.records import Job, RunRecord
+from xfreqbench.types import FloatArray
 
 Configured = tuple[str, str, str | None, str]  # label, config as JSON, hash of the code, of the data's bytes
 Runs = dict[tuple[str, int], RunRecord]  # by split and seed
@@ -59,6 +61,11 @@ class BoardRow:
     def is_external(self) -> bool:
         """Whether the predictions were made elsewhere and only scored here."""
         return self.records[0].external is not None
+
+    @cached_property
+    def drawn(self) -> dict[tuple[str, int], FloatArray]:
+        """What `comparison.medians_of` has drawn, by split and number of resamples."""
+        return {}
 
     @property
     def family(self) -> str:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 
+from xfreqbench.data.recipe import recipe_name
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable, require_same_samples, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
+from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.folder import ResultsFolder
@@ -65,6 +67,54 @@ def compare_results(a: Path, b: Path) -> str:
     if not sections:
         raise DataError(f"Nothing in {a} and {b} can be compared: {_content_of(of_a)}; and {_content_of(of_b)}.")
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
+
+
+NOTHING_WORSE = "Nothing: no interval of a difference lies below zero."
+WORSE_HEADER = ("board", "method", "before", "now", "difference, 95 % interval", "what is different")
+
+
+def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[list[str]]:
+    """Cells under `WORSE_HEADER` for every learned row whose average median SSIM fell, with the whole interval below 0.
+
+    Rows of the same scene, protocol and label are compared on the splits of both, on other data too: what is
+    different of data, code, options and machine is told, as the reason. The largest loss stands first.
+    """
+    old, new = map(_boards_by_place, (before, after))
+    rows = []
+    for place in new.keys() & old.keys():
+        known = {row.label: row for row in old[place].rows}
+        for row in new[place].rows:
+            if row.is_trivial or row.label not in known:
+                continue
+            pair = RowPair.of(old[place], known[row.label], row)
+            splits = pair.comparison.splits
+            is_lower = splits and pair.b.average(splits, median_ssim) < pair.a.average(splits, median_ssim)
+            if is_lower and pair.interval[1] < 0:
+                board = ", ".join(place[:2])
+                cells = _ssim_cells(pair)[3:6]
+                rows.append((float(cells[2].split()[0]), [board, row.label, *cells, _what_is_different(pair)]))
+    return [cells for _, cells in sorted(rows)]
+
+
+def _boards_by_place(records: Sequence[RunRecord]) -> dict[tuple[str, ...], Board]:
+    """The board with most runs of each scene and protocol, and versions of protocol and metrics."""
+    ordered = sorted(boards(records, by_budget=False), key=lambda board: len(board.records))
+    return {
+        (board.scene, board.protocol, board.records[0].protocol_version, board.records[0].metrics_version): board
+        for board in ordered
+    }
+
+
+def _what_is_different(pair: RowPair) -> str:
+    a, b = (row.by_split[pair.comparison.splits[0]][0] for row in (pair.a, pair.b))
+    commits = f" (commit {short_commit(a.git_commit)}, now {short_commit(b.git_commit)})"
+    different = {
+        f"the data ({recipe_name('', a.recipe)}, now {recipe_name('', b.recipe)})": a.recipe != b.recipe,
+        "its options' defaults": a.config != b.config,
+        f"its code{commits}": a.code_sha256 != b.code_sha256,
+        "the machine": a.hardware != b.hardware,
+    }
+    return ", ".join(words for words, is_so in different.items() if is_so) or f"nothing of it{commits}"
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:

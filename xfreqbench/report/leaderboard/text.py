@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +14,15 @@ from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.drawing.templates import SOFTWARE, render
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
-from xfreqbench.report.leaderboard.columns import BRIEF, TABLE, LeaderboardColumn, leaderboard_columns
+from xfreqbench.report.leaderboard.columns import BRIEF, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.rows import BoardRow
+from xfreqbench.report.leaderboard.tables import table_rows, write_csv
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
-from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_text
+from xfreqbench.system.files import atomic_path, require_own, storage_errors
 
-_FIRST = b"scene,protocol,maps,data,"  # a table with these columns was written by us, and may be replaced
 _PARQUET_MARK = f"{SOFTWARE} leaderboard"
 
 
@@ -86,14 +82,8 @@ def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> list[Pa
 
     Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
     """
-    rows = [row | {"splits": " ".join(row["splits"])} for row in table_rows(comparisons)]
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    require_own(output_csv, lambda path: None if path.read_bytes().startswith(_FIRST) else "is no table of ours")
-    write_text(output_csv, text.getvalue())
+    rows = table_rows(comparisons)
+    names = write_csv(rows, output_csv)
     if find_spec("pyarrow") is None:
         return [output_csv]
     import pyarrow
@@ -101,36 +91,9 @@ def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> list[Pa
 
     output = output_csv.with_suffix(".parquet")
     require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
-    table = pyarrow.Table.from_pylist([dict.fromkeys(names) | row for row in rows])
+    table = pyarrow.Table.from_pylist(
+        [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
+    )
     with atomic_path(output) as temporary, storage_errors(output):
         pyarrow.parquet.write_table(table.replace_schema_metadata({_PARQUET_MARK: "1"}), temporary)
     return [output_csv, output]
-
-
-def table_rows(comparisons: Iterable[Comparison]) -> list[dict[str, Any]]:
-    """The rows of comparisons, each with its cells by their titles."""
-    return [row for comparison in comparisons for row in _rows(comparison)]
-
-
-def _rows(comparison: Comparison) -> list[dict[str, Any]]:
-    board, columns = comparison.board, leaderboard_columns(comparison, TABLE)
-    where = {
-        "scene": board.scene,
-        "protocol": board.protocol,
-        "maps": board.pas_kind,
-        "data": board.data_name,
-        "budget": board.lane_title,
-        "splits": comparison.splits,
-    }
-    return [
-        where | {name: cell for column in columns for name, cell in _cells(column, row).items()}
-        for row in comparison.rows
-    ]
-
-
-def _cells(column: LeaderboardColumn, row: BoardRow) -> dict[str, Any]:
-    if column.value is None:
-        return {column.title: column.text(row)}
-    low, high = column.bounds(row)
-    ends = {} if isnan(low) else {f"{column.title} low": low, f"{column.title} high": high}
-    return {column.title: column.value(row), **ends}

@@ -24,6 +24,7 @@ _NOTE = (
     "mean over rooms of how much higher their median SSIM is than that of `line-of-sight`, with its 95 % interval when "
     "rooms are resampled. "
 )
+TRAINED_TYPES = "trained types"  # of rooms, as rows are named that are tested on such
 _Chosen = Callable[[RunRecord], FloatArray]
 
 
@@ -46,7 +47,7 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
     by_row: dict[tuple[str, str], dict[str, RunRecord]] = {}
     for record in records:
         label = " ".join([record.job.method, *record.job.overrides])
-        part = record.job.split.rpartition("heard-")[0].rstrip("-") or "trained types"
+        part = record.job.split.rpartition("heard-")[0].rstrip("-") or TRAINED_TYPES
         by_row.setdefault((part, label), {})[record.job.split] = record
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})

@@ -1,0 +1,52 @@
+"""Makes BENCHMARK.md, docs/results and the table of README.md again, from the records that lie in `baselines/`.
+
+    python docs/remake.py [--page page.html] [RESULTS FOLDER …]
+
+With results folders, as `xfreqbench benchmark` leaves them, their records first replace those of
+`baselines/reference_results.jsonl`, and their maps those that are shipped beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+import xfreqbench as xb
+from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.report.leaderboard.paper import ship_maps
+from xfreqbench.report.leaderboard.report import WrittenReport, write_report
+from xfreqbench.report.leaderboard.results import results_at
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
+TABLE = re.compile(r"(?<=<!-- leaderboard -->\n).*?(?=\n<!-- /leaderboard -->)", re.DOTALL)
+
+
+def take(folders: list[Path]) -> None:
+    """Replace the reference records by those of results folders, and the maps beside them."""
+    lines = [(folder / "records.jsonl").read_bytes() for folder in folders]
+    RECORDS[0].write_bytes(b"".join(lines))
+    ship_maps(folders, RECORDS[0].with_name("reference_results_maps.jsonl"))
+
+
+def remake(root: Path, page: Path | None = None) -> WrittenReport:
+    """Make the pages below `root`, and the web page."""
+    written = write_report(RECORDS, root / "BENCHMARK.md", root / "docs" / "results", results_at("v1"))
+    office = str(xb.leaderboard(RECORDS[0])).partition("office · lofo · power maps · quick")[2].split("\n\n")
+    table = next(part for part in office if part.startswith("| "))
+    readme = root / "README.md"
+    readme.write_text(TABLE.sub(lambda _: table, readme.read_text("utf-8")), "utf-8")
+    if page is not None:
+        write_page(RECORDS, page, results_at("v1"))
+    return written
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--page", type=Path)
+    given = parser.parse_args()
+    if given.folders:
+        take(given.folders)
+    remake(ROOT, given.page)
