@@ -17,10 +17,12 @@ from tests.support.places import ROOT
 PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 FIRST_STEPS = """
 import sys, xfreqbench as xb
+from xfreqbench.report.leaderboard.results import results_at
 assert xb.__file__.startswith(sys.prefix), xb.__file__
 data = xb.load("office")
 assert data.pas(3).max() == 1 and "nearest" in xb.methods() and "lounge" in xb.scenes()
 xb.run(data, "nearest", targets_ghz=[10], results="results", budget="3steps")
+assert results_at("v1").is_relative_to(sys.prefix)
 """
 
 
