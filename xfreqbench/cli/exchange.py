@@ -112,7 +112,13 @@ def card(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
     quiet: Quiet = False,
 ) -> None:
-    """Write a folder to hand on: the data set, a README card, Croissant metadata, checksums, a sample, its recipe."""
+    """Write a folder to hand on: the data, a README card, Croissant metadata, checksums, a sample, its recipe.
+
+    Parameters
+    ----------
+    data
+        A data set, or a collection: a folder of rooms.
+    """
     from xfreqbench.report.view.card import write_card
 
     write_card(data, output, license_, partial(say, quiet=quiet))
@@ -151,7 +157,8 @@ def export(
     Parameters
     ----------
     data
-        A data set, generated or imported; for paths, one that was generated with --paths.
+        A data set, generated or imported; for paths, one that was generated with --paths; for datasets and webdataset,
+        a folder of rooms, too.
     """
     if (to == "png") != (convention is not None):
         raise XFreqBenchError(
@@ -168,8 +175,8 @@ def export(
         if set_:
             raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
         with progress_bars("maps", ["exporting"], quiet) as (progress,):
-            dataset = export_shards(data, output, to, progress)
-        say(f"wrote {output} ({len(dataset)} maps)", quiet)
+            num_maps = export_shards(data, output, to, progress)
+        say(f"wrote {output} ({num_maps} maps)", quiet)
         return
     if to != "png":
         _export_others(data, output, to, set_, power_dbm, quiet)
