@@ -57,6 +57,22 @@ def test_windows_is_told_what_runs_it() -> None:
     assert refused.stderr.splitlines()[-1].startswith("ImportError: xfreqbench runs on Linux. On Windows, install")
 
 
+def test_a_system_that_lacks_what_linux_alone_has_imports_and_helps() -> None:
+    """As macOS, which cannot bind a process to cores, and as a Python without modules of Unix."""
+    program = """
+import os, sys
+sys.modules |= dict.fromkeys(["fcntl", "resource"])
+del os.sched_getaffinity, os.sched_setaffinity, os.fork
+import xfreqbench.system.workers
+from xfreqbench.cli.main import app
+from xfreqbench.system.machine import hardware
+assert int(hardware()["cores"])
+app(["--help"])
+"""
+    helped = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert helped.returncode == 0 and "generate" in helped.stdout, helped.stderr
+
+
 @pytest.mark.slow
 def test_the_wheel_of_the_source_archive_works_outside_the_clone(tmp_path: Path) -> None:
     """In an environment that has our dependencies on its path, but no clone."""
