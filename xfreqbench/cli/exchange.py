@@ -168,49 +168,35 @@ def export(
         )
     if power_dbm is not None and to != "table":
         raise XFreqBenchError("--power-dbm is about a table of powers; give --to table too, or leave it out.")
-    if to == "datasets" or to == "webdataset":
-        from xfreqbench.exchange.shards import export_shards
-        from xfreqbench.system.bars import progress_bars
-
-        if set_:
-            raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
-        with progress_bars("maps", ["exporting"], quiet) as (progress,):
-            num_maps = export_shards(data, output, to, progress)
-        say(f"wrote {output} ({num_maps} maps)", quiet)
-        return
-    if to != "png":
-        _export_others(data, output, to, set_, power_dbm, quiet)
-        return
-    from xfreqbench.exchange.conventions import convention_named
-    from xfreqbench.exchange.png_dataset import export_png_folder
-    from xfreqbench.system.bars import progress_bars
-
-    with progress_bars("maps", ["exporting"], quiet) as (progress,):
-        dataset = export_png_folder(data, output, convention_named(str(convention), set_), progress)
-    say(f"wrote {output} ({len(dataset)} maps)", quiet)
-
-
-def _export_others(
-    data: Path, output: Path, to: str, changed: tuple[str, ...], power_dbm: float | None, quiet: bool
-) -> None:
-    from xfreqbench.exchange.deepmimo import export_deepmimo
-    from xfreqbench.exchange.link_table import export_link_table
-    from xfreqbench.exchange.path_arrays import export_sionna_npz
-    from xfreqbench.system.bars import progress_bars
-
-    if changed:
+    if set_ and to != "png":
         raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
-    if to == "table":
-        with progress_bars("links", ["exporting"], quiet) as (progress,):
-            dataset = export_link_table(data, output, power_dbm, progress)
-        if not dataset.header.paths:
-            say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
-        say(f"wrote {output}", quiet)
-        return
-    write = export_deepmimo if to == "deepmimo" else export_sionna_npz
-    with progress_bars("carriers", ["exporting"], quiet) as (progress,):
-        dataset = write(data, output, progress)
-    say(f"wrote {output} (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)", quiet)
+    from xfreqbench.system.bars import progress_bars
+
+    counted = {"table": "links", "deepmimo": "carriers", "sionna-npz": "carriers"}.get(to, "maps")
+    with progress_bars(counted, ["exporting"], quiet) as (progress,):
+        if to == "png":
+            from xfreqbench.exchange.conventions import convention_named
+            from xfreqbench.exchange.png_dataset import export_png_folder
+
+            dataset = export_png_folder(data, output, convention_named(str(convention), set_), progress)
+            what = f" ({len(dataset)} maps)"
+        elif to == "datasets" or to == "webdataset":
+            from xfreqbench.exchange.shards import export_shards
+
+            what = f" ({export_shards(data, output, to, progress)} maps)"
+        elif to == "table":
+            from xfreqbench.exchange.link_table import export_link_table
+
+            dataset, what = export_link_table(data, output, power_dbm, progress), ""
+            if not dataset.header.paths:
+                say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
+        else:
+            from xfreqbench.exchange.deepmimo import export_deepmimo
+            from xfreqbench.exchange.path_arrays import export_sionna_npz
+
+            dataset = (export_deepmimo if to == "deepmimo" else export_sionna_npz)(data, output, progress)
+            what = f" (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)"
+    say(f"wrote {output}{what}", quiet)
 
 
 @app.command(group=EXCHANGE, help_epilogue=example("split --data office.h5 --targets 24.25 --maps -o split.h5"))

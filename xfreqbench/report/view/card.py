@@ -24,8 +24,7 @@ from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.statistics import ChannelStatistics
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.view.describe import describe
-from xfreqbench.report.view.pictures import draw_maps
-from xfreqbench.report.view.statistics import plot_statistics
+from xfreqbench.report.view.pictures import draw_maps, plot_statistics
 from xfreqbench.scene.families import DRAWING, load_family
 from xfreqbench.scene.model import load_scene, shipped_families, shipped_scenes
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
@@ -47,18 +46,18 @@ _FILES = {  # what is written beside the data, its type and what it is
     STATISTICS: ("image/png", "path loss, spreads, K and mechanisms by carrier, beside standards"),
 }
 _COLUMNS = {  # of the tables: type and meaning
-    "room": ("Integer", "seed of the room"),
-    "sample": ("Integer", "number of the sample in the data set: transmitter · number of carriers + carrier"),
-    "x_m": ("Float", "transmitter's position in the world, in metres"),
-    "y_m": ("Float", "transmitter's position in the world, in metres"),
-    "z_m": ("Float", "transmitter's position in the world, in metres"),
-    "carrier_hz": ("Float", "carrier in hertz"),
-    "in_sight": ("Bool", "whether nothing stands between transmitter and array"),
-    "power_db": ("Float", "received over transmitted power in dB, the mean over the array; empty without a path"),
-    "type": ("Text", "type of the room"),
-    "part": ("Text", "train, validation, test, or other-type, of which no room is trained on"),
-    "num_tx": ("Integer", "number of transmitters"),
-    "file": ("Text", "data set of the room, an HDF5 file"),
+    "room": ("INTEGER", "seed of the room"),
+    "sample": ("INTEGER", "number of the sample in the data set: transmitter · number of carriers + carrier"),
+    "x_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "y_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "z_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "carrier_hz": ("FLOAT", "carrier in hertz"),
+    "in_sight": ("BOOL", "whether nothing stands between transmitter and array"),
+    "power_db": ("FLOAT", "received over transmitted power in dB, the mean over the array; empty without a path"),
+    "type": ("TEXT", "type of the room"),
+    "part": ("TEXT", "train, validation, test, or other-type, of which no room is trained on"),
+    "num_tx": ("INTEGER", "number of transmitters"),
+    "file": ("TEXT", "data set of the room, an HDF5 file"),
 }
 Table = dict[str, list[Any]]  # columns by name
 _MAX_SAMPLES, _MAX_MAPS, _RANGE_DB = 1000, 9, 30.0
@@ -103,7 +102,7 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
         files = {path.with_suffix(".h5").name: path}
     with atomic_folder(folder) as written, storage_errors(folder, sum(each.stat().st_size for each in files.values())):
         for name, file in files.items():
-            (written / name).parent.mkdir(exist_ok=True)
+            (written / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(file, written / name)
         content = _of_rooms(rooms, written) if rooms else _of_dataset(path, written, tell)
         for name, table in content.tables.items():
@@ -241,8 +240,6 @@ def _write_csv(path: Path, table: Table) -> None:
 
 def _metadata(mlc: Any, content: _Content, license_id: str, written: Path) -> Any:
     """The content of `croissant.json`; many data sets are one set of files, whose sums stand in `SHA256SUMS`."""
-    types = {"Integer": mlc.DataType.INTEGER, "Float": mlc.DataType.FLOAT, "Bool": mlc.DataType.BOOL}
-    types["Text"] = mlc.DataType.TEXT
     of_data = (_HDF5, f"the data set {content.recipe}, an HDF5 file")
     distribution = [
         mlc.FileObject(
@@ -272,7 +269,7 @@ def _metadata(mlc: Any, content: _Content, license_id: str, written: Path) -> An
                     id=f"{table}/{name}",
                     name=name,
                     description=_COLUMNS[name][1],
-                    data_types=[types[_COLUMNS[name][0]]],
+                    data_types=[getattr(mlc.DataType, _COLUMNS[name][0])],
                     source=mlc.Source(file_object=file, extract=mlc.Extract(column=name)),
                 )
                 for name in columns
