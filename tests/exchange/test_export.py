@@ -23,6 +23,7 @@ from tests.support.damage import data_offset, flip
 from tests.support.forked import command_line
 from tests.support.places import PUBLISHED
 from tests.support.synthetic import RECEIVER, make_header, transmitters, write_dataset
+from xfreqbench.data.collection import room_of, write_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError, OutputExistsError
@@ -347,26 +348,52 @@ def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "freq.txt").read_text() == "0.915\n0.915\n"
 
 
+@pytest.mark.parametrize("of_rooms", [False, True])
 @pytest.mark.parametrize("to", ["webdataset", "datasets"])
-def test_shards_hold_every_map_for_whoever_has_not_this_toolkit(to, tmp_path, monkeypatch) -> None:
-    data = write_dataset(tmp_path / "data.h5", num_tx=3)
+def test_shards_hold_every_map_for_whoever_has_not_this_toolkit(to, of_rooms, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(shards, "MAPS_A_SHARD", 4)
-    shards.export_shards(data.path, tmp_path / "shards", to)
-    files = sorted((tmp_path / "shards").glob("train-*"))
-    assert len(files) == -(-len(data) // 4) and files[0].suffix in (tmp_path / "shards" / "README.md").read_text()
-    if to == "webdataset":
-        members = {}
-        for file in files:
-            with tarfile.open(file) as tar:
-                members |= {member.name: tar.extractfile(member).read() for member in tar}
-        keys = sorted({name.partition(".")[0] for name in members})
-        samples = [json.loads(members[f"{key}.json"]) for key in keys]
-        maps = [np.load(BytesIO(members[f"{key}.map.npy"])) for key in keys]
+    if of_rooms:
+        names = ["000/0.h5", "000/1.h5", "000/2.h5"]
+        written = [write_dataset(tmp_path / "rooms" / name, num_tx=tx, maps=False) for tx, name in enumerate(names, 1)]
+        rooms = [room_of(tmp_path / "rooms", name, seed, "hall" if seed else "flat") for seed, name in enumerate(names)]
+        told = {"family": {}, "options": {}, "carrier_hz": written[0].header.carrier_hz.tolist()}
+        write_collection(tmp_path / "rooms", rooms, name="ours", held_out_types=["hall"], **told)
+        splits = {"train": written[:1], "other_type": written[1:]}
     else:
-        samples = [row for file in files for row in pyarrow.parquet.read_table(file).to_pylist()]
-        maps = [np.reshape(row["map"], data.grid.shape) for row in samples]
-    np.testing.assert_allclose(maps, data.pas(), atol=2**-11)  # half precision
-    for name in ("tx_position_m", "carrier_hz", "peak_power"):
-        assert np.array_equal([row[name] for row in samples], getattr(data, name))
-    cfr = np.array([row["cfr_real"] for row in samples]) + 1j * np.array([row["cfr_imag"] for row in samples])
-    assert np.array_equal(cfr, data.cfr)
+        splits = {"train": [write_dataset(tmp_path / "rooms", num_tx=3)]}
+    done = []
+    total = shards.export_shards(tmp_path / "rooms", tmp_path / "shards", to, lambda *told: done.append(told))
+    assert done[-1] == (total, total) and total == sum(len(data) for split in splits.values() for data in split)
+    told = (tmp_path / "shards/README.md").read_text()
+    for split, datasets in splits.items():
+        files = sorted((tmp_path / "shards").glob(f"{split}-*"))
+        assert len(files) == -(-sum(map(len, datasets)) // 4)
+        assert f"- split: {split}\n    path: {split}-*{files[0].suffix}\n" in told
+        read_back = _read_tars(files) if to == "webdataset" else _read_parquet(files)
+        maps = np.concatenate([data.pas() for data in datasets])
+        np.testing.assert_allclose(np.reshape(read_back["map"], maps.shape), maps, atol=2**-11)  # half precision
+        for name in ("tx_position_m", "carrier_hz", "peak_power"):
+            assert np.array_equal(read_back[name], np.concatenate([getattr(data, name) for data in datasets]))
+        cfr = np.array(read_back["cfr_real"]) + 1j * np.array(read_back["cfr_imag"])
+        assert np.array_equal(cfr, np.concatenate([data.cfr for data in datasets]))
+        if of_rooms:
+            seeds = [written.index(data) for data in datasets for _ in range(len(data))]
+            assert read_back["room"] == seeds
+            receivers = [data.header.receiver for data in datasets for _ in range(len(data))]
+            assert np.array_equal(read_back["rx_position_m"], [each.position_m for each in receivers])
+            assert np.array_equal(read_back["frame_rotation"], [each.rotation.ravel() for each in receivers])
+
+
+def _read_tars(files):
+    members = {}
+    for file in files:
+        with tarfile.open(file) as tar:
+            members |= {member.name: tar.extractfile(member).read() for member in tar}
+    keys = sorted({name.partition(".")[0] for name in members})
+    samples = [json.loads(members[f"{key}.json"]) for key in keys]
+    maps = [np.load(BytesIO(members[f"{key}.map.npy"])) for key in keys]
+    return {"map": maps} | {name: [sample[name] for sample in samples] for name in samples[0]}
+
+
+def _read_parquet(files):
+    return pyarrow.concat_tables(map(pyarrow.parquet.read_table, files)).to_pydict()

@@ -33,6 +33,7 @@ NOT_RUN, RUN_SOMEWHERE = "not run by our tests", "run by our tests where"
 INTERPRETERS = {  # by language: how a text is run, and a text that runs only where all that is needed is there
     "r": (["Rscript", "-e"], "library(rhdf5)"),
     "matlab": (["matlab", "-batch"], "version"),
+    "octave": (["octave", "--no-gui", "--quiet", "--eval"], "version"),
 }
 _FILE_NAME = re.compile(r"^`([\w./-]+)`:$", re.MULTILINE)
 _LENIENT = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

@@ -8,8 +8,10 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from html.parser import HTMLParser
 from itertools import takewhile
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import h5py
 import pytest
@@ -294,3 +296,39 @@ def test_the_site_has_every_page_every_public_name_and_no_broken_link(tmp_path: 
     assert set(xb.__all__) - {"__version__", "methods", "scenes"} <= described  # two are packages that can be called
     index = (site / "searchindex.js").read_text("utf-8")  # a script, which a page on a disk may load, too
     assert all(word in index for word in ("docs/results/office", "spars", "bartlett"))
+    assert not list(broken_links(site))
+
+
+class Links(HTMLParser):
+    """What a page names: its own places, addresses that it links to, and files that it needs to be shown."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.places, self.linked, self.needed = {""}, set[str](), set[str]()
+        self.feed(page.read_text("utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        told = {name: value or "" for name, value in attrs}
+        self.places |= {told[name] for name in ("id", "name") if name in told}
+        needed = [told[name] for name in ("src", "data") if name in told and tag != "use"]
+        needed += [told["href"]] if tag == "link" and "stylesheet" in told.get("rel", "") else []
+        self.needed |= {address for address in needed if not address.startswith("data:")}
+        self.linked |= {told["href"]} if tag == "a" and "href" in told else set()
+
+
+def broken_links(site: Path) -> Iterator[str]:
+    """Links of a site that lead nowhere within it, files that a page would fetch, and addresses of no valid form."""
+    pages = {page: Links(page) for page in site.rglob("*.html") if page.parent.name != "_static"}
+    for page, links in pages.items():
+        for address in links.linked | links.needed:
+            parts = urlsplit(address)
+            if parts.scheme == "mailto":
+                continue
+            if parts.scheme or parts.netloc:
+                is_whole = parts.scheme == "https" and "." in parts.netloc and not set(address) & set(' <>"`')
+                if address in links.needed or not is_whole:
+                    yield f"{page.relative_to(site)}: {address}"
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            if not target.is_file() or (target in pages and unquote(parts.fragment) not in pages[target].places):
+                yield f"{page.relative_to(site)}: {address}"

@@ -17,10 +17,12 @@ from tests.support.places import ROOT
 PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 FIRST_STEPS = """
 import sys, xfreqbench as xb
+from xfreqbench.report.leaderboard.results import results_at
 assert xb.__file__.startswith(sys.prefix), xb.__file__
 data = xb.load("office")
 assert data.pas(3).max() == 1 and "nearest" in xb.methods() and "lounge" in xb.scenes()
 xb.run(data, "nearest", targets_ghz=[10], results="results", budget="3steps")
+assert results_at("v1").is_relative_to(sys.prefix)
 """
 
 
@@ -56,6 +58,22 @@ def test_windows_is_told_what_runs_it() -> None:
     program = "import sys; sys.platform = 'win32'; import xfreqbench"
     refused = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert refused.stderr.splitlines()[-1].startswith("ImportError: xfreqbench runs on Linux. On Windows, install")
+
+
+def test_a_system_that_lacks_what_linux_alone_has_imports_and_helps() -> None:
+    """As macOS, which cannot bind a process to cores, and as a Python without modules of Unix."""
+    program = """
+import os, sys
+sys.modules |= dict.fromkeys(["fcntl", "resource"])
+del os.sched_getaffinity, os.sched_setaffinity, os.fork
+import xfreqbench.system.workers
+from xfreqbench.cli.main import app
+from xfreqbench.system.machine import hardware
+assert int(hardware()["cores"])
+app(["--help"])
+"""
+    helped = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert helped.returncode == 0 and "generate" in helped.stdout, helped.stderr
 
 
 @pytest.mark.slow

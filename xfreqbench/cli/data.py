@@ -318,7 +318,7 @@ def plot(
 ) -> None:
     """Draw the maps of one transmitter, a plan with the power of all, or statistics, by carrier: PNG, SVG or PDF."""
     from xfreqbench.report.drawing.figures import figure_kind, require_own_figure
-    from xfreqbench.report.view.pictures import draw_maps, draw_power
+    from xfreqbench.report.view.pictures import draw_maps, draw_power, draw_statistics
 
     figure_kind(output)
     if not 0 < db_range <= 300:
@@ -332,8 +332,6 @@ def plot(
     if of == "maps":
         draw_maps(file, tx or 0, carriers_hz, db_range, output)
     elif of == "statistics":
-        from xfreqbench.report.view.statistics import draw_statistics
-
         draw_statistics(file, output)
     else:
         draw_power(file, carriers_hz, db_range, output)

@@ -112,7 +112,13 @@ def card(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
     quiet: Quiet = False,
 ) -> None:
-    """Write a folder to hand on: the data set, a README card, Croissant metadata, checksums, a sample, its recipe."""
+    """Write a folder to hand on: the data, a README card, Croissant metadata, checksums, a sample, its recipe.
+
+    Parameters
+    ----------
+    data
+        A data set, or a collection: a folder of rooms.
+    """
     from xfreqbench.report.view.card import write_card
 
     write_card(data, output, license_, partial(say, quiet=quiet))
@@ -151,7 +157,8 @@ def export(
     Parameters
     ----------
     data
-        A data set, generated or imported; for paths, one that was generated with --paths.
+        A data set, generated or imported; for paths, one that was generated with --paths; for datasets and webdataset,
+        a folder of rooms, too.
     """
     if (to == "png") != (convention is not None):
         raise XFreqBenchError(
@@ -172,29 +179,24 @@ def export(
             from xfreqbench.exchange.png_dataset import export_png_folder
 
             dataset = export_png_folder(data, output, convention_named(str(convention), set_), progress)
+            what = f" ({len(dataset)} maps)"
+        elif to == "datasets" or to == "webdataset":
+            from xfreqbench.exchange.shards import export_shards
+
+            what = f" ({export_shards(data, output, to, progress)} maps)"
         elif to == "table":
             from xfreqbench.exchange.link_table import export_link_table
 
-            dataset = export_link_table(data, output, power_dbm, progress)
-        elif to == "deepmimo":
+            dataset, what = export_link_table(data, output, power_dbm, progress), ""
+            if not dataset.header.paths:
+                say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
+        else:
             from xfreqbench.exchange.deepmimo import export_deepmimo
-
-            dataset = export_deepmimo(data, output, progress)
-        elif to == "sionna-npz":
             from xfreqbench.exchange.path_arrays import export_sionna_npz
 
-            dataset = export_sionna_npz(data, output, progress)
-        else:
-            from xfreqbench.exchange.shards import export_shards
-
-            dataset = export_shards(data, output, to, progress)
-    if to == "table" and not dataset.header.paths:
-        say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
-    amount = {
-        "maps": f" ({len(dataset)} maps)",
-        "carriers": f" (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)",
-    }
-    say(f"wrote {output}{amount.get(counted, '')}", quiet)
+            dataset = (export_deepmimo if to == "deepmimo" else export_sionna_npz)(data, output, progress)
+            what = f" (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)"
+    say(f"wrote {output}{what}", quiet)
 
 
 @app.command(group=EXCHANGE, help_epilogue=example("split --data office.h5 --targets 24.25 --maps -o split.h5"))

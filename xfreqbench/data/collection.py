@@ -158,6 +158,13 @@ class Collection:
         counts = (room.num_tx * len(self.record.carrier_hz) for room in self.rooms)
         return np.array([*accumulate(counts, initial=0)])
 
+    def by_room(self, numbers: Int[IntArray, "n"]) -> Iterator[tuple[int, Int[IntArray, "k"], Int[IntArray, "k"]]]:
+        """For each room that holds some of the samples: its number, their places in `numbers`, and their rows in it."""
+        rooms = np.searchsorted(self.first_sample, numbers, side="right") - 1
+        for room in np.unique(rooms).tolist():
+            places = np.flatnonzero(rooms == room)
+            yield room, places, numbers[places] - self.first_sample[room]
+
     @checked
     def part(self, name: Part) -> Collection:
         """The rooms to train on, to choose settings by (`validation`), to test on, or those of types that are held out.

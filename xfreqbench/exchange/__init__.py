@@ -2,5 +2,5 @@
 
 `png_dataset` makes a data set of a folder of PNG maps, as other projects publish them, and such a folder of a data set;
 `conventions` says how each project draws its maps. `split_file` writes what a method elsewhere may know of a split;
-`prediction_file` reads and checks the predictions that come back, and `score_file` scores and records them.
+`score_file` reads, checks, scores and records the predictions that come back.
 """

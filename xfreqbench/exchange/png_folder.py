@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -59,13 +61,10 @@ def shape_of(path: Path) -> tuple[int, int]:
 
 def read_levels(path: Path) -> Levels:
     """Grey levels (R, C) of a PNG, from 0 to 255, every byte checked by the file's sums; raises `DataError`."""
-    try:
-        with _opened(path) as image:
-            image.verify()  # decoding alone does not look at the sums of pixels
-        with _opened(path) as image:
-            return np.array(image)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise _unreadable(path, error) from error
+    with _opened(path) as image:
+        image.verify()  # decoding alone does not look at the sums of pixels
+    with _opened(path) as image:
+        return np.array(image)
 
 
 def write_levels(path: Path, levels: Levels) -> None:
@@ -74,29 +73,24 @@ def write_levels(path: Path, levels: Levels) -> None:
         Image.fromarray(levels).save(path, format="PNG")
 
 
-def _opened(path: Path) -> Image.Image:
-    """The image in a file, with only its header read; raises `DataError`, also if it is too large."""
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """The image in a file; what fails within the block, too, is a `DataError`, also where it is too large."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
             image = Image.open(require_regular(path), formats=["PNG"])
+        with image:
+            if image.width * image.height > MAX_PIXELS:
+                raise Image.DecompressionBombError
+            yield image
     except Image.DecompressionBombError as error:
-        raise _too_large(path) from error
+        raise DataError(
+            f"{path} has more than {MAX_PIXELS:,} pixels, the most of a map. Export it with fewer."
+        ) from error
     except (OSError, SyntaxError, ValueError) as error:
-        raise _unreadable(path, error) from error
-    if image.width * image.height > MAX_PIXELS:
-        image.close()
-        raise _too_large(path)
-    return image
-
-
-def _too_large(path: Path) -> DataError:
-    return DataError(f"{path} has more than {MAX_PIXELS:,} pixels, the most of a map. Export it with fewer.")
-
-
-def _unreadable(path: Path, error: Exception) -> DataError:
-    fault = getattr(error, "strerror", None) or error
-    return DataError(f"{path} cannot be read as a PNG ({fault}). Fetch the file again.")
+        fault = getattr(error, "strerror", None) or error
+        raise DataError(f"{path} cannot be read as a PNG ({fault}). Fetch the file again.") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,10 +315,8 @@ def _common_shape(paths: list[Path]) -> tuple[int, int]:
     """Numbers of rows and columns, which all maps must have in common; read from the headers of the PNGs."""
     shape = shape_of(paths[0])
     for path in paths[1:]:
-        if shape_of(path) != shape:
-            raise DataError(
-                f"{path} has {shape_of(path)} rows and columns, but {paths[0].name} {shape}; all must agree."
-            )
+        if (found := shape_of(path)) != shape:
+            raise DataError(f"{path} has {found} rows and columns, but {paths[0].name} {shape}; all must agree.")
     return shape
 
 

@@ -1,4 +1,4 @@
-"""Scores predictions that any other program wrote into a file, in the same way as those of a run.
+"""Scores predictions that any other program wrote into a file, in the same way as those of a run. Nothing is trusted.
 
 `xfreqbench split` writes what a method may know (see `xfreqbench.exchange.split_file`). The predictions are one HDF5
 file with a group for each split that was predicted, named as the split. These lines write it:
@@ -12,8 +12,8 @@ file with a group for each split that was predicted, named as the split. These l
             group.attrs.update(split.attrs, method="mine")
 
 `pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method hears
-nothing. MATLAB writes the same file from an
-array of size [A E N], because its first index is the last one in HDF5. A single split may be at the root of the file.
+nothing. MATLAB writes the same file from an array of size [A E N], because its first index is the last one in HDF5. A
+single split may be at the root of the file.
 
 The attributes of a group, or of the root for all groups, are `split_sha256` (copied), `method` (a name) and, if they
 are known, `dataset_sha256` (copied), `fit_seconds`, `predict_ms_per_map`, `parameters`, `hardware`, `url` and `seed`.
@@ -24,27 +24,89 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.hdf5 import PACKED, packed
-from xfreqbench.exchange.prediction_file import Part, read_parts, splits_or_none
+from xfreqbench.data.hdf5 import PACKED, is_group, open_foreign, packed, read_errors, stands_elsewhere
+from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Split, make_splits
+from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.predictions import write_predictions
+from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
-from xfreqbench.runs.scoring import FitOutcome, scored_record
+from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system.files import exclusive, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
 Result = TypeVar("Result")
+PAS = "pas"
+_ADVICE = {
+    "split_sha256": "Copy it from the split file: group.attrs.update(split.attrs).",
+    "method": "Write group.attrs['method'] = 'mine', or give --method.",
+    "url": "It begins with https://.",
+}
+
+
+def _one_line(text: str) -> str:
+    if not text.isprintable() or not text.strip():
+        raise ValueError("it must be printable text on one line")
+    return text.strip()
+
+
+Line = Annotated[str, Field(max_length=120), AfterValidator(_one_line)]
+Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class Declaration(BaseModel):
+    """What the attributes of the predictions of one split say."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    split_sha256: Line
+    method: Line
+    dataset_sha256: Line | None = None
+    fit_seconds: Amount | None = None
+    predict_ms_per_map: Amount | None = None
+    parameters: Count | None = None
+    hardware: Line | None = None
+    url: Annotated[Line, Field(pattern=r"^\s*https?://\S+\s*$")] | None = None
+    seed: Count = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Predictions of one split, whose maps are not read yet; `group` is None if they are at the root of the file."""
+
+    path: Path
+    group: str | None
+    split: Split
+    declared: Declaration
+
+    def batches(self, grid_shape: tuple[int, int]) -> Iterator[MapBatch]:
+        """Rows of the data set and their maps, a batch at a time; raises `DataError` naming map and value."""
+        test = self.split.test
+        with open_foreign(self.path) as file:
+            for start in range(0, len(test), BATCH_SIZE):
+                rows = test[start : start + BATCH_SIZE]
+                with read_errors(self.path, f"the maps of {self.split.name!r}"):
+                    group = file[self.group] if self.group else file
+                    values = np.asarray(group[PAS][start : start + BATCH_SIZE])
+                if values.shape != (len(rows), *grid_shape):
+                    raise DataError(f"{self.path} was changed while it was read. Run the same command again.")
+                if fault := fault_of_maps(values):
+                    number, words = start + fault[0], fault[1]
+                    place = _place(self.path, self.group)
+                    raise DataError(f"{place}: map {number} (row {test[number]}) {words}")
+                yield rows, values.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -60,30 +122,6 @@ class ScoredFile:
     missing: tuple[str, ...]
     silent: tuple[str, ...]
     is_data_known: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Submission:
-    """A checked file. `maps_sha256` has a hash of the maps of each part, as they will be stored."""
-
-    dataset: PasDataset
-    data: str
-    parts: Sequence[Part]
-    maps_sha256: Sequence[str]
-
-    @property
-    def sha256(self) -> str:
-        """Hash of all that the file says; the order of its parts does not matter."""
-        content = [
-            [part.split.sha256, part.declared.model_dump_json(), maps]
-            for part, maps in zip(self.parts, self.maps_sha256, strict=True)
-        ]
-        return hashlib.sha256(json.dumps(sorted(content)).encode()).hexdigest()
-
-    def record_id(self, part: Part) -> str:
-        """The id of the record of a part, 16 hexadecimal digits."""
-        content = ["external", self.dataset.sha256, self.sha256, part.split.sha256, METRICS_VERSION]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
 def score_file(
@@ -109,8 +147,12 @@ def score_file(
     num_maps = sum(len(part.split.test) for part in parts)
     require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * np.dtype(PACKED).itemsize)
     maps_sha256, has_power = zip(*_each(parts, lambda part: _checked(part, dataset.grid.shape), checking), strict=True)
-    submission = _Submission(dataset, data_name, parts, maps_sha256)
-    scored = _each(parts, lambda part: _scored(submission, part, folder), scoring)
+    content = [
+        [part.split.sha256, part.declared.model_dump_json(), maps]
+        for part, maps in zip(parts, maps_sha256, strict=True)
+    ]
+    sha256 = _json_sha256(sorted(content))  # the order of the parts does not matter
+    scored = _each(parts, lambda part: _scored(part, dataset, data_name, sha256, folder), scoring)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
     given = {part.split.name for part in parts}
     protocols = dict.fromkeys(part.split.protocol for part in parts)
@@ -140,9 +182,10 @@ def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
     return digest.hexdigest(), has_power
 
 
-def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRecord:
+def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder: ResultsFolder) -> RunRecord:
     """The record of a part: the one in `folder` if it is there, else a new one, which is stored."""
-    record_id, dataset = submission.record_id(part), submission.dataset
+    split, declared = part.split, part.declared
+    record_id = _json_sha256(["external", dataset.sha256, file_sha256, split.sha256, METRICS_VERSION])[:16]
     with exclusive(folder.run_lock_path(record_id)):
         record = folder.finished(record_id)
         if record is None:
@@ -150,24 +193,141 @@ def _scored(submission: _Submission, part: Part, folder: ResultsFolder) -> RunRe
             write_predictions(
                 path,
                 part.batches(dataset.grid.shape),
-                num_rows=len(part.split.test),
+                num_rows=len(split.test),
                 grid_shape=dataset.grid.shape,
                 dataset_sha256=dataset.sha256,
-                split_sha256=part.split.sha256,
+                split_sha256=split.sha256,
             )
-            record = _record(submission, part, record_id, path)
+            outcome = FitOutcome(
+                step=0,
+                fit_seconds=declared.fit_seconds,
+                predict_ms_per_map=declared.predict_ms_per_map,
+                parameters=declared.parameters,
+                external=External(sha256=file_sha256, hardware=declared.hardware, url=declared.url),
+            )
+            job = Job(data, declared.method, split.protocol, split.name, seed=declared.seed)
+            record = scored_record(record_id, job, dataset, split, path, outcome)
             folder.append(record)
     return record
 
 
-def _record(submission: _Submission, part: Part, record_id: str, predictions: Path) -> RunRecord:
-    declared = part.declared
-    job = Job(submission.data, declared.method, part.split.protocol, part.split.name, seed=declared.seed)
-    outcome = FitOutcome(
-        step=0,
-        fit_seconds=declared.fit_seconds,
-        predict_ms_per_map=declared.predict_ms_per_map,
-        parameters=declared.parameters,
-        external=External(sha256=submission.sha256, hardware=declared.hardware, url=declared.url),
+def _json_sha256(content: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> list[Part]:
+    """The predictions in a file, one part for each split; all is checked but the values of the maps.
+
+    `method` replaces the method's name that the file gives. Raises `DataError` and `UnknownNameError`.
+    """
+    known = known_splits(dataset)
+    with open_foreign(path) as file, read_errors(path):
+        return [_part(path, file, name, dataset, known, method) for name in _groups(path, file, dataset, known)]
+
+
+def known_splits(dataset: PasDataset) -> dict[str, Split]:
+    """All splits that the protocols and their validations can make of a data set, by name."""
+    heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
+    targets = [None, *([carrier / 1e9] for carrier in heard)]
+    protocols = (*PROTOCOLS, *VALIDATIONS)
+    found = (splits_or_none(dataset, protocol, target) for protocol in protocols for target in targets)
+    return {split.name: split for splits in found for split in splits}
+
+
+def splits_or_none(dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None) -> list[Split]:
+    """Splits of a protocol or of its validation; an empty list if the data set lacks what they need."""
+    is_validation = protocol in VALIDATIONS
+    tested = VALIDATIONS[protocol] if is_validation else protocol
+    try:
+        return make_splits(dataset, tested, targets_ghz, "validation" if is_validation else "test")
+    except ProtocolError:
+        return []
+
+
+def _groups(path: Path, file: Any, dataset: PasDataset, known: Mapping[str, Split]) -> list[str | None]:
+    """The groups with predictions in a file, or `[None]` if they are at its root; links are not followed."""
+    members = list(file)
+    if PAS in members:
+        twice = [name for name in members if name in known]
+        if twice:
+            raise DataError(
+                f"{path} has {PAS!r} at its root and group {twice[0]!r}: one split may be there twice. "
+                "Keep one of the two."
+            )
+        return [None]
+    if not members:
+        raise DataError(f"{path} is empty. Write a group for each split, with a dataset {PAS!r}.")
+    for name in members:
+        if name not in known:
+            raise UnknownNameError(f"split of {dataset.path.name} for {path},", name, known)
+        if stands_elsewhere(file, name) or not is_group(file[name]):
+            raise DataError(f"{path}: {name!r} is no group of this file. Make it a group with a dataset {PAS!r}.")
+    return members
+
+
+def _part(
+    path: Path, file: Any, name: str | None, dataset: PasDataset, known: Mapping[str, Split], method: str | None
+) -> Part:
+    """The checked predictions in a group, or at the root of the file."""
+    place, group = _place(path, name), file[name] if name else file
+    declared = _declaration(place, (file, group), method)
+    if declared.dataset_sha256 not in (None, dataset.sha256):
+        raise DataError(
+            f"{place}: made for the data set with sha256 {declared.dataset_sha256}, but {dataset.path.name} has "
+            f"{dataset.sha256}. Give that data set with --data, or make a split file of this one."
+        )
+    for split in [known[name]] if name else known.values():
+        if split.sha256 == declared.split_sha256:
+            _check_dataset(place, group, (len(split.test), *dataset.grid.shape))
+            return Part(path, name, split, declared)
+    raise DataError(
+        f"{place}: split_sha256 {declared.split_sha256!r} is not that of {name or 'any split'} of "
+        f"{dataset.path.name} under version {PROTOCOL_VERSION} of the protocols. Copy it from the group "
+        "of that name in the file that `xfreqbench split` makes of this data set."
     )
-    return scored_record(record_id, job, submission.dataset, part.split, predictions, outcome)
+
+
+def _place(path: Path, group: str | None) -> str:
+    return f"{path}, group {group!r}" if group else f"{path}, at its root"
+
+
+def _declaration(place: str, owners: Sequence[Any], method: str | None) -> Declaration:
+    """The attributes of the root and of a group; those of the group replace those of the root. Raises `DataError`."""
+    names = Declaration.model_fields
+    given = {name: _plain(owner.attrs[name]) for owner in owners for name in names if name in owner.attrs}
+    if method is not None:
+        given["method"] = method
+    try:
+        return Declaration.model_validate(given)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        name = str(fault["loc"][0])
+        words = "it is missing" if fault["type"] == "missing" else fault["msg"]
+        raise DataError(f"{place}, attribute {name!r}: {words}. {_ADVICE.get(name, '')}") from error
+
+
+def _plain(value: Any) -> Any:
+    """The value of an attribute, also if it was written as bytes, or in an array of one, as MATLAB does."""
+    array = np.asarray(value)
+    if array.size != 1:
+        return array.tolist()
+    item = array.reshape(-1).tolist()[0]
+    return item.decode("utf-8", "replace") if isinstance(item, bytes) else item
+
+
+def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
+    """Raise `DataError` unless `pas` is a dataset of real numbers with that shape, in the file itself."""
+    if PAS not in list(group):
+        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join(group) or 'nothing'}.")
+    if stands_elsewhere(group, PAS):
+        raise DataError(f"{place}: {PAS!r} is a link to data elsewhere. Write the maps into the file itself.")
+    if is_group(group[PAS]):
+        raise DataError(f"{place}: {PAS!r} is a group. Make it a dataset of shape {shape}.")
+    found, dtype = tuple(group[PAS].shape or ()), group[PAS].dtype
+    if found != shape:
+        is_reversed = found == shape[::-1]
+        advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute({PAS}, [3 2 1])."
+        needed = f"but {shape[0]} test rows need {shape}: row, elevation, azimuth."
+        raise DataError(f"{place}: {PAS!r} has shape {found}, {advice if is_reversed else needed}")
+    if dtype.kind not in "fiu":
+        raise DataError(f"{place}: {PAS!r} has dtype {dtype}; it must be real numbers, best float32.")

@@ -1,28 +1,31 @@
-"""A data set for loaders without this toolkit: shards of WebDataset, or Parquet as Hugging Face `datasets` reads it."""
+"""Data sets and collections for loaders without this toolkit: shards of WebDataset, or Parquet for `datasets`."""
 
 from __future__ import annotations
 
 import io
 import json
 import tarfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from xfreqbench.data.collection import PARTS, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
-from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
+from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
 MAPS_A_SHARD = 1000
 _README = """---
 configs:
 - config_name: default
-  data_files: "*{ending}"
+  data_files:
+{splits}
 ---
 {name}: {number} power angular spectra of {rows} elevations (rows) × {columns} azimuths, with peak 1, in half precision.
-Of each: `tx_position_m` (x, y, z), `carrier_hz`, `peak_power` by which the map was divided{cfr}.
+Of each: `tx_position_m` (x, y, z), `carrier_hz`, `peak_power` by which the map was divided{cfr}{room}.
 
 ```python
 {code}
@@ -30,39 +33,80 @@ Of each: `tx_position_m` (x, y, z), `carrier_hz`, `peak_power` by which the map 
 """
 Columns = dict[str, NDArray[Any]]  # by name, a row a sample
 _CFR = ", and the channel of every element, `cfr_real` and `cfr_imag`"
+_ROOM = (
+    "; the seed of its `room`, `rx_position_m` (x, y, z) and `frame_rotation`, 3 × 3 row by row, from the array's axes "
+    "to the world. Splits are the collection's parts"
+)
 _CODE = {
     "webdataset": """import glob, webdataset
-data = webdataset.WebDataset(sorted(glob.glob("*.tar")), shardshuffle=False).decode().to_tuple("map.npy", "json")
+files = sorted(glob.glob("{split}-*.tar"))
+data = webdataset.WebDataset(files, shardshuffle=False).decode().to_tuple("map.npy", "json")
 maps, about = next(iter(data))""",
-    "datasets": """from datasets import load_dataset
-data = load_dataset(".", split="train").with_format("numpy")
+    "datasets": """import os
+from datasets import load_dataset  # which takes no "." for a folder
+data = load_dataset(os.getcwd(), split="{split}").with_format("numpy")
 maps = data[:32]["map"].reshape(-1, {rows}, {columns})""",
 }
 
 
 def export_shards(
     path: Path, folder: Path, to: Literal["webdataset", "datasets"], progress: ProgressCallback = ignore_progress
-) -> PasDataset:
-    """Write the data set at `path` as a folder of shards, whole or not at all; returns the data set.
+) -> int:
+    """Write a data set, or a collection of rooms, as a folder of shards, whole or not at all; returns how many maps.
 
-    `progress` is told how many maps are done and how many there are. Raises `OutputExistsError` unless `folder` is
-    absent or empty, `XFreqBenchError` where pyarrow, which writes Parquet, is not installed, and `StorageError`.
+    The parts of a collection are splits of their own: `train`, `validation`, `test`, `other_type`. `progress` is told
+    how many maps are done and how many there are. Raises `OutputExistsError` unless `folder` is absent or empty,
+    `XFreqBenchError` where pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
     """
     require_empty(folder)
     write = _write_tar if to == "webdataset" else _parquet_writer()
-    dataset = open_dataset(path)
-    num_shards = -(-len(dataset) // MAPS_A_SHARD)
+    splits = _splits(path)
+    total, done = sum(map(_num_maps, splits.values())), 0
     with atomic_folder(folder) as temporary, storage_errors(folder):
-        for number in range(num_shards):
-            first = number * MAPS_A_SHARD
-            part = dataset[first : first + MAPS_A_SHARD]
-            write(temporary / f"train-{number:05d}-of-{num_shards:05d}", _columns(part), first)
-            progress(first + len(part), len(dataset))
-        (temporary / "README.md").write_text(_readme(dataset, to), "utf-8")
-    return dataset
+        for split, data in splits.items():
+            num_shards = -(-_num_maps(data) // MAPS_A_SHARD)
+            for shard in range(num_shards):
+                first = shard * MAPS_A_SHARD
+                numbers = np.arange(first, min(first + MAPS_A_SHARD, _num_maps(data)))
+                write(temporary / f"{split}-{shard:05d}-of-{num_shards:05d}", _columns(data, numbers), first)
+                done += len(numbers)
+                progress(done, total)
+        (temporary / "README.md").write_text(_readme(splits, total, to), "utf-8")
+    return total
 
 
-def _columns(part: PasDataset) -> Columns:
+def _splits(path: Path) -> Mapping[str, PasDataset | Collection]:
+    if not path.is_dir():
+        return {"train": open_dataset(path)}
+    parts = {part.replace("-", "_"): open_collection(path).part(part) for part in PARTS}
+    if found := {name: rooms for name, rooms in parts.items() if len(rooms)}:
+        return found
+    raise XFreqBenchError(f"{path} holds no room: its generation was not finished. Run the same command again.")
+
+
+def _num_maps(data: PasDataset | Collection) -> int:
+    return data.num_samples if isinstance(data, Collection) else len(data)
+
+
+def _columns(data: PasDataset | Collection, numbers: IntArray) -> Columns:
+    """Columns of the samples of these numbers, which ascend."""
+    if isinstance(data, PasDataset):
+        return _columns_of(data[numbers])
+    found = []
+    for room, _, rows in data.by_room(numbers):
+        part = data[room][rows]
+        receiver = part.header.receiver
+        told = {
+            "room": data.rooms[room].seed,
+            "rx_position_m": receiver.position_m,
+            "frame_rotation": receiver.rotation.ravel(),
+        }
+        repeated = {name: np.stack([np.asarray(value)] * len(part)) for name, value in told.items()}
+        found.append(repeated | _columns_of(part))
+    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+
+
+def _columns_of(part: PasDataset) -> Columns:
     columns = {name: getattr(part, name) for name in ("tx_position_m", "carrier_hz", "peak_power")}
     if part.header.channels:
         columns |= {"cfr_real": part.cfr.real, "cfr_imag": part.cfr.imag}
@@ -101,14 +145,18 @@ def _parquet_writer() -> Any:
     return write
 
 
-def _readme(dataset: PasDataset, to: str) -> str:
-    rows, columns = dataset.grid.shape
+def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) -> str:
+    ending = ".tar" if to == "webdataset" else ".parquet"
+    split, data = next(iter(splits.items()))
+    one = data[0] if isinstance(data, Collection) else data
+    rows, columns = one.grid.shape
     return _README.format(
-        ending=".tar" if to == "webdataset" else ".parquet",
-        name=dataset.recipe,
-        number=len(dataset),
+        splits="\n".join(f"  - split: {name}\n    path: {name}-*{ending}" for name in splits),
+        name=f"rooms of family {data.record.name}" if isinstance(data, Collection) else data.recipe,
+        number=total,
         rows=rows,
         columns=columns,
-        cfr=_CFR if dataset.header.channels else "",
-        code=_CODE[to].format(rows=rows, columns=columns),
+        cfr=_CFR if one.header.channels else "",
+        room=_ROOM if isinstance(data, Collection) else "",
+        code=_CODE[to].format(split=split, rows=rows, columns=columns),
     )

@@ -12,9 +12,13 @@ import yaml
 
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.plans import small_plan
+from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.rooms import generate_rooms
+from xfreqbench.report.view import card
 from xfreqbench.report.view.card import write_card
+from xfreqbench.scene.families import load_family
 from xfreqbench.scene.model import load_scene, parse_scene
 
 ROOMS = replace(load_scene("two_rooms"), name="our rooms", description='two "rooms"\nand a door')
@@ -29,22 +33,72 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "new/card"
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Collection:
+    """Rooms of a family that does not ship, of seeds 1 and 5."""
+    folder = tmp_path_factory.mktemp("drawn") / "rooms"
+    asked = {"rays": 500, "max_depth": 1, "interactions": ["specular"], "solver": "image", "tx": 2}
+    family = replace(load_family("rooms"), name="ours")
+    generate_rooms(family, folder, [2.4, 24.25], rooms=1, seed=5, **asked)
+    rooms = generate_rooms(family, folder, [2.4, 24.25], rooms=1, **asked)
+    said = xfreqbench("card", folder, "--license", "CC0-1.0", "-o", folder.parent / "card", is_bounded=False)
+    assert said.code == 0, said
+    return rooms
+
+
+def test_the_card_of_a_collection_is_a_collection_whose_commands_make_the_same_bytes(
+    drawn: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = drawn.path.parent / "card"
+    open_collection(folder).verify()
+    assert set(sums_of(folder)) == {path.relative_to(folder).as_posix() for path in folder.rglob("*.*")} - {
+        "SHA256SUMS"
+    }
+    make_again(folder, tmp_path, monkeypatch, "family.toml")
+    for path in drawn.path.rglob("*.*"):
+        assert (tmp_path / "rooms" / path.relative_to(drawn.path)).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rdflib, within mlcroissant
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_mlcroissant_reads_rooms_and_samples_of_a_collection(drawn: Collection) -> None:
+    found = mlcroissant.Dataset(jsonld=str(drawn.path.parent / "card/croissant.json"))
+    assert not found.metadata.ctx.issues.errors
+    rows = list(found.records("sample"))
+    assert [row["sample/room"] for row in rows] == [room.seed for room in drawn.rooms for _ in range(4)]
+    assert np.allclose([row["sample/z_m"] for row in rows], [z for data in drawn for z in data.tx_position_m[:, 2]])
+    assert [row["rooms/part"].decode() for row in found.records("rooms")] == [*map(drawn.part_of, drawn.rooms)]
+
+
+def test_rooms_that_another_version_drew_have_no_command(
+    drawn: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(card, "DRAWING", 0)
+    assert not card._room_commands(drawn, tmp_path) and not list(tmp_path.iterdir())
+
+
+def sums_of(folder: Path) -> dict[str, str]:
+    """The hashes that a card states, by file; they are those of the files."""
+    sums = dict(reversed(line.split("  ")) for line in (folder / "SHA256SUMS").read_text().splitlines())
+    assert all(hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha256 for name, sha256 in sums.items())
+    return sums
+
+
 def test_a_card_says_what_the_hub_asks_and_its_sums_are_those_of_the_files(folder: Path) -> None:
     front = yaml.safe_load((folder / "README.md").read_text().split("---\n")[1])
     assert front["license"] == "cc-by-4.0" and front["configs"][0]["data_files"] == "sample.csv"
-    sums = dict(reversed(line.split("  ")) for line in (folder / "SHA256SUMS").read_text().splitlines())
+    sums = sums_of(folder)
     assert set(sums) == {path.name for path in folder.iterdir()} - {"SHA256SUMS"}
     assert {"rooms.h5", "scene.toml", "maps.png", "statistics.png", "croissant.json"} < set(sums)
-    assert all(hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha256 for name, sha256 in sums.items())
     assert str(folder.parents[1]) not in (folder / "README.md").read_text()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rdflib, within mlcroissant
 @pytest.mark.filterwarnings("ignore::FutureWarning")
 def test_mlcroissant_finds_no_fault_and_reads_the_sample(folder: Path) -> None:
-    card, data = mlcroissant.Dataset(jsonld=str(folder / "croissant.json")), open_dataset(folder / "rooms.h5")
-    assert not card.metadata.ctx.issues.errors
-    rows = list(card.records("sample"))
+    found, data = mlcroissant.Dataset(jsonld=str(folder / "croissant.json")), open_dataset(folder / "rooms.h5")
+    assert not found.metadata.ctx.issues.errors
+    rows = list(found.records("sample"))
     assert [row["sample/sample"] for row in rows] == list(range(len(data)))
     assert np.allclose([row["sample/power_db"] for row in rows], data.power_db, atol=1e-3)
     assert [row["sample/in_sight"] for row in rows] == data.line_of_sight.tolist()
@@ -57,13 +111,15 @@ def test_its_command_makes_the_same_data_again(folder: Path, tmp_path: Path, mon
     assert again.recipe == before.recipe and np.array_equal(again.cfr, before.cfr)
 
 
-def make_again(card: Path, where: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the card's command in a folder with the card's scene and transmitters alone."""
-    for name in ("scene.toml", "transmitters.csv"):
-        (where / name).write_bytes((card / name).read_bytes())
+def make_again(source: Path, where: Path, monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Run a card's commands in a folder with some of its files alone: by default its scene and transmitters."""
+    for name in names or ("scene.toml", "transmitters.csv"):
+        (where / name).write_bytes((source / name).read_bytes())
     monkeypatch.chdir(where)
-    (line,) = [line for line in (card / "README.md").read_text().splitlines() if line.startswith("xfreqbench gen")]
-    assert xfreqbench(*shlex.split(line)[1:], "-q", is_bounded=False).code == 0
+    lines = [line for line in (source / "README.md").read_text().splitlines() if line.startswith("xfreqbench gen")]
+    for line in lines:
+        assert xfreqbench(*shlex.split(line)[1:], "-q", is_bounded=False).code == 0
+    assert lines
 
 
 def test_what_cannot_be_a_card_is_refused_and_nothing_is_written(folder: Path, tmp_path: Path) -> None:
@@ -76,8 +132,8 @@ def test_what_cannot_be_a_card_is_refused_and_nothing_is_written(folder: Path, t
 def test_data_of_a_scene_that_ships_name_it(tmp_path: Path) -> None:
     data = generate_planned(small_plan(num_transmitters=2, paths=True), tmp_path / "rooms.h5")
     write_card(data, tmp_path / "card", "LicenseRef-Ours", lambda _: None)
-    card = (tmp_path / "card/README.md").read_text()
-    assert "xfreqbench generate two_rooms --tx" in card and "license: other\n" in card
+    told = (tmp_path / "card/README.md").read_text()
+    assert "xfreqbench generate two_rooms --tx" in told and "license: other\n" in told
     assert not (tmp_path / "card/scene.toml").exists()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.damage import data_offset, flip
 from tests.support.synthetic import write_dataset
 from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset
@@ -75,3 +76,11 @@ def test_a_foreign_file_of_the_same_name_is_not_overwritten(dataset: PasDataset,
         view_command(str(dataset.path), output=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.png"]
     assert (tmp_path / "scene.png").read_bytes() == b"a photograph"
+
+
+def test_a_damaged_data_set_is_not_shown(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    flip(dataset.path, data_offset(dataset.path, "pas"))
+    with pytest.raises(DataError, match=r"is damaged.*dataset 'pas'"):
+        write_view(plan_view(str(dataset.path)), tmp_path / "out")
+    assert not list(tmp_path.glob("out/*"))

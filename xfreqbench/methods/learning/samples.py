@@ -83,13 +83,10 @@ class RoomSamples(Dataset[RoomSample]):
 
     def __getitems__(self, numbers: Sequence[int]) -> list[RoomSample]:
         """Several samples, of each room at once; a `DataLoader` asks for its batches so."""
-        first = self.collection.first_sample
         asked = np.asarray(chosen_rows(list(numbers), len(self))) % len(self)
-        room_of = np.searchsorted(first, asked, side="right") - 1
         found: list[RoomSample | None] = [None] * len(asked)
-        for room in np.unique(room_of).tolist():
-            places = np.flatnonzero(room_of == room)
-            samples = TensorSamples(self.collection[room]).__getitems__((asked[places] - first[room]).tolist())
+        for room, places, rows in self.collection.by_room(asked):
+            samples = TensorSamples(self.collection[room]).__getitems__(rows.tolist())
             for place, sample in zip(places.tolist(), samples, strict=True):
                 found[place] = RoomSample(*sample, torch.tensor(room))
         return [sample for sample in found if sample]

@@ -65,6 +65,14 @@ def plan_and_elevation(
     return figure, [(axis, list(shown)) for axis, shown in zip(axes, _VIEWS.values(), strict=True)]
 
 
+def panels(figure: Any, number: int, columns: int, **more: Any) -> list[Any]:
+    """So many axes of a figure in rows of `columns`; `more` goes to `Figure.subplots`."""
+    axes = figure.subplots(-(-number // columns), columns, squeeze=False, **more).ravel()
+    for axis in axes[number:]:
+        axis.set_visible(False)
+    return list(axes[:number])
+
+
 @plain_style()
 def plot_pas_maps(
     maps: Float[NDArray[np.float32], "N E A"],
@@ -82,13 +90,11 @@ def plot_pas_maps(
     columns = min(_MAX_DISCS, len(maps))
     rows = -(-len(maps) // columns)
     figure = Figure(figsize=(max(2.4 * columns + 0.9, 4.5), 2.7 * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"}).ravel()
-    for axis in axes[len(maps) :]:
-        axis.set_visible(False)
-    for axis, pas_map, name in zip(axes, maps, titles, strict=False):
+    axes = panels(figure, len(maps), columns, subplot_kw={"projection": "polar"})
+    for axis, pas_map, name in zip(axes, maps, titles, strict=True):
         image = draw_disc(axis, pas_map, grid, range_db)
         axis.set_title(shown(name), fontsize="medium")
-    figure.colorbar(image, ax=list(axes), label="dB below the peak", shrink=0.8)
+    figure.colorbar(image, ax=axes, label="dB below the peak", shrink=0.8)
     if title:
         figure.suptitle(title, fontsize="medium")
     save_figure(figure, path, figure_kind(path))

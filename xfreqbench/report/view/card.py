@@ -1,4 +1,4 @@
-"""A data set as a folder to hand on: data, README card, Croissant metadata, checksums, a sample, how to make it."""
+"""A data set, or a collection of rooms, as a folder to hand on: README card, Croissant metadata, checksums, sample."""
 
 from __future__ import annotations
 
@@ -7,86 +7,199 @@ import hashlib
 import json
 import shlex
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
+from xfreqbench.data.collection import FILE, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.statistics import ChannelStatistics
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.view.describe import describe
-from xfreqbench.report.view.pictures import draw_maps
-from xfreqbench.report.view.statistics import plot_statistics
-from xfreqbench.scene.model import load_scene, shipped_scenes
+from xfreqbench.report.view.pictures import draw_maps, plot_statistics
+from xfreqbench.scene.families import DRAWING, load_family
+from xfreqbench.scene.model import load_scene, shipped_families, shipped_scenes
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.system.version import __version__
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list
 
 CARD, METADATA, SUMS = "README.md", "croissant.json", "SHA256SUMS"
-SAMPLE, TRANSMITTERS, SCENE = "sample.csv", "transmitters.csv", "scene.toml"
+SAMPLE, ROOMS, TRANSMITTERS, SCENE, FAMILY = "sample.csv", "rooms.csv", "transmitters.csv", "scene.toml", "family.toml"
 MAPS, STATISTICS = "maps.png", "statistics.png"
 _FILES = {  # what is written beside the data, its type and what it is
     SAMPLE: ("text/csv", "some of the samples, evenly spread: place, carrier, power"),
+    ROOMS: ("text/csv", "the rooms: seed, type, part, number of transmitters, file"),
+    FILE: ("application/json", "the collection: its family, what was asked of the rays, its rooms"),
     TRANSMITTERS: ("text/csv", "positions of the transmitters in metres, in the order of the data"),
     SCENE: ("application/toml", "the scene that was traced"),
+    FAMILY: ("application/toml", "the family that the rooms are drawn from"),
     MAPS: ("image/png", "maps of one transmitter"),
     STATISTICS: ("image/png", "path loss, spreads, K and mechanisms by carrier, beside standards"),
 }
-_COLUMNS = {  # of the sample: type and meaning
-    "sample": ("Integer", "number of the sample in the data set: transmitter · number of carriers + carrier"),
-    "x_m": ("Float", "transmitter's position in the world, in metres"),
-    "y_m": ("Float", "transmitter's position in the world, in metres"),
-    "z_m": ("Float", "transmitter's position in the world, in metres"),
-    "carrier_hz": ("Float", "carrier in hertz"),
-    "in_sight": ("Bool", "whether nothing stands between transmitter and array"),
-    "power_db": ("Float", "received over transmitted power in dB, the mean over the array; empty without a path"),
+_COLUMNS = {  # of the tables: type and meaning
+    "room": ("INTEGER", "seed of the room"),
+    "sample": ("INTEGER", "number of the sample in the data set: transmitter · number of carriers + carrier"),
+    "x_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "y_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "z_m": ("FLOAT", "transmitter's position in the world, in metres"),
+    "carrier_hz": ("FLOAT", "carrier in hertz"),
+    "in_sight": ("BOOL", "whether nothing stands between transmitter and array"),
+    "power_db": ("FLOAT", "received over transmitted power in dB, the mean over the array; empty without a path"),
+    "type": ("TEXT", "type of the room"),
+    "part": ("TEXT", "train, validation, test, or other-type, of which no room is trained on"),
+    "num_tx": ("INTEGER", "number of transmitters"),
+    "file": ("TEXT", "data set of the room, an HDF5 file"),
 }
-_OF_CHANNELS = ("in_sight", "power_db")  # columns that maps which others published do not have
+Table = dict[str, list[Any]]  # columns by name
 _MAX_SAMPLES, _MAX_MAPS, _RANGE_DB = 1000, 9, 30.0
 _HDF5 = "application/x-hdf5"
 _SIZES = (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M")
 
 
-def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], None]) -> None:
-    """Write the folder, which is absent or empty, whole or not at all; `tell` is told what takes long.
+@dataclass(frozen=True)
+class _Content:
+    """What a card says of a data set or a collection; `tables` are files of CSV, which are record sets, too."""
 
-    `license_id` is the identifier of the data's licence in the list of SPDX, in any case of letters. Raises
-    `DataError` for a file that is no data set or is damaged, `XFreqBenchError` for another licence, or where
-    mlcroissant is not installed, `OutputExistsError` and `StorageError`.
+    title: str
+    summary: str
+    recipe: str
+    sha256: str
+    physics: str
+    num_samples: int
+    data: str
+    told: str
+    read: str
+    commands: list[str]
+    tables: dict[str, Table]
+    note: str = ""
+    statistics: ChannelStatistics | None = None
+
+
+def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], None]) -> None:
+    """Write the card of a data set, or of a collection's folder: whole or not at all, into an absent or empty folder.
+
+    `license_id` is the identifier of the data's licence in the list of SPDX, in any case of letters; `tell` is told
+    what takes long. Raises `DataError` for what is no data or is damaged, `XFreqBenchError` for another licence, or
+    where mlcroissant is not installed, `OutputExistsError` and `StorageError`.
     """
     croissant, license_id = _croissant(), _spdx(license_id)
     require_empty(folder)
-    verify(path)
+    rooms = open_collection(path) if path.is_dir() else None
+    if rooms:
+        rooms.verify()
+        files = {name: path / name for name in (FILE, *(room.file for room in rooms.rooms))}
+    else:
+        verify(path)
+        files = {path.with_suffix(".h5").name: path}
+    with atomic_folder(folder) as written, storage_errors(folder, sum(each.stat().st_size for each in files.values())):
+        for name, file in files.items():
+            (written / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, written / name)
+        content = _of_rooms(rooms, written) if rooms else _of_dataset(path, written, tell)
+        for name, table in content.tables.items():
+            _write_csv(written / name, table)
+        metadata = _metadata(croissant, content, license_id, written)
+        (written / METADATA).write_text(json.dumps(metadata, indent=2) + "\n", encoding="utf-8")
+        (written / CARD).write_text(_card(content, license_id, written), encoding="utf-8")
+        sums = [f"{_sha256(written / name)}  {name}\n" for name in _names(written)]
+        (written / SUMS).write_text("".join(sums), encoding="utf-8")
+
+
+def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Content:
+    """Write what stands beside a data set, and say what it is."""
     dataset, name, statistics = open_dataset(path), path.with_suffix(".h5").name, None
+    header = dataset.header
     with suppress(DataError):  # of data that do not say how they were traced
         tell("computing statistics: where no paths are stored, those of 200 transmitters are traced again")
         statistics = dataset.statistics()
-    with atomic_folder(folder) as written, storage_errors(folder, path.stat().st_size):
-        shutil.copyfile(path, written / name)
-        columns = [each for each in _COLUMNS if dataset.header.channels or each not in _OF_CHANNELS]
-        _write_csv(written / SAMPLE, columns, ([row[each] for each in columns] for row in _sample_rows(dataset)))
-        _write_csv(written / TRANSMITTERS, ["x_m", "y_m", "z_m"], dataset.tables["tx_position_m"].tolist())
-        carriers_hz = dataset.header.carrier_hz
-        shown = np.unique(np.linspace(0, len(carriers_hz) - 1, _MAX_MAPS).astype(int))
-        draw_maps(path, dataset.header.num_tx // 2, carriers_hz[shown].tolist(), _RANGE_DB, written / MAPS)
-        if statistics:
-            plot_statistics(statistics, name, written / STATISTICS)
-        command, scene = _command(dataset, name)
-        if scene:
-            (written / SCENE).write_text(scene, encoding="utf-8")
-        files = sorted(each.name for each in written.iterdir())
-        metadata = _metadata(croissant, dataset, license_id, columns, [written / each for each in files])
-        (written / METADATA).write_text(json.dumps(metadata, indent=2) + "\n", encoding="utf-8")
-        told = describe(path).replace(f"{path}: ", "", 1)
-        card = _card(name, dataset, license_id, told, statistics, command, files)
-        (written / CARD).write_text(card, encoding="utf-8")
-        sums = [f"{_sha256(each)}  {each.name}\n" for each in sorted(written.iterdir())]
-        (written / SUMS).write_text("".join(sums), encoding="utf-8")
+        plot_statistics(statistics, name, written / STATISTICS)
+    _write_csv(written / TRANSMITTERS, _positions(dataset.tables["tx_position_m"]))
+    _draw_maps(dataset, written)
+    commands = _dataset_command(dataset, name, written)
+    is_imported = bool(commands) and dataset.scene.scene is not None
+    return _Content(
+        title=f"Power angular spectra of scene {header.scene_name}",
+        summary=f"{_kind(dataset)} of {header.num_tx} transmitters in scene {header.scene_name}, at "
+        f"{len(header.carrier_hz)} carriers: {format_ghz_list(header.carrier_hz)}. Recipe {dataset.recipe}.",
+        recipe=str(dataset.recipe),
+        sha256=dataset.recipe.sha256,
+        physics=header.physics,
+        num_samples=len(dataset),
+        data=name,
+        told=describe(path).replace(f"{path}: ", "", 1),
+        read=f"data = xb.open_dataset({name!r})",
+        commands=commands,
+        note="\nThe meshes of the scene have to be at hand.\n" if is_imported else "",
+        tables={SAMPLE: _sample(dataset[_spread(len(dataset))])},
+        statistics=statistics,
+    )
+
+
+def _of_rooms(rooms: Collection, written: Path) -> _Content:
+    """Write what stands beside the data sets of a collection, and say what it is."""
+    record, first = rooms.record, rooms[0]
+    _draw_maps(first, written)
+    parts = [
+        {"room": [rooms.rooms[room].seed] * len(rows), **_sample(rooms[room][rows])}
+        for room, _, rows in rooms.by_room(_spread(rooms.num_samples))
+    ]
+    told = [
+        {"room": room.seed, "type": room.type, "part": rooms.part_of(room), "num_tx": room.num_tx, "file": room.file}
+        for room in rooms.rooms
+    ]
+    return _Content(
+        title=f"Power angular spectra of {len(rooms)} rooms of family {record.name}",
+        summary=f"{_kind(first)} of transmitters in {len(rooms)} rooms that are drawn from family {record.name}, at "
+        f"{len(record.carrier_hz)} carriers: {format_ghz_list(record.carrier_hz)}.",
+        recipe=f"family {record.name}",
+        sha256=record.family_sha256,
+        physics=first.header.physics,
+        num_samples=rooms.num_samples,
+        data=".",
+        told=rooms.description.partition("\n")[2],
+        read='data = xb.open_collection(".")[0]  # of the first room',
+        commands=_room_commands(rooms, written),
+        tables={
+            SAMPLE: {name: [value for part in parts for value in part[name]] for name in parts[0]},
+            ROOMS: {name: [room[name] for room in told] for name in told[0]},
+        },
+    )
+
+
+def _kind(dataset: PasDataset) -> str:
+    return "Channels and power angular spectra" if dataset.header.channels else "Power angular spectra"
+
+
+def _draw_maps(dataset: PasDataset, written: Path) -> None:
+    """Draw the maps of the middle transmitter at up to nine carriers."""
+    carriers_hz = dataset.header.carrier_hz
+    shown = np.unique(np.linspace(0, len(carriers_hz) - 1, _MAX_MAPS).astype(int))
+    draw_maps(dataset.path, dataset.header.num_tx // 2, carriers_hz[shown].tolist(), _RANGE_DB, written / MAPS)
+
+
+def _spread(num_samples: int) -> IntArray:
+    return np.unique(np.linspace(0, num_samples - 1, _MAX_SAMPLES).astype(int))
+
+
+def _positions(position_m: Float[FloatArray, "T 3"]) -> Table:
+    return dict(zip(("x_m", "y_m", "z_m"), position_m.T.tolist(), strict=True))
+
+
+def _sample(some: PasDataset) -> Table:
+    columns = {"sample": some.rows.tolist(), **_positions(some.tx_position_m), "carrier_hz": some.carrier_hz.tolist()}
+    if some.header.channels:
+        power_db = [round(each, 3) if np.isfinite(each) else "" for each in some.power_db.tolist()]
+        columns |= {"in_sight": some.line_of_sight.astype(bool).tolist(), "power_db": power_db}
+    return columns
 
 
 def _croissant() -> ModuleType:
@@ -108,89 +221,117 @@ def _spdx(license_id: str) -> str:
     )
 
 
+def _names(folder: Path) -> list[str]:
+    """All files of a folder, by their paths there."""
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _write_csv(path: Path, header: list[str], rows: Iterable[list[Any]]) -> None:
+def _write_csv(path: Path, table: Table) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+        writer.writerow(table)
+        writer.writerows(zip(*table.values(), strict=True))
 
 
-def _sample_rows(dataset: PasDataset) -> Iterable[dict[str, Any]]:
-    rows = np.unique(np.linspace(0, len(dataset) - 1, _MAX_SAMPLES).astype(int))
-    some = dataset[rows]
-    power_db = some.power_db if dataset.header.channels else np.zeros(len(some))
-    for index, (sample, place, carrier_hz) in enumerate(zip(rows, some.tx_position_m, some.carrier_hz, strict=True)):
-        known = np.isfinite(power_db[index])
-        yield {
-            "sample": int(sample),
-            **dict(zip(("x_m", "y_m", "z_m"), place.tolist(), strict=True)),
-            "carrier_hz": float(carrier_hz),
-            "in_sight": bool(some.line_of_sight[index]),
-            "power_db": round(float(power_db[index]), 3) if known else "",
-        }
-
-
-def _metadata(mlc: Any, dataset: PasDataset, license_id: str, columns: list[str], files: list[Path]) -> Any:
-    """The content of `croissant.json`."""
-    types = {"Integer": mlc.DataType.INTEGER, "Float": mlc.DataType.FLOAT, "Bool": mlc.DataType.BOOL}
-    of_data = (_HDF5, f"the data set {dataset.recipe}, an HDF5 file")
+def _metadata(mlc: Any, content: _Content, license_id: str, written: Path) -> Any:
+    """The content of `croissant.json`; many data sets are one set of files, whose sums stand in `SHA256SUMS`."""
+    of_data = (_HDF5, f"the data set {content.recipe}, an HDF5 file")
     distribution = [
         mlc.FileObject(
-            id=path.name,
-            name=path.name,
-            description=_FILES.get(path.name, of_data)[1],
-            content_url=path.name,
-            content_size=f"{path.stat().st_size} B",
-            encoding_formats=[_FILES.get(path.name, of_data)[0]],
-            sha256=_sha256(path),
-        )
-        for path in files
-    ]
-    fields = [
-        mlc.Field(
-            id=f"sample/{name}",
+            id=name,
             name=name,
-            description=_COLUMNS[name][1],
-            data_types=[types[_COLUMNS[name][0]]],
-            source=mlc.Source(file_object=SAMPLE, extract=mlc.Extract(column=name)),
+            description=_FILES.get(name, of_data)[1],
+            content_url=name,
+            content_size=f"{(written / name).stat().st_size} B",
+            encoding_formats=[_FILES.get(name, of_data)[0]],
+            sha256=_sha256(written / name),
         )
-        for name in columns
+        for name in _names(written)
+        if "/" not in name
+    ]
+    if ROOMS in content.tables:
+        told = "the data sets of the rooms, HDF5 files"
+        distribution.append(
+            mlc.FileSet(id="data", name="data", description=told, includes=["*/*.h5"], encoding_formats=[_HDF5])
+        )
+    record_sets = [
+        mlc.RecordSet(
+            id=table,
+            name=table,
+            description=_FILES[file][1],
+            fields=[
+                mlc.Field(
+                    id=f"{table}/{name}",
+                    name=name,
+                    description=_COLUMNS[name][1],
+                    data_types=[getattr(mlc.DataType, _COLUMNS[name][0])],
+                    source=mlc.Source(file_object=file, extract=mlc.Extract(column=name)),
+                )
+                for name in columns
+            ],
+        )
+        for file, columns in content.tables.items()
+        for table in [file.removesuffix(".csv")]
     ]
     return mlc.Metadata(
-        name=_title(dataset),
-        description=_summary(dataset),
+        name=content.title,
+        description=content.summary,
         license=[f"https://spdx.org/licenses/{license_id}.html"],
-        cite_as=f"The xfreqbench contributors: xfreqbench {__version__}, data set {dataset.recipe}",
-        version=f"{dataset.header.physics}.0.0",
+        cite_as=f"The xfreqbench contributors: xfreqbench {__version__}, data set {content.recipe}",
+        version=f"{content.physics}.0.0",
         distribution=distribution,
-        record_sets=[mlc.RecordSet(id="sample", name="sample", description=_FILES[SAMPLE][1], fields=fields)],
+        record_sets=record_sets,
     ).to_json()
 
 
-def _title(dataset: PasDataset) -> str:
-    return f"Power angular spectra of scene {dataset.header.scene_name}"
+def _room_commands(rooms: Collection, written: Path) -> list[str]:
+    """The commands that make a collection again, one for each row of seeds, and its family's TOML if it does not ship.
+
+    None where another version of the toolkit drew the rooms.
+    """
+    record, options, seeds = rooms.record, dict(rooms.record.options), [room.seed for room in rooms.rooms]
+    if record.family.get("drawing") != DRAWING:
+        return []
+    family = record.name
+    if family not in shipped_families() or load_family(family).sha256 != record.family_sha256:
+        family = FAMILY
+        told = {"description": f"Family {record.name}.", **record.family}
+        del told["drawing"]
+        (written / family).write_text(_toml(told), encoding="utf-8")
+    flags = ["--paths"] * options.pop("paths") + ["--maps"] * options.pop("maps") + ["--output", rooms.path.name]
+    starts = [number for number, seed in enumerate(seeds) if seed - 1 not in seeds]
+    asked = {"freqs": _ghz(record.carrier_hz), **options}
+    return [
+        _generate(family, {"rooms": end - start, "seed": seeds[start], **asked}, flags)
+        for start, end in pairwise([*starts, len(seeds)])
+    ]
 
 
-def _summary(dataset: PasDataset) -> str:
-    header = dataset.header
-    what = "Channels and power angular spectra" if header.channels else "Power angular spectra"
-    return (
-        f"{what} of {header.num_tx} transmitters in scene {header.scene_name}, at {len(header.carrier_hz)} carriers: "
-        f"{format_ghz_list(header.carrier_hz)}. Recipe {dataset.recipe}."
-    )
+def _generate(scene: str, options: Mapping[str, Any], flags: list[str]) -> str:
+    """The command that generates; options that are None are left out."""
+    words = ["xfreqbench", "generate", scene]
+    for name, value in options.items():
+        if value is not None:
+            text = ",".join(value) if isinstance(value, list | tuple) else str(value)
+            words += [f"--{name.replace('_', '-')}", text]
+    return shlex.join(words + flags)
 
 
-def _command(dataset: PasDataset, name: str) -> tuple[str, str]:
-    """The command that makes the data again, and the scene's TOML where it does not ship; empty where nothing tells."""
+def _ghz(carrier_hz: Iterable[float]) -> list[str]:
+    return [f"{carrier / 1e9:.12g}" for carrier in carrier_hz]
+
+
+def _dataset_command(dataset: PasDataset, name: str, written: Path) -> list[str]:
+    """The command that makes a data set again, and its scene's TOML if it does not ship; none where nothing tells."""
     try:
         settings, header = dataset.trace_settings, dataset.file_header
     except DataError:
-        return "", ""
+        return []
     receivers = header.receivers or ((header.receiver.name,) if header.receiver.name else ())
     ships = header.scene_name in shipped_scenes() and any(
         header.scene_json == load_scene(header.scene_name).with_receiver(*names).canonical_json
@@ -198,22 +339,22 @@ def _command(dataset: PasDataset, name: str) -> tuple[str, str]:
     )
     options = {
         "tx-positions": TRANSMITTERS,
-        "freqs": ",".join(f"{carrier / 1e9:.12g}" for carrier in header.carrier_hz),
+        "freqs": _ghz(header.carrier_hz),
         "solver": settings.solver,
-        "interactions": ",".join(settings.named_interactions),
+        "interactions": settings.named_interactions,
         "rays": settings.rays,
         "max-depth": settings.max_depth,
         "seed": settings.seed,
         "pas-kind": header.pas_kind,
         "materials": settings.materials,
-        **({"receiver": ",".join(receivers)} if receivers else {}),
-        **({"polarization": ",".join(header.polarizations)} if header.polarizations else {}),
+        "receiver": receivers or None,
+        "polarization": header.polarizations or None,
         "output": name,
     }
-    words = ["xfreqbench", "generate", header.scene_name if ships else SCENE]
-    words += [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    words += ["--paths"] * header.paths + ["--no-maps"] * (not header.maps)
-    return shlex.join(words), "" if ships else _toml(json.loads(header.scene_json))
+    flags = ["--paths"] * header.paths + ["--no-maps"] * (not header.maps)
+    if not ships:
+        (written / SCENE).write_text(_toml(json.loads(header.scene_json)), encoding="utf-8")
+    return [_generate(header.scene_name if ships else SCENE, options, flags)]
 
 
 def _toml(scene: dict[str, Any]) -> str:
@@ -241,43 +382,36 @@ def _toml(scene: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _card(
-    name: str,
-    dataset: PasDataset,
-    license_id: str,
-    told: str,
-    statistics: ChannelStatistics | None,
-    command: str,
-    files: list[str],
-) -> str:
+def _card(content: _Content, license_id: str, written: Path) -> str:
     """The README: front matter as Hugging Face reads it, then what is there, how to read it, and how to make it."""
-    size = next((words for limit, words in _SIZES if len(dataset) < limit), "n>1M")
+    size = next((words for limit, words in _SIZES if content.num_samples < limit), "n>1M")
     hub_license = "other" if license_id.startswith("LicenseRef") else license_id.lower()
-    listed = "\n".join(f"* `{each}`: {_FILES[each][1]}" for each in files if each in _FILES)
-    imported = "" if not command or dataset.scene.scene is None else "\nThe meshes of the scene have to be at hand.\n"
+    configs = "\n".join(f"- config_name: {file.removesuffix('.csv')}\n  data_files: {file}" for file in content.tables)
+    listed = "\n".join(f"* `{name}`: {_FILES[name][1]}" for name in _names(written) if name in _FILES)
+    commands = "\n".join(content.commands)
     made = f"""
 ## Make it again
 
 ```sh
 pip install xfreqbench=={__version__}
-{command}
+{commands}
 ```
 
-It makes data of the same recipe, `{dataset.recipe}`, sha256 `{dataset.recipe.sha256}`; the last digits may differ from
-processor to processor. `xfreqbench info {shlex.quote(name)}` prints the recipe.
-{imported}"""
+It makes data of the same recipe, `{content.recipe}`, sha256 `{content.sha256}`; the last digits may differ from
+processor to processor. `xfreqbench info {shlex.quote(content.data)}` prints the recipe.
+{content.note}"""
     measured = f"""
 ## Statistics
 
 ![{_FILES[STATISTICS][1]}]({STATISTICS})
 
 ```text
-{statistics}
+{content.statistics}
 ```
 """
     return f"""---
 license: {hub_license}
-pretty_name: {json.dumps(_title(dataset))}
+pretty_name: {json.dumps(content.title)}
 size_categories:
 - {size}
 tags:
@@ -287,13 +421,12 @@ tags:
 - ray-tracing
 - radiance-field
 configs:
-- config_name: sample
-  data_files: {SAMPLE}
+{configs}
 ---
 
-# {_title(dataset)}
+# {content.title}
 
-{_summary(dataset)} The data are in `{name}`, under {license_id}. Beside them:
+{content.summary} The data are in `{content.data}`, under {license_id}. Beside them:
 
 {listed}
 * `{METADATA}`: the same as Croissant metadata, for search engines and loaders
@@ -306,13 +439,13 @@ configs:
 ```python
 import xfreqbench as xb  # pip install xfreqbench
 
-data = xb.open_dataset({name!r})
+{content.read}
 print(data[0].map.shape, data[0].tx_position_m, data[0].carrier_hz)
 ```
 
 ## What it holds
 
 ```text
-{told}
+{content.told}
 ```
-{measured if statistics else ""}{made if command else ""}"""
+{measured if content.statistics else ""}{made if content.commands else ""}"""

@@ -66,19 +66,11 @@ def _paths_line(dataset: PasDataset) -> list[str]:
 
 
 def _carrier_lines(dataset: PasDataset) -> list[str]:
-    lines = []
-    for carrier_hz in dataset.header.carrier_hz:
-        at_carrier = dataset.subset(np.flatnonzero(dataset.carrier_hz == carrier_hz))
-        num_silent = int((~at_carrier.has_path).sum())
-        median_paths, median_db = _medians(at_carrier)
-        lines.append(f"{format_ghz(carrier_hz):12} {num_silent:12} {median_paths:>14}   {median_db:>22}")
+    lines, is_known = [], dataset.header.channels
+    for carrier, carrier_hz in enumerate(dataset.header.carrier_hz):
+        peak_power = dataset.tables["peak_power"][:, carrier]
+        heard = peak_power[peak_power > 0]
+        paths = f"{np.median(dataset.tables['num_paths'][:, carrier]):.0f}" if is_known else "unknown"
+        median_db = (f"{10 * np.log10(np.median(heard)):.1f}" if len(heard) else "none") if is_known else "unknown"
+        lines.append(f"{format_ghz(carrier_hz):12} {len(peak_power) - len(heard):12} {paths:>14}   {median_db:>22}")
     return lines
-
-
-def _medians(at_carrier: PasDataset) -> tuple[str, str]:
-    """Median number of paths, and median peak power in dB, as texts."""
-    if not at_carrier.header.channels:
-        return "unknown", "unknown"
-    power = at_carrier.peak_power[at_carrier.has_path]
-    median_db = f"{10 * np.log10(np.median(power)):.1f}" if len(power) else "none"
-    return f"{np.median(at_carrier.num_paths):.0f}", median_db

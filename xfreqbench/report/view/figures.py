@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from xfreqbench.maps.drawing import draw_disc
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import label_decades, plain_style, plan_and_elevation, save_figure
+from xfreqbench.report.drawing.figures import label_decades, panels, plain_style, plan_and_elevation, save_figure
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
@@ -30,6 +30,7 @@ _OVERVIEW_MAPS = 6
 _NUMBERED_RAYS = 9  # more numbers would cover each other
 _SSIM_COLOURS = "viridis"
 _RAY_COLOURS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.2, 1, 256)), "rays")  # weak ones are dark
+_RAY_SCALE = Normalize(-RAY_RANGE_DB, 0)
 _BACKGROUND = "#14161c"  # on which bright rays stand out, as maps do
 _GROUP_COLOURS = {
     "transmitters in sight": "#009e73",
@@ -45,7 +46,7 @@ Rgba = tuple[int, int, int, int]
 
 def ray_colour(level_db: float) -> Rgba:
     """Colour of a ray, in figures and 3D models, by its power in dB below the strongest ray, which is brightest."""
-    return _bytes(_RAY_COLOURS(_ray_scale()(level_db)))
+    return _bytes(_RAY_COLOURS(_RAY_SCALE(level_db)))
 
 
 def group_colour(name: str) -> Rgba:
@@ -60,7 +61,7 @@ def plot_room(room: ShownRoom, path: Path) -> None:
     for axis, shown in views:
         _draw_view(axis, room, shown)
     if room.rays:
-        scale = ScalarMappable(_ray_scale(), _RAY_COLOURS)
+        scale = ScalarMappable(_RAY_SCALE, _RAY_COLOURS)
         figure.colorbar(
             scale, ax=[axis for axis, _ in views], label="power of a ray (dB below the strongest)", shrink=0.6
         )
@@ -87,17 +88,13 @@ def plot_overview(
     left, right = halves
     plan = left.subplots()
     _draw_view(plan, room, [0, 1])
-    limits = {"xlim": (low_m[0], high_m[0]), "ylim": (low_m[1], high_m[1])}
-    plan.set(**limits, xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    handles = _place_handles(room)
-    left.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small")
-    discs = right.subplots(2, -(-len(chosen) // 2), squeeze=False, subplot_kw={"projection": "polar"}).ravel()
-    for axis in discs[len(chosen) :]:
-        axis.set_visible(False)
-    for axis, index in zip(discs, chosen, strict=False):
+    plan.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    left.legend(handles=_place_handles(room), loc="outside lower center", ncols=2, fontsize="small")
+    discs = panels(right, len(chosen), -(-len(chosen) // 2), subplot_kw={"projection": "polar"})
+    for axis, index in zip(discs, chosen, strict=True):
         image = draw_disc(axis, maps[index], grid)
         axis.set_title(titles[index], fontsize="medium")
-    right.colorbar(image, ax=list(discs), label="dB below the peak", location="bottom", shrink=0.7)
+    right.colorbar(image, ax=discs, label="dB below the peak", location="bottom", shrink=0.7)
     save_figure(figure, path, "png")
 
 
@@ -107,25 +104,17 @@ def plot_carriers(summary: CarrierSummary, path: Path) -> None:
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
-    panels = [_draw_silence]
-    if summary.num_paths is not None:
-        panels.insert(0, _draw_path_counts)
-    if summary.peak_db is not None:
-        panels.insert(0, _draw_power)
-    if len(summary.similarity.carrier_hz) > 1:
-        panels.insert(0, _draw_similarity)
-    rows = -(-len(panels) // 2)
-    figure = Figure(figsize=(10, 4.1 * rows), layout="constrained")
-    axes = figure.subplots(rows, min(2, len(panels)), squeeze=False).ravel()
-    for axis, draw in zip(axes, panels, strict=False):
+    is_known = {
+        _draw_similarity: len(summary.similarity.carrier_hz) > 1,
+        _draw_power: summary.peak_db is not None,
+        _draw_path_counts: summary.num_paths is not None,
+        _draw_silence: True,
+    }
+    drawn = [draw for draw, known in is_known.items() if known]
+    figure = Figure(figsize=(10, 4.1 * -(-len(drawn) // 2)), layout="constrained")
+    for axis, draw in zip(panels(figure, len(drawn), min(2, len(drawn))), drawn, strict=True):
         draw(axis, summary)
-    for axis in axes[len(panels) :]:
-        axis.set_visible(False)
     save_figure(figure, path, "svg")
-
-
-def _ray_scale() -> Normalize:
-    return Normalize(-RAY_RANGE_DB, 0)
 
 
 def _bytes(colour: Iterable[float]) -> Rgba:
@@ -166,7 +155,7 @@ def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
 
 def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
     """Draw rays, the strongest on top."""
-    colours = [_RAY_COLOURS(_ray_scale()(ray.level_db)) for ray in rays]
+    colours = [_RAY_COLOURS(_RAY_SCALE(ray.level_db)) for ray in rays]
     lines = [ray.points_m[:, shown] for ray in rays]
     axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
     numbered = list(zip(lines, colours, strict=True))[:_NUMBERED_RAYS]

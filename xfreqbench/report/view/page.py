@@ -175,32 +175,20 @@ def _material_row(view: ViewPlan, slab: Slab, layer: Layer) -> tuple[str, ...]:
 
 def _carrier_table(summary: CarrierSummary) -> PageTable:
     header = ["carrier (GHz)", "without path", "median paths", "power median (dB)", "10 to 90 % (dB)"]
-    if len(summary.similarity.carrier_hz) > 1:
-        header.append("SSIM to the next carrier")
-    return PageTable(header, [_carrier_row(summary, index) for index in range(len(summary.carrier_hz))])
-
-
-def _carrier_row(summary: CarrierSummary, index: int) -> tuple[str, ...]:
-    heard = summary.has_path[:, index]
-    cells = [f"{summary.carrier_hz[index] / 1e9:g}", str(int((~heard).sum()))]
-    paths = summary.num_paths
-    cells.append(ABSENT if paths is None else f"{np.median(paths[:, index]):.0f}")
-    if summary.peak_db is None or not heard.any():
-        cells += [ABSENT, ABSENT]
-    else:
-        low, middle, high = np.percentile(summary.peak_db[heard, index], (10, 50, 90))
-        cells += [f"{middle:.1f}", f"{low:.1f} to {high:.1f}"]
-    if len(summary.similarity.carrier_hz) > 1:
-        cells.append(_next_ssim(summary, index))
-    return tuple(cell.replace("-", "−") for cell in cells)
-
-
-def _next_ssim(summary: CarrierSummary, index: int) -> str:
     compared = summary.similarity
-    places = np.flatnonzero(compared.carrier_hz == summary.carrier_hz[index])
-    if not len(places) or places[0] + 1 == len(compared.carrier_hz):
-        return ABSENT
-    return number(float(compared.median_ssim[places[0], places[0] + 1]), 3)
+    to_next = dict(zip(compared.carrier_hz, np.diagonal(compared.median_ssim, 1), strict=False))  # none for the last
+    rows = []
+    for index, carrier_hz in enumerate(summary.carrier_hz):
+        heard = summary.has_path[:, index]
+        paths = ABSENT if summary.num_paths is None else f"{np.median(summary.num_paths[:, index]):.0f}"
+        power = [ABSENT, ABSENT]
+        if summary.peak_db is not None and heard.any():
+            low, middle, high = np.percentile(summary.peak_db[heard, index], (10, 50, 90))
+            power = [f"{middle:.1f}", f"{low:.1f} to {high:.1f}"]
+        ssim = number(float(to_next.get(carrier_hz, np.nan)), 3)
+        cells = [f"{carrier_hz / 1e9:g}", str(int((~heard).sum())), paths, *power, *[ssim] * bool(to_next)]
+        rows.append([cell.replace("-", "−") for cell in cells])
+    return PageTable(header + ["SSIM to the next carrier"] * bool(to_next), rows)
 
 
 def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:

@@ -1,4 +1,4 @@
-"""Single pictures of a data set, for papers and talks: one transmitter's maps, or the power of all of them."""
+"""Single pictures of a data set, for papers and talks: one transmitter's maps, the power of all, or statistics."""
 
 from __future__ import annotations
 
@@ -13,10 +13,19 @@ from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.statistics import MECHANISMS, ChannelStatistics
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.drawing import DISPLAY_RANGE_DB
-from xfreqbench.report.drawing.figures import figure_kind, plain_style, plot_pas_maps, save_figure, shown
+from xfreqbench.report.drawing.figures import (
+    figure_kind,
+    label_decades,
+    panels,
+    plain_style,
+    plot_pas_maps,
+    save_figure,
+    shown,
+)
 from xfreqbench.report.view.figures import bounds_m, draw_outlines
 from xfreqbench.report.view.plan import plan_view
 from xfreqbench.report.view.room import ShownRoom
@@ -28,6 +37,16 @@ _MAX_COLUMNS = 3
 _LARGEST_SQUARE_M = 0.5
 _MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the squares
 _SAME_PLACE_M = 1e-3  # in the plan
+_PANELS = {  # of a row's name: its title, its unit in names, and what stands beside it
+    "path_loss_above_38901": ("path loss over 3GPP TR 38.901 (dB)", "db", ()),
+    "k_factor": ("K (dB)", "db", ("38901", "mmmagic")),
+    "delay_spread": ("delay spread (ns)", "ns", ("38901", "mmmagic", "small_room", "room_decay")),
+    "arrival_azimuth_spread": ("azimuth spread at the array (°)", "deg", ("38901",)),
+    "departure_azimuth_spread": ("azimuth spread at transmitters (°)", "deg", ("38901", "mmmagic")),
+}
+_NAMES = {"38901": "3GPP TR 38.901 InH", "mmmagic": "mmMAGIC", "small_room": "small room", "room_decay": "room's decay"}
+_STYLES = {"38901": "--", "mmmagic": "-.", "small_room": ":", "room_decay": (0, (1, 3))}
+_SIGHTS = {True: ("in sight", "tab:blue"), False: ("not in sight", "tab:red")}
 
 
 def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
@@ -105,10 +124,8 @@ def plot_power(
     width_m, depth_m = (high_m - low_m)[:2]
     size_in = 3.4 * columns + 1.0, float(np.clip(3.0 * depth_m / width_m + 0.6, 1.5, 7.0)) * rows + 0.4
     figure = Figure(figsize=size_in, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axis in axes[len(power) :]:
-        axis.set_visible(False)
-    for axis, of_carrier, carrier in zip(axes, power, carrier_hz, strict=False):
+    axes = panels(figure, len(power), columns)
+    for axis, of_carrier, carrier in zip(axes, power, carrier_hz, strict=True):
         mean = np.bincount(which, of_carrier) / number
         draw_outlines(axis, room, [0, 1])
         squares = _draw_squares(axis, place_m, mean, range_db)
@@ -116,7 +133,7 @@ def plot_power(
         axis.set(xlabel="x (m)", ylabel="y (m)")
         strongest = f"strongest {10 * np.log10(mean.max()):.0f} dB" if mean.any() else "no path"
         axis.set_title(f"{format_ghz(carrier)}, {strongest}", fontsize="medium")
-    figure.colorbar(squares, ax=list(axes), label="dB below the strongest", shrink=0.8)
+    figure.colorbar(squares, ax=axes, label="dB below the strongest", shrink=0.8)
     if title:
         figure.suptitle(title, fontsize="medium")
     save_figure(figure, path, figure_kind(path))
@@ -138,3 +155,50 @@ def _draw_squares(
     squares = PolyCollection(outlines_m, zorder=above_lines, **colours)
     axis.add_collection(squares)
     return squares
+
+
+def draw_statistics(file: Path, output: Path) -> None:
+    """Draw a data set's statistics by carrier: the data as dots, the standards as lines, and the mechanisms as bars.
+
+    Raises as `channel_statistics` does, and `StorageError`.
+    """
+    plot_statistics(open_dataset(file).statistics(), file.name, output)
+
+
+def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> None:
+    """The figure of `draw_statistics`, of the data set of a name; raises `StorageError`."""
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    axes = figure.subplots(2, 3).ravel()
+    for axis, (name, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
+        for in_sight, (words, colour) in _SIGHTS.items():
+            rows = [row for row in statistics.rows if row["in_sight"] == in_sight]
+            carriers_ghz = [row["carrier_ghz"] for row in rows]
+            axis.plot(carriers_ghz, [row[f"{name}_{unit}"] for row in rows], "o", color=colour, label=words)
+            for other in beside if rows else ():
+                values = [row[f"{name}_{other}_{unit}"] for row in rows]
+                label = _NAMES[other] if in_sight else None
+                axis.plot(carriers_ghz, values, linestyle=_STYLES[other], color=colour, label=label)
+        axis.set(xscale="log", xlabel="carrier (GHz)")
+        axis.set_title(title, fontsize="medium")
+        if unit != "db":
+            axis.set_ylim(bottom=0)
+        label_decades(axis)
+    figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small")
+    _draw_shares(axes[5], statistics.rows)
+    figure.suptitle(shown(f"{name}: {statistics.source}"), fontsize="medium")
+    save_figure(figure, output, figure_kind(output))
+
+
+def _draw_shares(axis: Any, rows: list[dict[str, Any]]) -> None:
+    """Stacked bars of the power by mechanism, a bar for each row."""
+    labels = [f"{row['carrier_ghz']:g}" + ("" if row["in_sight"] else "*") for row in rows]
+    bottom = np.zeros(len(rows))
+    for mechanism in MECHANISMS:
+        share = np.array([row[f"share_{mechanism}"] for row in rows])
+        if share.any():
+            axis.bar(range(len(rows)), share, bottom=bottom, label=mechanism)
+            bottom += share
+    axis.set(xlabel="carrier (GHz), * not in sight", ylim=(0, 1))
+    axis.set_title("power by mechanism", fontsize="medium")
+    axis.set_xticks(range(len(rows)), labels, rotation=90, fontsize="small")
+    axis.legend(fontsize="x-small", loc="lower right")

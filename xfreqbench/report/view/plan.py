@@ -84,7 +84,7 @@ def plan_view(data_or_scene: str, tx: int | None = None, carrier_ghz: float | No
 def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> ViewPlan:
     """What `generate` would trace at the paper's carriers; materials are extrapolated beyond their P.2040 bands."""
     paper_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
-    carrier_hz = _middle(paper_hz) if carrier_ghz is None else _parsed_hz(carrier_ghz)
+    carrier_hz = _chosen_hz(carrier_ghz, paper_hz)
     plan = plan_generation(scene, paper_hz, TraceSettings(materials="extrapolate"), maps=False)
     room = ShownRoom(
         receiver=scene.receiver,
@@ -101,7 +101,10 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
 
 def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | None) -> ViewPlan:
     header, position_m = dataset.header, dataset.tables["tx_position_m"]
-    carrier_hz = _chosen_carrier_hz(carrier_ghz, header.carrier_hz.tolist())
+    carriers_hz = header.carrier_hz.tolist()
+    carrier_hz = _chosen_hz(carrier_ghz, carriers_hz)
+    if carrier_hz not in carriers_hz:
+        raise UnknownNameError("carrier", format_ghz(carrier_hz), map(format_ghz, carriers_hz))
     chosen = _chosen_tx(tx, position_m, dataset.path.name)
     scene, settings, missing = None, None, ""
     try:
@@ -132,20 +135,10 @@ def _chosen_tx(tx: int | None, position_m: Float[FloatArray, "T 3"], where: str)
     return tx
 
 
-def _chosen_carrier_hz(carrier_ghz: float | None, carriers_hz: list[float]) -> float:
+def _chosen_hz(carrier_ghz: float | None, carriers_hz: Sequence[float]) -> float:
+    """The carrier that is asked for, by default the middle one of some."""
     if carrier_ghz is None:
-        return _middle(carriers_hz)
-    carrier_hz = _parsed_hz(carrier_ghz)
-    if carrier_hz not in carriers_hz:
-        raise UnknownNameError("carrier", format_ghz(carrier_hz), map(format_ghz, carriers_hz))
-    return carrier_hz
-
-
-def _middle(carriers_hz: Sequence[float]) -> float:
-    return carriers_hz[(len(carriers_hz) - 1) // 2]
-
-
-def _parsed_hz(carrier_ghz: float) -> float:
+        return carriers_hz[(len(carriers_hz) - 1) // 2]
     try:
         return ghz_to_hz(carrier_ghz)
     except ValueError as error:

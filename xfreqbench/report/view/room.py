@@ -89,25 +89,17 @@ def strongest_rays(
     if not power.any():
         return []
     kept = np.flatnonzero(power >= power.max() * 10 ** (-RAY_RANGE_DB / 10))
-    order = kept[np.argsort(-power[kept], kind="stable")][:MAX_RAYS]
-    return [_ray(paths, p, float(power[p] / power.max()), tx_m, receiver_m, meshes) for p in order.tolist()]
-
-
-def _ray(
-    paths: Paths,
-    index: int,
-    share: float,
-    tx_m: Float[FloatArray, "3"],
-    receiver_m: Float[FloatArray, "3"],
-    meshes: Sequence[SurfaceMesh],
-) -> Ray:
-    codes = paths.interactions[index]
-    met = codes != NO_INTERACTION
-    points_m = paths.vertices_m[index][met]
-    names = [meshes[surface].name for surface in paths.surfaces[index][met].tolist()]
-    return Ray(
-        points_m=np.vstack([tx_m, points_m, receiver_m]),
-        level_db=10 * float(np.log10(share)),
-        delay_s=float(paths.delay_s[index]),
-        events=tuple(f"{_VERBS[code]} {name}" for code, name in zip(codes[met].tolist(), names, strict=True)),
-    )
+    rays = []
+    for index in kept[np.argsort(-power[kept], kind="stable")][:MAX_RAYS].tolist():
+        met = paths.interactions[index] != NO_INTERACTION
+        verbs = [_VERBS[code] for code in paths.interactions[index][met].tolist()]
+        names = [meshes[surface].name for surface in paths.surfaces[index][met].tolist()]
+        rays.append(
+            Ray(
+                points_m=np.vstack([tx_m, paths.vertices_m[index][met], receiver_m]),
+                level_db=10 * float(np.log10(float(power[index] / power.max()))),
+                delay_s=float(paths.delay_s[index]),
+                events=tuple(map(" ".join, zip(verbs, names, strict=True))),
+            )
+        )
+    return rays

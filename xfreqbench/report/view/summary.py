@@ -79,29 +79,20 @@ def similarity(dataset: PasDataset) -> Similarity:
     carriers = _spread(dataset.num_carriers, MAX_COMPARED_CARRIERS)
     pairs = list(combinations(range(len(carriers)), 2))
     transmitters = _spread(dataset.header.num_tx, min(MAX_COMPARED_TX, _MAX_COMPARISONS // max(1, len(pairs))))
-    scores = np.array([_scores(dataset, tx, carriers, pairs) for tx in transmitters.tolist()])
+    scores = np.full((len(transmitters), len(pairs)), np.nan)  # where one of the two maps is empty
+    for row, tx in enumerate(transmitters.tolist() if pairs else ()):
+        first, second = np.array(pairs).T
+        rows = tx * dataset.num_carriers + carriers
+        maps, heard = dataset.pas(rows), dataset.has_path[rows]
+        both = heard[first] & heard[second]
+        scores[row, both] = ssim(maps[first[both]], maps[second[both]], dataset.grid)
     matrix = np.eye(len(carriers))
-    for (first, second), values in zip(pairs, scores.T, strict=False):
-        heard = values[~np.isnan(values)]
-        matrix[[first, second], [second, first]] = np.median(heard) if len(heard) else np.nan
+    for (first, second), values in zip(pairs, scores.T, strict=True):
+        known = values[~np.isnan(values)]
+        matrix[[first, second], [second, first]] = np.median(known) if len(known) else np.nan
     return Similarity(dataset.header.carrier_hz[carriers], matrix, len(transmitters))
 
 
 def _spread(count: int, most: int) -> Int[NDArray[np.int64], "k"]:
     """At most `most` of the indices below `count`, evenly spread, both ends included."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
-def _scores(
-    dataset: PasDataset, tx: int, carriers: Int[NDArray[np.int64], "K"], pairs: list[tuple[int, int]]
-) -> Float[FloatArray, "P"]:
-    """SSIM of each pair of carriers' maps of one transmitter; nan where one of them is empty."""
-    if not pairs:
-        return np.zeros(0)
-    rows = tx * dataset.num_carriers + carriers
-    first, second = np.array(pairs).T
-    maps, heard = dataset.pas(rows), dataset.has_path[rows]
-    both = heard[first] & heard[second]
-    scores = np.full(len(pairs), np.nan)
-    scores[both] = ssim(maps[first[both]], maps[second[both]], dataset.grid)
-    return scores

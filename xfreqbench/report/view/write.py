@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,9 @@ def claim(view: ViewPlan, folder: Path) -> None:
 
     Only such files may be replaced: raises `OutputExistsError` for others, and `StorageError`.
     """
-    is_same, fault = _is_ours(folder / PAGE, view.subject), "was not written for this data set or scene"
+    fault, is_same = "was not written for this data set or scene", False
+    with suppress(OSError, UnicodeDecodeError):
+        is_same = is_of_subject(read_text(folder / PAGE), view.subject)
     for name in FILES:
         require_own(
             folder / name, lambda path: None if is_same and (path.name == PAGE or is_own_drawing(path)) else fault
@@ -106,10 +109,3 @@ def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Ite
     for name in FILES:
         if (scratch / name).exists():
             yield name, (scratch / name).read_bytes()
-
-
-def _is_ours(page: Path, subject: str) -> bool:
-    try:
-        return is_of_subject(read_text(page), subject)
-    except (OSError, UnicodeDecodeError):
-        return False
