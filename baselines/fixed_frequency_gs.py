@@ -5,16 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from xfreqbench.methods.learning.training import Fraction
+
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 
 @dataclass(frozen=True)
 class FixedFrequencyGSConfig(XFreqGSConfig):
-    """Options: no carrier as input, no latent, and no spread of footprints by the carrier."""
+    """Options: no carrier as input, no latent, no spread of footprints by the carrier, Gaussians that stand still."""
 
     sees_carrier: bool = False
     latent: int = 0
     max_spread: float = 1.0
+    move_from: Fraction = 1.0
     blend: Literal["auto", "none"] = "none"
 
 
