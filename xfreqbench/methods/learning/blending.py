@@ -28,7 +28,8 @@ from xfreqbench.units import format_ghz
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 LEARNED = "learned"  # the name of the learned maps among those of predictors
-_START = ("LineOfSight", "MeanOverFrequency")  # a blend begins with one part of each
+# parts that a blend begins with, where transmitters are seen, and where they are not: there, means over others mislead
+_START, _START_UNSEEN = ("LineOfSight", "MeanOverFrequency"), ("LineOfSight", "LineOfSight")
 _PARTS = 8  # so many more are given one by one to whichever brings most
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
@@ -170,7 +171,9 @@ class Blend:
             maps = {LEARNED: predict(*query)[:, ::STRIDE, ::STRIDE]}
             maps |= {name: predictor.predict(*query) for name, predictor in knowing}
             carrier_hz = float(rows.carrier_hz[0]) if " at " in kind else None
-            choices[kind] = Choice(weights=_best_weights(maps, rows.pas()), carrier_hz=carrier_hz)
+            start = _START if _of(kind) == KINDS[0] else _START_UNSEEN
+            weights = _best_weights(maps, rows.pas(), start)
+            choices[kind] = Choice(weights=weights, carrier_hz=carrier_hz)
         if holdout.until == CHOOSE_AT and not any(map(KINDS[0].__eq__, map(_of, choices))):
             weights = {LEARNED: _UNKNOWN_WEIGHT, predictors[0].__name__: 1 - _UNKNOWN_WEIGHT}
             choices[KINDS[0]] = Choice(weights=weights)
@@ -245,13 +248,15 @@ def _knowing(predictor: type, train: PasDataset) -> Any:
     return made
 
 
-def _best_weights(maps: Mapping[str, Float[Maps, "n E A"]], truth: Float[Maps, "n E A"]) -> dict[str, float]:
+def _best_weights(
+    maps: Mapping[str, Float[Maps, "n E A"]], truth: Float[Maps, "n E A"], start: Sequence[str]
+) -> dict[str, float]:
     """The weights of maps by name whose mean has the highest SSIM, found greedily: one part after another is added.
 
-    The first parts are those of `_START`, which no few rows lead astray. Learned maps that are better alone stay alone.
+    The first parts are those of `start`, which no few rows lead astray. Learned maps that are better alone stay alone.
     """
-    parts = Counter(name for name in maps if name in _START)
-    total, best = sum((maps[name] for name in parts), np.zeros_like(truth)), -np.inf
+    parts = Counter(name for name in start if name in maps)
+    total, best = sum((maps[name] for name in parts.elements()), np.zeros_like(truth)), -np.inf
     for _ in range(_PARTS):
         similar = {name: similarities(scaled(total + of_name), truth, 1).mean() for name, of_name in maps.items()}
         name = max(similar, key=lambda name: similar[name])
