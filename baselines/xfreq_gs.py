@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field as Limits
 
 from xfreqbench.methods.learning.low_rank import LowRankConfig
-from xfreqbench.methods.learning.training import ChannelField, Count, Fraction, LearnedMethod, Positive
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive
 from xfreqbench.methods.splatting.field import SplatConfig, SplatField, SplatTrainingConfig
 
 from .trivial import TRIVIAL
@@ -16,11 +16,10 @@ from .trivial import TRIVIAL
 
 @dataclass(frozen=True)
 class XFreqGSConfig(SplatConfig, LowRankConfig, SplatTrainingConfig):
-    """Options. Few, wide Gaussians that stand on a lattice, so that a step sees many maps."""
+    """Options. Few, wide Gaussians, so that a step sees many maps. They start on a lattice, and move from there."""
 
     num_gaussians: Count = 128
     densify_every: Annotated[int, Limits(ge=0)] = 0
-    move_from: Fraction = 1.0
     position_rate: Positive = 0.4
     blend: Literal["auto", "none"] = "auto"
 

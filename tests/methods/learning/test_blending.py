@@ -15,7 +15,7 @@ from tests.support.synthetic import write_dataset
 from tests.support.training import TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
-from xfreqbench.methods.learning.blending import KINDS, Blend, Choice, Holdout
+from xfreqbench.methods.learning.blending import KINDS, LEARNED, Blend, Choice, Holdout
 from xfreqbench.methods.lookup import TransmitterLookup
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -53,6 +53,10 @@ def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
         return train.pas(np.array([np.flatnonzero((known == one).all(axis=1))[0] for one in asked]))
 
     return predict
+
+
+def beside_line_of_sight(weight: float, carrier_hz: float | None = None) -> Choice:
+    return Choice(weights={LEARNED: weight, "LineOfSight": 1 - weight}, carrier_hz=carrier_hz)
 
 
 def at(kind: str, carrier_hz: float) -> str:
@@ -109,9 +113,7 @@ def test_where_nothing_can_be_held_out_other_carriers_have_mostly_the_line_of_si
     few = write_dataset(tmp_path / "few.h5", 6, (10.0,))
     (drawn,) = Holdout.draw(few, 0)
     assert len(drawn.left) == len(few)
-    assert Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices == {
-        KINDS[0]: Choice(predictor="LineOfSight", weight=0.25)
-    }
+    assert Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices == {KINDS[0]: beside_line_of_sight(0.25)}
 
 
 def away_m(position_m: np.ndarray, known_m: np.ndarray) -> np.ndarray:
@@ -154,28 +156,52 @@ def test_far_transmitters_have_their_own_choice(many: PasDataset) -> None:
     given = (near_right, far_right), many
     flat = told(np.ones((64, *many.grid.shape), np.float32))
     before = Blend.chosen(*given, early, flat).choices
-    assert {choice.predictor for name, choice in before.items() if "far" in name} == {"FarRight"}
+    assert all(choice.weights == {"FarRight": 1} for name, choice in before.items() if "far" in name)
     blend = Blend.chosen(*given, late, flat, before)
     assert {kind: blend.choices[kind] for kind in before} == before
-    assert blend.choices[at(KINDS[0], 10e9)].predictor == "NearRight"
+    assert blend.choices[at(KINDS[0], 10e9)].weights == {"NearRight": 1}
 
 
 def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout: Holdout) -> None:
     blend = Blend.chosen(TRIVIAL, train, holdout, truth_of(train))
-    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(holdout.rows, 1.0)
+    assert set(blend.choices) == set(holdout.rows)
+    assert all(choice.weights == {LEARNED: 1} for choice in blend.choices.values())
 
 
-def test_a_method_that_knows_nothing_gives_way_to_the_best_trivial_predictor(
-    train: PasDataset, holdout: Holdout
-) -> None:
+def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasDataset, holdout: Holdout) -> None:
     noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
     blend = Blend.chosen(TRIVIAL, train, holdout, told(noise))
-    assert {kind: choice.weight for kind, choice in blend.choices.items()} == dict.fromkeys(holdout.rows, 0.0)
+    assert set(blend.choices) == set(holdout.rows)
+    assert not any(LEARNED in choice.weights for choice in blend.choices.values())
     query = train.tx_position_m[:1], np.array([80e9])
-    name = next(choice.predictor for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
-    (alone,) = [kind() for kind in TRIVIAL if kind.__name__ == name]
-    next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
-    np.testing.assert_allclose(blend.maps(noise[:1], *query), alone.predict(*query), atol=1e-6)
+    weights = next(choice.weights for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
+    mean = np.zeros((1, *train.grid.shape), np.float32)
+    for predictor in TRIVIAL:
+        alone = predictor()
+        next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
+        mean += weights.get(predictor.__name__, 0) * alone.predict(*query)
+    np.testing.assert_allclose(blend.maps(noise[:1], *query), mean / mean.max(), atol=1e-6)
+
+
+def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: PasDataset, holdout: Holdout) -> None:
+    halves: list[type] = []
+    for nth in range(2):
+
+        class Half(TransmitterLookup):
+            first = nth
+
+            def predict(self, tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+                maps = truth_of(train)(tx_position_m, carrier_hz)
+                middle = maps.shape[1] // 2
+                maps[:, slice(middle) if self.first else slice(middle, None)] = 0
+                every = train.grid.shape[0] // self.transmitters.train.grid.shape[0]
+                return maps[:, ::every, ::every]
+
+        Half.__name__ = f"Half{nth}"
+        halves.append(Half)
+    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
+    choices = Blend.chosen(halves, train, holdout, told(noise)).choices
+    assert all(choice.weights == {"Half0": 0.5, "Half1": 0.5} for choice in choices.values())
 
 
 def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
@@ -194,26 +220,6 @@ def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
     return RightAt
 
 
-def test_of_few_transmitters_the_predictor_is_the_one_that_is_best_at_all_of_them(
-    train: PasDataset, holdout: Holdout
-) -> None:
-    held_out = set(train.tx_index[holdout.rows[KINDS[1]]].tolist())
-    lucky, steady = right_at(train, held_out), right_at(train, set(train.tx_index.tolist()) - held_out)
-    lucky.__name__, steady.__name__ = "Lucky", "Steady"
-    flat = np.ones((64, *train.grid.shape), np.float32)
-    choices = Blend.chosen((lucky, steady), train, holdout, told(flat)).choices
-    assert {choices[kind].predictor for kind in holdout.rows} == {"Steady"}
-
-
-def test_a_gain_at_one_of_few_transmitters_gives_a_method_no_weight(train: PasDataset, holdout: Holdout) -> None:
-    rows = holdout.rows[KINDS[1]]
-    one, some = set(train.tx_index[rows[:1]].tolist()), set(train.tx_index[rows].tolist())
-    for transmitters, weight in ((one, 0.0), (some, 1.0)):
-        learned = right_at(train, transmitters)()
-        blend = Blend.chosen((right_at(train, ()),), train, holdout, learned.predict)
-        assert blend.choices[KINDS[1]].weight == weight
-
-
 def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
     noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
@@ -227,7 +233,7 @@ def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monke
 def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_them_the_outermosts(
     train: PasDataset,
 ) -> None:
-    chosen = {at(KINDS[0], hz): Choice(predictor="LineOfSight", weight=weight, carrier_hz=hz) for hz, weight in WEIGHTS}
+    chosen = {at(KINDS[0], carrier_hz): beside_line_of_sight(weight, carrier_hz) for carrier_hz, weight in WEIGHTS}
     blend = Blend(TRIVIAL, train, chosen)
     los = TRIVIAL[0]()
     next(iter(los.fit(train, Budget(), 0)))
@@ -240,7 +246,7 @@ def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_th
 
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:
     weights = dict(zip(KINDS, (0.25, 0.5, 0.75, 0.1, 0.4, 0.6, 0.9), strict=True))
-    choices = {kind: Choice(predictor="LineOfSight", weight=weight) for kind, weight in weights.items()}
+    choices = {kind: beside_line_of_sight(weight) for kind, weight in weights.items()}
     blend, learned = Blend(TRIVIAL, train, choices), np.ones((1, *train.grid.shape), np.float32)
     los = TRIVIAL[0]()
     next(iter(los.fit(train, Budget(), 0)))

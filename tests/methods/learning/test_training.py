@@ -193,6 +193,23 @@ def test_files_hold_tensors_and_json_alone(dataset: PasDataset, tmp_path: Path) 
     assert json.loads((tmp_path / "state.json").read_text())["step"] == 2
 
 
+def test_xfreq_gs_learns_places_turns_and_sizes_and_shows_them(dataset: PasDataset) -> None:
+    model = tiny(XFreqGS)
+    start = model.started(dataset, 0).field
+    trained(model, dataset, 20)
+    assert model._training is not None
+    shown, learned = predicted(model, dataset), model._training.predictor
+    for name in ("position_m", "quaternion", "log_scale"):
+        value = learned.get_parameter(f"gaussians.{name}")
+        moved, first = value.detach().clone(), start.get_parameter(f"gaussians.{name}").detach()
+        assert float((moved != first).any(1).float().mean()) > 0.9, name  # a Gaussian may be seen from no direction
+        value.data.copy_(first)
+        # round at the start, Gaussians turn for little yet
+        assert float(np.abs(predicted(model, dataset) - shown).max()) > 1e-6, name
+        value.data.copy_(moved)
+    assert np.array_equal(predicted(model, dataset), shown)
+
+
 def test_a_target_that_is_not_finite_ends_the_fit_before_it_spoils_parameters(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -218,7 +235,7 @@ def test_a_target_that_is_not_finite_ends_the_fit_before_it_spoils_parameters(
 def test_a_parameter_that_is_not_finite_ends_the_fit_before_it_spoils_the_others(
     dataset: PasDataset, parameter: str, tensor: str
 ) -> None:
-    model = tiny(XFreqGS, move_from=0.0)
+    model = tiny(XFreqGS)
     fit = model.fit(dataset, Budget(10), 0)
     next(fit)
     field = field_of(model)

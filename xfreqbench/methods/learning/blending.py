@@ -1,4 +1,4 @@
-"""Blends learned maps with those of a trivial predictor, by weights that are chosen on validation rows of the training.
+"""Blends learned maps with those of trivial predictors, by weights that are chosen on validation rows of the training.
 
 In the first half of a training some carriers and transmitters are held out, as unseen ones will be. With them the
 weights are chosen, for each kind of query; then the training goes on with all rows. For transmitters that are far from
@@ -8,6 +8,7 @@ transmitters and the outermost carriers are held out in the first quarter.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,22 +21,23 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.coarse import CoarseDataset
-from xfreqbench.methods.learning.mixing import STRIDE, WEIGHTS, Predict, mixed, similarities, similarities_by_weight
+from xfreqbench.methods.learning.mixing import STRIDE, Predict, scaled, similarities
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 from xfreqbench.units import format_ghz
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
-_LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which a weight is chosen, and most held-out transmitters
+LEARNED = "learned"  # the name of the learned maps among those of predictors
+# parts that a blend begins with, where transmitters are seen, and where they are not: there, means over others mislead
+_START, _START_UNSEEN = ("LineOfSight", "MeanOverFrequency"), ("LineOfSight", "LineOfSight")
+_PARTS = 8  # so many more are given one by one to whichever brings most
+_LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
-_FEW_TX, _FOLDS = 16, 5  # with fewer held out the choice is a cautious one
-_ROUNDING = 1e-6  # of a standard error: a gain at one transmitter alone is as large as its error
 _FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
 _LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take one or two
 _REGION_SHARE = 0.15  # of the transmitters
 _MANY_CARRIERS = 7  # so many that those inside the band may be held out beside the outermost ones
 _MOST_CARRIERS = 3  # that are held out inside the band
-_STEADY = "MeanOverFrequency"  # the trivial predictor that no single carrier leads astray
 _UNKNOWN_WEIGHT = 0.25  # of the learned maps, where no carrier can be held out
 _PLACES = ("transmitter", "far transmitter", "very far transmitter")
 BoolArray = NDArray[np.bool_]
@@ -43,15 +45,14 @@ KINDS = ("unseen carrier", *(kind for place in _PLACES for kind in (f"unseen {pl
 
 
 class Choice(BaseModel):
-    """For a kind of query: the trivial predictor's name, and the weight of the learned maps beside it.
+    """For a kind of query: the weights of the learned maps and of trivial predictors, by name, 1 together.
 
     It is a choice for one carrier, held out to make it, where the kind is of unseen carriers.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    predictor: str
-    weight: float
+    weights: dict[str, float]
     carrier_hz: float | None = None
 
 
@@ -137,11 +138,11 @@ def _reach(known: TrainingTransmitters, tx_position_m: Float[FloatArray, "B 3"])
 
 
 class Blend:
-    """Trivial predictors that know the training rows, and a choice among them for each kind of query."""
+    """Trivial predictors that know the training rows, and their weights for each kind of query."""
 
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
-        needed = {choice.predictor for choice in choices.values() if choice.weight != 1}
+        needed = {name for choice in choices.values() for name in choice.weights}
         self._predictors = {
             predictor.__name__: _knowing(predictor, train) for predictor in predictors if predictor.__name__ in needed
         }
@@ -159,45 +160,40 @@ class Blend:
 
         `before` are the choices for other kinds, made earlier. Where no carrier can be held out, maps at others are
         means of the learned ones and those of the first predictor.
-
-        A few held-out transmitters say little. Then the predictor is the one that is best at all training
-        transmitters, a fifth of them unseen in turn, and the weight the smallest that is not worse than the best by
-        more than the standard error of their difference.
         """
         coarse = CoarseDataset.of(train, STRIDE)
         left = coarse.subset(holdout.left)
-        knowing = {predictor.__name__: _knowing(predictor, left).predict for predictor in predictors}
+        knowing = [(predictor.__name__, _knowing(predictor, left)) for predictor in predictors]
         choices = dict(before)
-        outermost_hz = train.carrier_hz.min(), train.carrier_hz.max()
         for kind, of_kind in holdout.rows.items():
             rows = coarse.subset(of_kind)
+            query = rows.tx_position_m, rows.carrier_hz
+            maps = {LEARNED: predict(*query)[:, ::STRIDE, ::STRIDE]}
+            maps |= {name: predictor.predict(*query) for name, predictor in knowing}
             carrier_hz = float(rows.carrier_hz[0]) if " at " in kind else None
-            are_few, is_outermost = len(np.unique(rows.tx_index)) < _FEW_TX, carrier_hz in outermost_hz
-            if are_few and _of(kind) in KINDS[1:3]:
-                name = _best_at_unseen(predictors, coarse, carrier_hz)
-            elif _of(kind) == KINDS[0] and not is_outermost:
-                name = _best_at_unheard(predictors, coarse)
-            else:
-                name = _best_predictor(rows, knowing)
-            weight = _best_weight(rows, predict, knowing[name], is_cautious=are_few or carrier_hz is not None)
-            choices[kind] = Choice(predictor=name, weight=weight, carrier_hz=carrier_hz)
+            start = _START if _of(kind) == KINDS[0] else _START_UNSEEN
+            weights = _best_weights(maps, rows.pas(), start)
+            choices[kind] = Choice(weights=weights, carrier_hz=carrier_hz)
         if holdout.until == CHOOSE_AT and not any(map(KINDS[0].__eq__, map(_of, choices))):
-            choices[KINDS[0]] = Choice(predictor=predictors[0].__name__, weight=_UNKNOWN_WEIGHT)
+            weights = {LEARNED: _UNKNOWN_WEIGHT, predictors[0].__name__: 1 - _UNKNOWN_WEIGHT}
+            choices[KINDS[0]] = Choice(weights=weights)
         return cls(predictors, train, choices)
 
     def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, blended by the choice for the kind of each."""
-        blended = learned.copy()
+        weights = {name: np.zeros(len(carrier_hz), np.float32) for name in (LEARNED, *self._predictors)}
+        weights[LEARNED][:] = 1
         for (kind, is_beyond), asked in self._kinds(tx_position_m, carrier_hz).items():
-            blended[asked] = 0
+            weights[LEARNED][asked] = 0
             for choice, share in self._shares(kind, is_beyond, carrier_hz[asked]):
-                at, maps = asked[share > 0], learned[asked[share > 0]]
-                if choice.weight != 1 and len(at):
-                    trivial = self._predictors[choice.predictor].predict(tx_position_m[at], carrier_hz[at])
-                    maps = mixed(choice.weight, maps, trivial)
-                blended[at] += share[share > 0].astype(np.float32)[:, None, None] * maps
-            blended[asked] = mixed(1.0, blended[asked], blended[asked])
-        return blended
+                for name, weight in choice.weights.items():
+                    weights[name][asked] += weight * share
+        blended = weights[LEARNED][:, None, None] * learned
+        for name, predictor in self._predictors.items():
+            if len(at := np.flatnonzero(weights[name])):
+                maps = predictor.predict(tx_position_m[at], carrier_hz[at])
+                blended[at] += weights[name][at, None, None] * maps
+        return scaled(blended)
 
     def _shares(
         self, kind: str, is_beyond: bool, carrier_hz: Float[FloatArray, "B"]
@@ -252,80 +248,22 @@ def _knowing(predictor: type, train: PasDataset) -> Any:
     return made
 
 
-def _best_at_unseen(predictors: Sequence[type], train: PasDataset, unseen_hz: float | None) -> str:
-    """The predictor with the highest SSIM at the transmitters of a training, a fifth of them unseen in turn.
+def _best_weights(
+    maps: Mapping[str, Float[Maps, "n E A"]], truth: Float[Maps, "n E A"], start: Sequence[str]
+) -> dict[str, float]:
+    """The weights of maps by name whose mean has the highest SSIM, found greedily: one part after another is added.
 
-    With `unseen_hz` it is that at this carrier, which is unseen too.
+    The first parts are those of `start`, which no few rows lead astray. Learned maps that are better alone stay alone.
     """
-    place_index = np.unique(train.place_index)
-    is_carrier = np.ones(len(train), bool) if unseen_hz is None else train.carrier_hz == unseen_hz
-    is_known = is_carrier if unseen_hz is None else ~is_carrier
-    sums = dict.fromkeys((predictor.__name__ for predictor in predictors), 0.0)
-    for fold in range(_FOLDS):
-        is_unseen = np.isin(train.place_index, place_index[fold::_FOLDS])
-        rows = train.subset(is_unseen & is_carrier & train.has_path)
-        left = train.subset(~is_unseen & is_known)
-        if not (len(rows) and left.has_path.any()):
-            continue
-        for predictor in predictors:
-            maps = _knowing(predictor, left).predict(rows.tx_position_m, rows.carrier_hz)
-            sums[predictor.__name__] += similarities(maps, rows.pas(), 1).sum()
-    return max(sums, key=lambda name: sums[name])
-
-
-def _best_at_unheard(predictors: Sequence[type], train: PasDataset) -> str:
-    """The predictor with the highest SSIM at the carriers inside the band of a training, each unheard in turn.
-
-    Carriers differ much in which is the best. It is the mean over frequency where that may be as good: of few carriers,
-    another may be better by chance.
-    """
-    similar: dict[str, list[FloatArray]] = {predictor.__name__: [] for predictor in predictors}
-    tx_index = []
-    for carrier_hz in inner_carriers_hz(train).tolist():
-        is_carrier = train.carrier_hz == carrier_hz
-        rows = np.flatnonzero(is_carrier & train.has_path)
-        asked, left = train.subset(rows[:: -(-len(rows) // _MOST_ROWS) or 1]), train.subset(~is_carrier)
-        if not (len(asked) and left.has_path.any()):
-            continue
-        tx_index.append(asked.tx_index)
-        for predictor in predictors:
-            maps = _knowing(predictor, left).predict(asked.tx_position_m, asked.carrier_hz)
-            similar[predictor.__name__].append(similarities(maps, asked.pas(), 1))
-    if not tx_index:
-        return predictors[0].__name__
-    scores = {name: np.concatenate(parts) for name, parts in similar.items()}
-    best = max(scores, key=lambda name: scores[name].mean())
-    if _STEADY in scores and _may_be_as_good(scores[_STEADY], scores[best], np.concatenate(tx_index)):
-        return _STEADY
-    return best
-
-
-def _best_predictor(rows: PasDataset, trivial: Mapping[str, Predict]) -> str:
-    """The predictor with the highest SSIM by itself."""
-    query, truth = (rows.tx_position_m, rows.carrier_hz), rows.pas()
-    return max(trivial, key=lambda name: similarities(trivial[name](*query), truth, 1).mean())
-
-
-def _best_weight(rows: PasDataset, predict: Predict, trivial: Predict, *, is_cautious: bool) -> float:
-    """The weight of the learned maps with the highest SSIM beside a trivial predictor.
-
-    Of weights that are equally good it is the largest, and of those that may be as good, if it `is_cautious`, the
-    smallest.
-    """
-    query = rows.tx_position_m, rows.carrier_hz
-    scores = similarities_by_weight(predict(*query)[:, ::STRIDE, ::STRIDE], trivial(*query), rows.pas(), 1)
-    similar = dict(zip(WEIGHTS, scores, strict=True))
-    best = max(WEIGHTS, key=lambda weight: (similar[weight].mean(), weight))
-    if is_cautious:
-        best = next(weight for weight in WEIGHTS if _may_be_as_good(similar[weight], similar[best], rows.tx_index))
-    return best
-
-
-def _may_be_as_good(
-    similar: Float[FloatArray, "n"], best: Float[FloatArray, "n"], tx_index: Int[IntArray, "n"]
-) -> bool:
-    """Whether the mean over transmitters is at most one standard error of the difference below the best mean."""
-    number = np.unique(tx_index, return_inverse=True)[1]
-    by_tx = np.bincount(number, best - similar) / np.bincount(number)
-    error = by_tx.std() / np.sqrt(max(1, len(by_tx) - 1))
-    return bool(by_tx.mean() <= error * (1 + _ROUNDING))
+    parts = Counter(name for name in start if name in maps)
+    total, best = sum((maps[name] for name in parts.elements()), np.zeros_like(truth)), -np.inf
+    for _ in range(_PARTS):
+        similar = {name: similarities(scaled(total + of_name), truth, 1).mean() for name, of_name in maps.items()}
+        name = max(similar, key=lambda name: similar[name])
+        if similar[name] <= best:
+            break
+        parts[name] += 1
+        total, best = total + maps[name], similar[name]
+    if similarities(maps[LEARNED], truth, 1).mean() >= best:
+        return {LEARNED: 1.0}
+    return {name: number / parts.total() for name, number in parts.items()}

@@ -22,8 +22,12 @@ def mixed(
 ) -> Float[Maps, "B E A"]:
     """Weighted means of learned and other maps, scaled to peak 1; the weight is one for all maps or one for each."""
     weights = np.asarray(weight, np.float32).reshape(-1, 1, 1)
-    sums = weights * learned + (1 - weights) * other
-    return np.asarray(sums / sums.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)
+    return scaled(weights * learned + (1 - weights) * other)
+
+
+def scaled(maps: Float[Maps, "B E A"]) -> Float[Maps, "B E A"]:
+    """Maps scaled to peak 1; those without any power stay at 0."""
+    return np.asarray(maps / maps.max(axis=(1, 2), keepdims=True).clip(_TINY), dtype=np.float32)
 
 
 def similarities(
