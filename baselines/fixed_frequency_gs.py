@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from xfreqbench.methods.learning.training import Fraction
-
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 
 @dataclass(frozen=True)
 class FixedFrequencyGSConfig(XFreqGSConfig):
-    """Options: no carrier as input, no latent, no spread of footprints by the carrier, Gaussians that stand still."""
+    """Options: no carrier as input, no latent, and no spread of footprints by the carrier."""
 
     sees_carrier: bool = False
     latent: int = 0

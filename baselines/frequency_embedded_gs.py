@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from xfreqbench.methods.learning.low_rank import Trend
-from xfreqbench.methods.learning.training import Fraction
 
 from .xfreq_gs import XFreqGS, XFreqGSConfig
 
 
 @dataclass(frozen=True)
 class FrequencyEmbeddedGSConfig(XFreqGSConfig):
-    """Options: the carrier is an input; no latent, no spread of footprints by it, and Gaussians that stand still."""
+    """Options: the carrier is an input, but there is no latent and no spread of footprints by the carrier."""
 
     latent: int = 0
     trend: Trend = "none"

@@ -18,6 +18,7 @@ from xfreqbench.methods.learning.encoding import Scaling, encoded_size, position
 from xfreqbench.methods.learning.network import PairwiseMLP, Precision
 from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive
+from xfreqbench.methods.splatting.bells import bells
 from xfreqbench.methods.splatting.field import BandConfig, BandField, SplatTrainingConfig
 
 _LEAST_SIZE_RAD = math.radians(3.0)  # narrower ones fall between the rows of a view; beams are 26° wide
@@ -95,17 +96,11 @@ class SwiftWRFField(BandField):
 
         G_i is a product of a factor of the azimuth and one of the elevation, so that the sum is a matrix product.
         """
-        grid = view.of_grid(beams.grid)
-        azimuth_rad, elevation_rad = (
-            torch.as_tensor(axis).to(tx_position_m) for axis in (grid.azimuth_rad, grid.elevation_rad)
-        )
+        azimuth_rad, elevation_rad = beams.angles_in(view)
         centre_rad, size_rad, brightness = self.deformed(tx_position_m, carrier_hz)
-        across = azimuth_rad - centre_rad[..., :1]
-        across = torch.remainder(across + math.pi, 2 * math.pi) - math.pi
-        along = elevation_rad - centre_rad[..., 1:]
-        of_azimuth = torch.exp(-0.5 * (across / size_rad[..., :1]).square())  # (B, N, A)
-        of_elevation = brightness * torch.exp(-0.5 * (along / size_rad[..., 1:]).square())  # (B, N, E)
-        return of_elevation.mT @ of_azimuth
+        of_azimuth = bells(azimuth_rad, centre_rad[..., 0], size_rad[..., 0], full_turn=True)  # (B, N, A)
+        of_elevation = bells(elevation_rad, centre_rad[..., 1], size_rad[..., 1])  # (B, N, E)
+        return (brightness * of_elevation).mT @ of_azimuth
 
     def deformed(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
-from torch.nn.functional import relu, softplus
+from torch.nn.functional import linear, relu, softplus
 from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
@@ -56,28 +56,56 @@ class FeatureNetwork(nn.Module):
 
     def forward(
         self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
-    ) -> tuple[Float[Tensor, "B V 2"], Float[Tensor, "B V 2"]]:
-        """Attenuation and signal, each as amplitude and phase without bounds; positions in the receiver's frame."""
-        of_carrier, feature = self.features(carrier_hz, position_m)
-        unit_tx, place = self.scaling.unit_position(tx_m), self.scaling.unit_position(position_m)
-        query = torch.cat([positional_encoding(unit_tx, self.config.octaves), of_carrier], dim=-1)
-        view = positional_encoding((place - unit_tx[:, None]) / 2, self.config.octaves)
-        signal = self.radiance(query, place[:, :0], torch.cat([feature, view], dim=-1))
-        return self.attenuation(feature), signal
+    ) -> tuple[Float[Tensor, "V B 2"], Float[Tensor, "V B 2"]]:
+        """Attenuation and signal, each as amplitude and phase without bounds; positions in the receiver's frame.
 
-    def features(
-        self, carrier_hz: Float[Tensor, "B"], position_m: Float[Tensor, "V 3"]
-    ) -> tuple[Float[Tensor, "B C"], Float[Tensor, "B V W"]]:
-        """Encoded carriers, and the features of places at each carrier, computed once for rows with equal carriers."""
+        What a carrier alone changes is computed once for rows with equal carriers.
+        """
         distinct_hz, of_row = carrier_hz.unique(return_inverse=True)
         carrier = positional_encoding((distinct_hz / _HIGHEST_HZ)[:, None].float(), self.config.carrier_octaves)
-        place = positional_encoding(self.scaling.unit_position(position_m), self.config.octaves)
-        gated = place * torch.sigmoid(self.gate(carrier))[:, None]
-        feature = gated
+        unit_tx, place = self.scaling.unit_position(tx_m), self.scaling.unit_position(position_m)
+        feature, size = self.features(carrier, place), self.config.width
+        query = positional_encoding(unit_tx, self.config.octaves), carrier.index_select(0, of_row)
+        of_feature, of_view = self.radiance.of_pair.weight.split([size, query[0].shape[1]], dim=1)
+        of_place = (feature @ of_feature.T.to(feature)).index_select(1, of_row)
+        first = self._with_view(of_place, self.radiance.of_query(torch.cat(query, -1)), unit_tx / 2, place / 2, of_view)
+        attenuation = self.attenuation(feature.to(tx_m.dtype)).index_select(1, of_row)
+        return attenuation, self.radiance.after_first(first).to(tx_m.dtype)
+
+    def features(self, carrier: Float[Tensor, "U C"], place: Float[Tensor, "V 3"]) -> Float[Tensor, "V U W"]:
+        """The features of places at each encoded carrier, in the kind in which layers on pairs compute."""
+        kind = self.radiance.kind_for(carrier)
+        encoded = positional_encoding(place, self.config.octaves)
+        gated = feature = (encoded[:, None] * torch.sigmoid(self.gate(carrier))).to(kind).flatten(0, 1)
         for depth, layer in enumerate(self.layers):
-            skipped = self.skip(gated) if depth == len(self.layers) // 2 else 0.0
-            feature = relu(layer(feature) + skipped)
-        return carrier.index_select(0, of_row), feature.index_select(0, of_row)
+            weight, bias = (parameter.to(kind) for parameter in layer.parameters())
+            outputs = linear(feature, weight, bias)
+            if depth == len(self.layers) // 2:
+                outputs = torch.addmm(outputs, gated, self.skip.weight.T.to(kind))
+            feature = relu(outputs)
+        return feature.unflatten(0, (len(place), len(carrier)))
+
+    def _with_view(
+        self,
+        of_place: Float[Tensor, "V B W"],
+        of_query: Float[Tensor, "B W"],
+        query: Float[Tensor, "B 3"],
+        place: Float[Tensor, "V 3"],
+        weight: Float[Tensor, "W P"],
+    ) -> Float[Tensor, "V B W"]:
+        """The first layer: the parts of places and queries, and the view, encoded `place` − `query`, times weights.
+
+        Sines and cosines of differences are sums of products, so that the view's part is one product of matrices.
+        """
+        octaves, kind = self.config.octaves, of_place.dtype
+        parts = [3, 3 * octaves, 3 * octaves]
+        straight, of_sine, of_cosine = weight.split(parts, dim=1)
+        _, sine, cosine = (part[:, None] for part in positional_encoding(query, octaves).split(parts, dim=1))
+        turned = [sine * of_cosine + cosine * of_sine, cosine * of_cosine - sine * of_sine]
+        of_view = torch.cat([straight.expand(len(query), -1, -1), *turned], dim=-1).flatten(0, 1)
+        added = of_place + (of_query - query @ straight.T).to(kind)
+        encoded = positional_encoding(place, octaves).to(kind)
+        return torch.addmm(added.flatten(1), encoded, of_view.T.to(kind)).view_as(added)
 
 
 class OpaqueGaussians(RFGaussians):
@@ -113,7 +141,7 @@ class Wideband3DGSField(GaussianField):
         position_m = self.gaussians.position_m.detach()[seen]
         opacity = torch.sigmoid(self.gaussians.opacity_logit[seen])[:, None]
         tx_m = self.scaling.in_frame(tx_position_m)
-        attenuation, signal = (output.permute(2, 1, 0) for output in self.network(tx_m, carrier_hz, position_m))
+        attenuation, signal = (output.unbind(-1) for output in self.network(tx_m, carrier_hz, position_m))
         share = opacity / position_m.norm(dim=-1, keepdim=True).clamp_min(_NEAREST_M)
         transmitted = torch.polar(torch.sigmoid(attenuation[0]), attenuation[1])
         return Attributes(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from typing_extensions import Doc
@@ -17,14 +17,13 @@ from xfreqbench.methods.learning.encoding import Scaling, encoded_size, position
 from xfreqbench.methods.learning.network import PairwiseMLP, Precision
 from xfreqbench.methods.learning.targets import Beams, GridView
 from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod
-from xfreqbench.methods.splatting.composite import composite
+from xfreqbench.methods.splatting.composite_maps import composite_maps
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
-from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance, stacked
-from xfreqbench.methods.splatting.gaussians import RFGaussians, covariance
-from xfreqbench.methods.splatting.projection import Projection, project
+from xfreqbench.methods.splatting.gaussians import RFGaussians
+from xfreqbench.methods.splatting.projection import Projection, project_gaussians
 
 _SIGNAL, _OPACITY = 0.5, 0.1  # of each Gaussian at the start
-_PARTS = (3, 4, 3, 2)  # of a deformation: position, quaternion, log-scale, signal (real and imaginary part)
+_PARTS = (10, 2)  # of a deformation: position, quaternion and log-scale; real and imaginary part of the signal
 
 
 @dataclass(frozen=True)
@@ -55,13 +54,13 @@ class DeformationNetwork(nn.Module):
 
     def forward(
         self, tx_m: Float[Tensor, "B 3"], position_m: Float[Tensor, "N 3"]
-    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 4"], Float[Tensor, "B N 3"], Float[Tensor, "B N 2"]]:
-        """Position (m), quaternion, log-scale and complex signal to add, in the receiver's frame."""
+    ) -> tuple[Float[Tensor, "B N 10"], Float[Tensor, "B N 2"]]:
+        """What to add to shapes (position in metres, quaternion, log-scale), and complex signals to add."""
         query = positional_encoding(self.scaling.unit_position(tx_m), self.config.tx_octaves)
         gaussian = positional_encoding(self.scaling.unit_position(position_m), self.config.position_octaves)
         outputs = self.mlp(query, gaussian, query.new_zeros(len(query), len(gaussian), 0))
-        position, quaternion, log_scale, signal = outputs.split(_PARTS, dim=-1)
-        return position, quaternion, log_scale, signal
+        shape, signal = outputs.split(_PARTS, dim=-1)
+        return shape, signal
 
 
 class BrightGaussians(RFGaussians):
@@ -97,30 +96,20 @@ class WRFGSPlusField(GaussianField):
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams
     ) -> Float[Tensor, "B E A"]:
         """Power R_k² of what is accumulated from each direction in view; each transmitter has its own footprints."""
-        num_maps, grid = len(tx_position_m), view.of_grid(beams.grid)
+        grid = view.of_grid(beams.grid)
         projection, amplitude = self.deformed(tx_position_m)
-        lists = bin_footprints(projection, grid, self._support, num_maps=num_maps)
-        distance = squared_distance(projection, lists, stacked(grid, num_maps))
-        opacity = torch.sigmoid(self.gaussians.opacity_logit)[:, None].expand(-1, num_maps)
-        signal = (opacity * amplitude).to(torch.complex64)[None]
-        self.density.watch(torch.ones_like(self.gaussians.opacity_logit, dtype=torch.bool), signal)
-        transmitted = _one_map_after_another((1 - opacity).to(torch.complex64))
-        spread = torch.ones_like(transmitted.real)
-        field = composite(lists, distance, spread, _one_map_after_another(signal[0]), transmitted)
-        return field.real.square().reshape(num_maps, *grid.shape)
+        opacity = torch.sigmoid(self.gaussians.opacity_logit).expand_as(amplitude)
+        signal = (opacity * amplitude).T[None]
+        self.density.watch(slice(None), signal)
+        field = composite_maps(projection, grid, self._support, signal[0].T, opacity)
+        return field.square().reshape(-1, *grid.shape)
 
-    def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Projection, Float[Tensor, "N B"]]:
+    def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Projection, Float[Tensor, "B N"]]:
         """Footprints of all Gaussians, for one transmitter after another, and the amplitudes of their signals."""
         gaussians, tx_m = self.gaussians, self.scaling.in_frame(tx_position_m)
-        moved_m, turned, scaled, signal = self.network(tx_m, gaussians.position_m.detach())
-        of_all = covariance((gaussians.quaternion + turned).flatten(0, 1), (gaussians.log_scale + scaled).flatten(0, 1))
-        projection = project((self.position_m + moved_m).flatten(0, 1), of_all)
-        return projection, torch.relu(gaussians.signal + signal.norm(dim=-1)).T
-
-
-def _one_map_after_another(attribute: Complex[Tensor, "N B"]) -> Complex[Tensor, "NB 1"]:
-    """The attributes of all Gaussians for the first map, then for the second, and so on."""
-    return attribute.T.reshape(-1, 1)
+        changes, signal = self.network(tx_m, gaussians.position_m.detach())
+        projection = project_gaussians((self.shapes + changes).flatten(0, 1))
+        return projection, torch.relu(gaussians.signal + signal.norm(dim=-1))
 
 
 class WRFGSPlus(LearnedMethod):

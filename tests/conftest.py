@@ -21,6 +21,7 @@ UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.baselines.virtual_source.room.obstacle_kernels",
     "xfreqbench.methods.splatting.composite_kernels",
     "xfreqbench.methods.splatting.footprint_kernels",
+    "xfreqbench.methods.splatting.projection_kernels",
     "xfreqbench.methods.splatting.composite_triton",  # as Triton does
 }
 ROOT = Path(__file__).parents[1]

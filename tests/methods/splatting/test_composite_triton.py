@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
 from tests.support.synthetic import write_dataset
@@ -88,11 +90,11 @@ def test_a_step_on_a_device_waits_for_no_value_and_mixes_no_devices(
         return each.sum(0)[:, None].expand(-1, len(azimuth) * len(elevation))
 
     monkeypatch.setattr(triton, "composite_on_cuda", field_of)
-    for options in ({}, {"footprint": "circular", "sees_carrier": False, "latent": 0}, {"direct_wave": True}):
-        config = XFreqGSPaper.Config(
-            num_gaussians=9, max_gaussians=9, width=4, batch_size=3, ssim_window=3, precision="float32", **options
-        )
-        method = XFreqGSPaper(config)
+    small: dict[str, Any] = {"num_gaussians": 9, "max_gaussians": 9, "width": 4, "batch_size": 3, "ssim_window": 3}
+    small |= {"precision": "float32", "stride": 1, "band": False}
+    changes = {}, {"footprint": "circular", "sees_carrier": False, "latent": 0}, {"direct_wave": True}
+    methods = [*(XFreqGSPaper(XFreqGSPaper.Config(**small, **each)) for each in changes)]
+    for method in (*methods, WRFGSPlus(WRFGSPlus.Config(**small))):
         method._device = torch.device("meta")
         training = method.started(dataset, seed=0)
         targets = Targets(dataset, training.beams)

@@ -13,10 +13,12 @@ from torch import Tensor
 from tests.support import reference
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.targets import GridView
+from xfreqbench.methods.splatting.bells import bells
 from xfreqbench.methods.splatting.composite import PixelLists, composite
+from xfreqbench.methods.splatting.composite_maps import composite_maps
 from xfreqbench.methods.splatting.footprints import Backend, bin_footprints, squared_distance
 from xfreqbench.methods.splatting.gaussians import covariance
-from xfreqbench.methods.splatting.projection import MIN_VARIANCE, Projection, project
+from xfreqbench.methods.splatting.projection import MIN_VARIANCE, Projection, project, project_gaussians
 
 SUPPORT = 9.0
 DEGREE = math.pi / 180
@@ -276,15 +278,46 @@ def _double(x: Tensor) -> Tensor:
     return x.to(torch.complex128 if x.is_complex() else torch.float64)
 
 
-@either_backend
-def test_each_of_several_maps_sees_its_own_share_of_the_gaussians(backend: Backend) -> None:
-    whole = random_projection(80)
-    together = bin_footprints(whole, GRID, SUPPORT, backend, num_maps=2)
-    seen = times_seen(together, AngularGrid(np.tile(GRID.elevation_rad, 2), GRID.azimuth_rad))
-    for nth, own in enumerate(zip(*(torch.chunk(part, 2) for part in vars(whole).values()), strict=True)):
-        alone = bin_footprints(Projection(*own), GRID, SUPPORT, backend)
-        first, last = len(GRID.elevation_rad) * GRID.azimuth_rad.size * torch.tensor([nth, nth + 1])
-        of_map = together.gaussian[together.start[first] : together.start[last]]
-        torch.testing.assert_close(of_map - 40 * nth, alone.gaussian, rtol=0, atol=0)
-        rows = slice(nth * len(GRID.elevation_rad), (nth + 1) * len(GRID.elevation_rad))
-        assert torch.equal(seen[40 * nth : 40 * (nth + 1), rows], times_seen(alone, GRID))
+@pytest.mark.parametrize("log_scale", [-2.0, 0.0, 1.5])  # between the directions, and wider than the circle
+def test_maps_whose_gaussians_differ_are_those_of_one_map_after_another(log_scale: float) -> None:
+    """With gradients by shapes, signals and opacities; compiled in float32 against lists in float64."""
+    generator = torch.Generator().manual_seed(0)
+    grid = AngularGrid.hemisphere(6, 45)
+    gaussians = torch.randn(3, 40, 10, generator=generator)
+    gaussians[..., 2].abs_()
+    gaussians[..., 7:] = 0.5 * gaussians[..., 7:] + log_scale
+    inputs = gaussians, torch.randn(3, 40, generator=generator), torch.rand(3, 40, generator=generator)
+    weight = torch.randn(3, 6 * 45, generator=generator, dtype=torch.float64)
+    answers = []
+    for kind in (torch.float32, torch.float64):
+        given = [each.to(kind).requires_grad_() for each in inputs]
+        shapes, signal, opacity = given
+        if kind == torch.float32:
+            fields = composite_maps(project_gaussians(shapes.flatten(0, 1)), grid, SUPPORT, signal, opacity)
+        else:
+            fields = torch.cat([_one_map(grid, *each) for each in zip(*given, strict=True)])
+        answers.append([fields, *torch.autograd.grad((fields * weight.to(kind)).sum(), given)])
+    for found, expected in zip(*answers, strict=True):
+        assert float((found - expected).norm().detach()) < 1e-5 * float(expected.norm().detach())
+
+
+def _one_map(grid: AngularGrid, gaussians: Tensor, signal: Tensor, opacity: Tensor) -> Tensor:
+    projection = project_gaussians(gaussians)
+    lists = bin_footprints(projection, grid, SUPPORT)
+    real = signal[:, None].to(torch.complex128), (1 - opacity)[:, None].to(torch.complex128)
+    return composite(lists, squared_distance(projection, lists, grid), torch.ones(40, 1).double(), *real).real
+
+
+@pytest.mark.parametrize("full_turn", [True, False])
+def test_a_bell_of_one_angle_is_its_formula_in_value_and_gradient(full_turn: bool) -> None:
+    generator = torch.Generator().manual_seed(0)
+    angle_rad = torch.linspace(-3, 6, 45)
+    inputs = 4 * torch.randn(3, 20, generator=generator), 0.05 + torch.rand(3, 20, generator=generator)
+    weight = torch.randn(3, 20, 45, generator=generator, dtype=torch.float64)
+    answers = []
+    for kind in (torch.float32, torch.float64):  # a kernel, and torch
+        given = [each.to(kind).requires_grad_() for each in inputs]
+        bell = bells(angle_rad.to(kind), *given, full_turn=full_turn)
+        answers.append([bell, *torch.autograd.grad((bell * weight.to(kind)).sum(), given)])
+    for found, expected in zip(*answers, strict=True):
+        assert float((found - expected).norm().detach()) < 1e-5 * float(expected.norm().detach())

@@ -17,6 +17,7 @@ from xfreqbench.methods.splatting.projection import (
     Projection,
     angular_centre,
     project,
+    project_gaussians,
     projection_jacobian,
 )
 
@@ -49,7 +50,7 @@ def scene(num_gaussians: int = 50, dtype: torch.dtype = torch.float64) -> tuple[
 
 
 def projected(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Projection:
-    return project(position_m, covariance(quaternion, log_scale))
+    return project_gaussians(torch.cat([position_m, quaternion, log_scale], dim=-1))
 
 
 def flat(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Tensor:
@@ -176,11 +177,30 @@ def test_a_gaussian_below_the_horizon_has_a_negative_elevation() -> None:
     assert float(range_m) == pytest.approx(2)
 
 
+@pytest.mark.parametrize("place", AT_THE_EDGES)
+def test_compiled_projection_is_that_of_torch_in_value_and_gradient(place: str) -> None:
+    """Needles, whose correlation is clipped, and shapes between, at the edges and beside them."""
+    generator = torch.Generator().manual_seed(0)
+    gaussians = torch.randn(30, 10, generator=generator, dtype=torch.float64)
+    gaussians[:, :3] = torch.tensor(AT_THE_EDGES[place]).double() + torch.linspace(0, 1e-5, 30).double()[:, None]
+    gaussians[::3, 7:] = torch.tensor([4.0, -9.0, -9.0]).double()
+    weight = torch.randn(30, 6, generator=generator, dtype=torch.float64)
+    answers = []
+    for compiled in (True, False):
+        given = gaussians.clone().requires_grad_()
+        position_m, quaternion, log_scale = given.split([3, 4, 3], dim=-1)
+        seen = project_gaussians(given) if compiled else project(position_m, covariance(quaternion, log_scale))
+        flattened = torch.column_stack([seen.azimuth_rad, seen.elevation_rad, seen.covariance.flatten(1)])
+        answers.append((flattened.detach(), *torch.autograd.grad((flattened * weight).sum(), given)))
+    for found, expected in zip(*answers, strict=True):
+        assert relative_error(found, expected) < 1e-11
+
+
 def test_a_needle_has_an_ellipse_for_a_footprint() -> None:
     generator = torch.Generator().manual_seed(0)
     position_m, quaternion = (torch.randn(500, 3, generator=generator), torch.randn(500, 4, generator=generator))
     for size_m in ((10.0, 1e-3, 1e-3), (1e4, 1e-8, 1e-8)):
         log_scale = torch.tensor(size_m).log().expand(500, 3)
-        found = project(position_m, covariance(quaternion, log_scale)).covariance
+        found = projected(position_m, quaternion, log_scale).covariance
         a, b, c = found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]
         assert bool((a * c - b * b > 0).all())  # in float32, as it is inverted

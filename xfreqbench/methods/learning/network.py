@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -13,6 +12,7 @@ import torch
 from jaxtyping import Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize, relu
 from typing_extensions import Doc
 
@@ -26,7 +26,6 @@ from xfreqbench.methods.learning.encoding import (
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
-_CHUNK_PAIRS = 1 << 12  # pairs at a time; larger tensors do not fit into the cache and take 1.5 times as long
 _CLEAR = 2.0  # logit of |δ| at the start, 0.88, so that Gaussians behind are seen
 _BEARING_WIDTHS = (0.005, 0.02, 0.1)  # of 1 − cos: about 6, 11 and 26 degrees
 BEARING_SIZE = 1 + len(_BEARING_WIDTHS)
@@ -45,8 +44,8 @@ def bearing(query_m: Float[Tensor, "B 3"], position_m: Float[Tensor, "V 3"]) -> 
 class PairwiseMLP(nn.Module):
     """A ReLU network that is applied to all pairs of B queries and V Gaussians.
 
-    Its first layer is factorised, W_q q_b + W_p (g_i, p_bi), so that the part of the query is computed once for all
-    Gaussians. Layers on pairs compute in bfloat16 with float32 weights where `precision` says so; `auto` chooses
+    Its first layer is factorised, W_q q_b + W_g g_i + W_p p_bi, so that the parts of a query and of a Gaussian are
+    computed once. Layers on pairs compute in bfloat16 with float32 weights where `precision` says so; `auto` chooses
     bfloat16 on processors and devices that multiply it natively.
     """
 
@@ -70,23 +69,48 @@ class PairwiseMLP(nn.Module):
         self, query: Float[Tensor, "B Q"], gaussian: Float[Tensor, "V G"], pair: Float[Tensor, "B V P"]
     ) -> Float[Tensor, "B V O"]:
         """Outputs for every pair, float32."""
-        on_cpu = query.device.type == "cpu"
-        size = max(1, _CHUNK_PAIRS // max(1, len(gaussian)) if on_cpu else len(query))
-        chunks = zip(self.of_query(query).split(size), pair.split(size), strict=True)
-        return torch.cat([self._outputs(of_query, gaussian, part) for of_query, part in chunks])
+        kind = self.kind_for(query)
+        of_gaussian, of_pair = self.of_pair.weight.split([gaussian.shape[1], pair.shape[2]], dim=1)
+        first = self.of_query(query).to(kind)[:, None] + (gaussian @ of_gaussian.T).to(kind)
+        if pair.shape[2]:
+            first = torch.addmm(first.flatten(0, 1), pair.to(kind).flatten(0, 1), of_pair.T.to(kind)).view_as(first)
+        return self.after_first(first).to(query.dtype)
 
-    def _outputs(
-        self, of_query: Float[Tensor, "c W"], gaussian: Float[Tensor, "V G"], pair: Float[Tensor, "c V P"]
-    ) -> Float[Tensor, "c V O"]:
-        narrow = is_narrow(self.precision, of_query.device)
-        kind = torch.bfloat16 if narrow else of_query.dtype
-        with torch.autocast(of_query.device.type, torch.bfloat16) if narrow else nullcontext():
-            inputs = torch.cat([gaussian.to(kind).expand(len(pair), -1, -1), pair.to(kind)], dim=-1)
-            weight = self.of_pair.weight.T.expand(len(pair), -1, -1)
-            features = relu(torch.baddbmm(of_query[:, None], inputs, weight), inplace=True)
-            for layer in self.hidden:
-                features = relu(layer(features), inplace=True)
-            return self.head(features).float()
+    def kind_for(self, query: Tensor) -> torch.dtype:
+        """The kind in which layers on pairs compute."""
+        return torch.bfloat16 if is_narrow(self.precision, query.device) else query.dtype
+
+    def after_first(self, first: Float[Tensor, "B V W"]) -> Float[Tensor, "B V O"]:
+        """Outputs for pairs whose first layer is given, before its ReLU."""
+        parameters = [each for layer in (*self.hidden, self.head) for each in (layer.weight, layer.bias)]
+        outputs: Tensor = _Layers.apply(first.flatten(0, 1), *parameters)  # type: ignore[no-untyped-call]
+        return outputs.unflatten(0, first.shape[:2])
+
+
+class _Layers(torch.autograd.Function):
+    """Outputs (P, O) of pairs whose first layer is given (P, W), before its ReLU, by layers of weights and biases.
+
+    All is in the kind of `first`, in one pass without the casts and copies of autocast; gradients are the weights'.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, first: Tensor, *parameters: Tensor) -> Tensor:
+        ctx.parameters = [parameter.to(first.dtype) for parameter in parameters]
+        ctx.kinds = [parameter.dtype for parameter in parameters]
+        weights, biases = ctx.parameters[::2], ctx.parameters[1::2]
+        ctx.features = [relu(first)]
+        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+            ctx.features.append(relu(torch.addmm(bias, ctx.features[-1], weight.T), inplace=True))
+        return torch.addmm(biases[-1], ctx.features[-1], weights[-1].T)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, ...]:
+        gradients: list[Tensor] = []
+        for weight, features in zip(reversed(ctx.parameters[::2]), reversed(ctx.features), strict=True):
+            gradients[:0] = slope.T @ features, slope.sum(0)
+            slope = torch.ops.aten.threshold_backward(slope @ weight, features, 0)
+        return slope, *(each.to(kind) for each, kind in zip(gradients, ctx.kinds, strict=True))
 
 
 def is_narrow(precision: Precision, device: torch.device) -> bool:

@@ -148,14 +148,9 @@ class _Peel(torch.autograd.Function):
 
 
 def _rows(inverse_spread: Tensor, signal: Tensor, absorption: Tensor) -> Tensor:
-    """What the kernels read for each Gaussian (blocks, N, fields, lanes), or (N, fields) for a batch of one.
-
-    Lanes without a sample hold zeros, which change nothing.
-    """
+    """What the kernels read for each Gaussian: (blocks, N, fields, lanes). Lanes without a sample hold zeros."""
     num_gaussians, batch = inverse_spread.shape
     fields = [inverse_spread, signal.real, signal.imag, absorption.real, absorption.imag]
-    if batch == 1:
-        return torch.cat(fields, 1)
     num_blocks = -(-batch // LANES)
     padded = torch.nn.functional.pad(torch.stack(fields, 1), (0, num_blocks * LANES - batch))
     return padded.view(num_gaussians, FIELDS, num_blocks, LANES).permute(2, 0, 1, 3).contiguous()
@@ -169,11 +164,8 @@ class _Kernels(torch.autograd.Function):
         ctx.save_for_backward(start, gaussian, distance, rows)
         field = torch.empty(batch, len(start) - 1, dtype=torch.complex64)
         of_field = view_as_real(field)
-        with _numba_on_torch_threads() as num_threads:
-            if batch == 1:
-                composite_kernels.forward_of_one(num_threads, *_arrays(start, gaussian, distance, rows, of_field[0]))
-            else:
-                composite_kernels.forward(num_threads, *_arrays(start, gaussian, distance, rows.flatten(2), of_field))
+        with numba_on_torch_threads() as num_threads:
+            composite_kernels.forward(num_threads, *arrays_of(start, gaussian, distance, rows.flatten(2), of_field))
         return field
 
     @staticmethod
@@ -182,24 +174,21 @@ class _Kernels(torch.autograd.Function):
         start, gaussian, distance, rows = ctx.saved_tensors
         grad_distance = torch.zeros_like(distance)
         incoming = view_as_real(grad_field.resolve_conj().contiguous())
-        with _numba_on_torch_threads() as num_threads:
+        with numba_on_torch_threads() as num_threads:
             grad_rows = rows.new_zeros(num_threads, *rows.shape)  # each thread's own
             shared, longest = (start, gaussian, distance), int(start.diff().max())
-            if len(incoming) == 1:
-                tensors = *shared, rows, incoming[0], grad_distance, grad_rows
-                composite_kernels.backward_of_one(longest, *_arrays(*tensors))
-            else:
-                tensors = *shared, rows.flatten(2), incoming, grad_distance, grad_rows.flatten(3)
-                composite_kernels.backward(longest, *_arrays(*tensors))
+            tensors = *shared, rows.flatten(2), incoming, grad_distance, grad_rows.flatten(3)
+            composite_kernels.backward(longest, *arrays_of(*tensors))
         return None, None, grad_distance, grad_rows.sum(0), None
 
 
-def _arrays(*tensors: Tensor) -> list[Any]:
+def arrays_of(*tensors: Tensor) -> list[Any]:
+    """What kernels take of tensors."""
     return [tensor.detach().numpy() for tensor in tensors]
 
 
 @contextmanager
-def _numba_on_torch_threads() -> Iterator[int]:
+def numba_on_torch_threads() -> Iterator[int]:
     """Let the kernels use as many threads as torch does, and leave torch's number as it was.
 
     Both may share one OpenMP, whose number of threads Numba sets when it runs for the first time.

@@ -20,6 +20,7 @@ from numba.core.config import NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 LANES = 32  # with 16, backward takes a sixth longer, since it reads indices and distances twice as often
@@ -32,6 +33,7 @@ T_RE, T_IM, R_RE, R_IM = (field * LANES for field in range(4))  # the same for t
 G = R_RE  # the stash holds T_RE, T_IM and G
 V_RE, V_IM, Y_RE, Y_IM = (field * LANES for field in range(4))  # for the state of the backward sweep
 
+TURN_RAD = 2 * math.pi
 HALF = np.float32(0.5)
 LOG2_E = np.float32(math.log2(math.e))
 LEAST_LOG2 = np.float32(-124)  # keeps G a normal number
@@ -210,64 +212,126 @@ def backward(
 
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def forward_of_one(num_threads: int, start: I64, gaussian: I64, distance: F32, rows: F32, field: F32) -> None:
-    """As `forward` for one sample, where a block would be zeros but for one lane: rows (N, FIELDS), field (K, 2)."""
-    bounds = _shares(start, num_threads)
-    for thread in prange(num_threads):
-        for pixel in range(bounds[thread], bounds[thread + 1]):
-            t_re, t_im, r_re, r_im = np.float32(1), np.float32(0), np.float32(0), np.float32(0)
-            for pair in range(start[pixel], start[pixel + 1]):
-                row = rows[gaussian[pair]]
-                spread, s_re, s_im, e_re, e_im = row[0], row[1], row[2], row[3], row[4]
-                g = _exponential(-HALF * distance[pair] * spread)
-                w_re, w_im = g * t_re, g * t_im
-                r_re += w_re * s_re - w_im * s_im
-                r_im += w_re * s_im + w_im * s_re
-                t_re -= w_re * e_re - w_im * e_im
-                t_im -= w_re * e_im + w_im * e_re
-            field[pixel, 0], field[pixel, 1] = r_re, r_im
+def forward_of_maps(
+    order: I64,
+    first: I64,
+    count: I64,
+    start: I64,
+    offset: F64,
+    footprint: F32,
+    elevation: F32,
+    step: float,
+    rows: F32,
+    field: F32,
+    stash: F32,
+) -> None:
+    """Write R of B maps, each with N footprints of its own, to `field` (B, E·A); all is real, and λ is 1.
+
+    `order` (B, N) has the nearest Gaussian first. `first` and `count` (B·N, E, turns) are the columns in a footprint,
+    `start` (B,) is each map's first pair in `stash` (P, 2), where T in front of each Gaussian and G are kept.
+    `offset` (B·N,) are centres' azimuths from column 0, `footprint` (B·N, 4) are centres' elevations and the inverse
+    covariance's entries, `rows` (B, N, 2) are S and 1 − δ, and columns are `step` apart.
+    """
+    num_maps, num_gaussians = order.shape
+    num_columns = field.shape[1] // len(elevation)
+    for nth in prange(num_maps):
+        transmittance, response, pair = np.ones(field.shape[1], np.float32), field[nth], start[nth]
+        response[:] = 0
+        for place in range(num_gaussians):
+            i = order[nth, place]
+            here = nth * num_gaussians + i
+            a, b, c = footprint[here, 1], footprint[here, 2], footprint[here, 3]
+            signal, absorption = rows[nth, i, 0], rows[nth, i, 1]
+            for row in range(len(elevation)):
+                v = elevation[row] - footprint[here, 0]
+                for turn in range(count.shape[2]):
+                    pixel = row * num_columns + first[here, row, turn]
+                    for k in range(count[here, row, turn]):
+                        u = np.float32((first[here, row, turn] + k) * step - offset[here] - (turn - 1) * TURN_RAD)
+                        t, g = transmittance[pixel + k], _exponential(-HALF * (a * u * u + (b + b) * u * v + c * v * v))
+                        stash[pair + k, 0], stash[pair + k, 1] = t, g
+                        response[pixel + k] += g * t * signal
+                        transmittance[pixel + k] = t - g * t * absorption
+                    pair += count[here, row, turn]
 
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def backward_of_one(
-    longest: int,
+def backward_of_maps(
+    order: I64,
+    first: I64,
+    count: I64,
     start: I64,
-    gaussian: I64,
-    distance: F32,
+    offset: F64,
+    footprint: F32,
+    elevation: F32,
+    step: float,
     rows: F32,
+    stash: F32,
     grad_field: F32,
-    grad_distance: F32,
+    grad_footprint: F32,
     grad_rows: F32,
 ) -> None:
-    """As `backward` for one sample: rows (N, FIELDS), grad_field (K, 2), grad_rows (threads, N, FIELDS)."""
-    bounds = _shares(start, len(grad_rows))
-    for thread in prange(len(grad_rows)):
-        grad = grad_rows[thread]
-        stash = np.empty((longest, 3), np.float32)  # T in front of each Gaussian, and G
-        for pixel in range(bounds[thread], bounds[thread + 1]):
-            y_re, y_im = grad_field[pixel, 0], grad_field[pixel, 1]
-            nearest, length = start[pixel], start[pixel + 1] - start[pixel]
-            t_re, t_im, v_re, v_im = np.float32(1), np.float32(0), np.float32(0), np.float32(0)
-            for depth in range(length):
-                row = rows[gaussian[nearest + depth]]
-                g = _exponential(-HALF * distance[nearest + depth] * row[0])
-                stash[depth, 0], stash[depth, 1], stash[depth, 2] = t_re, t_im, g
-                w_re, w_im = g * t_re, g * t_im
-                t_re -= w_re * row[3] - w_im * row[4]
-                t_im -= w_re * row[4] + w_im * row[3]
-            for depth in range(length - 1, -1, -1):
-                index, minus_half = gaussian[nearest + depth], -HALF * distance[nearest + depth]
-                row = rows[index]
-                spread, s_re, s_im, e_re, e_im = row[0], row[1], row[2], row[3], row[4]
-                t_re, t_im, g = stash[depth, 0], stash[depth, 1], stash[depth, 2]
-                w_re, w_im = g * (t_re * y_re + t_im * y_im), g * (t_re * y_im - t_im * y_re)
-                z_re = s_re - (e_re * v_re - e_im * v_im)
-                z_im = s_im - (e_re * v_im + e_im * v_re)
-                slope = w_re * z_re + w_im * z_im
-                grad_distance[nearest + depth] -= HALF * slope * spread
-                grad[index, 0] += slope * minus_half
-                grad[index, 1] += w_re
-                grad[index, 2] += w_im
-                grad[index, 3] -= w_re * v_re + w_im * v_im
-                grad[index, 4] -= w_im * v_re - w_re * v_im
-                v_re, v_im = v_re + g * z_re, v_im + g * z_im
+    """Write gradients to grad_rows (B, N, 2), and to grad_footprint (B·N, 5), azimuths of centres first.
+
+    As in `backward`, V is the field from behind per unit of T, and nothing is divided.
+    """
+    num_maps, num_gaussians = order.shape
+    num_columns, two = grad_field.shape[1] // len(elevation), np.float32(2)
+    for nth in prange(num_maps):
+        behind, pair = np.zeros(grad_field.shape[1], np.float32), start[nth + 1]
+        for place in range(num_gaussians - 1, -1, -1):
+            i = order[nth, place]
+            here = nth * num_gaussians + i
+            a, b, c = footprint[here, 1], footprint[here, 2], footprint[here, 3]
+            signal, absorption, zero = rows[nth, i, 0], rows[nth, i, 1], np.float32(0)
+            of_signal, of_absorption, of_u, of_v, uu, uv, vv = zero, zero, zero, zero, zero, zero, zero
+            for row in range(len(elevation) - 1, -1, -1):
+                v = elevation[row] - footprint[here, 0]
+                for turn in range(count.shape[2] - 1, -1, -1):
+                    pixel = row * num_columns + first[here, row, turn]
+                    pair -= count[here, row, turn]
+                    for k in range(count[here, row, turn]):
+                        u = np.float32((first[here, row, turn] + k) * step - offset[here] - (turn - 1) * TURN_RAD)
+                        t, g, field = stash[pair + k, 0], stash[pair + k, 1], behind[pixel + k]
+                        weight, z = g * t * grad_field[nth, pixel + k], signal - absorption * field
+                        slope = -HALF * weight * z
+                        of_signal += weight
+                        of_absorption -= weight * field
+                        of_u, of_v = of_u + slope * u, of_v + slope * v
+                        uu, uv, vv = uu + slope * u * u, uv + slope * u * v, vv + slope * v * v
+                        behind[pixel + k] = field + g * z
+            grad_footprint[here, 0] = -two * (a * of_u + b * of_v)
+            grad_footprint[here, 1] = -two * (b * of_u + c * of_v)
+            grad_footprint[here, 2], grad_footprint[here, 3], grad_footprint[here, 4] = uu, two * uv, vv
+            grad_rows[nth, i, 0], grad_rows[nth, i, 1] = of_signal, of_absorption
+
+
+@njit(cache=True, inline="always", fastmath=FAST)
+def _from_centre(angle: np.float32, centre: np.float32, turns: np.float32) -> np.floating[Any]:
+    """An angle from a centre, taken the short way round where `turns` is 1 / 2π; as it is where it is 0."""
+    return angle - centre - np.float32(TURN_RAD) * np.floor((angle - centre) * turns + HALF)
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def bells(angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32) -> None:
+    """Write exp(−½ (angle − centre)² / deviation²) at K angles around each of M centres to `bell` (M, K)."""
+    for nth in prange(len(centre)):
+        sharpness = np.float32(1) / deviation[nth]
+        for k in range(len(angle)):
+            u = _from_centre(angle[k], centre[nth], turns) * sharpness
+            bell[nth, k] = _exponential(-HALF * u * u)
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def bells_backward(
+    angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32, slope: F32, of_centre: F32, of_deviation: F32
+) -> None:
+    """Write gradients (M,) by centres and deviations from those by `bell`, which are `slope` (M, K)."""
+    for nth in prange(len(centre)):
+        sharpness, first, second = np.float32(1) / deviation[nth], np.float32(0), np.float32(0)
+        for k in range(len(angle)):
+            u = _from_centre(angle[k], centre[nth], turns) * sharpness
+            weight = slope[nth, k] * bell[nth, k] * u
+            first += weight
+            second += weight * u
+        of_centre[nth], of_deviation[nth] = first * sharpness, second * sharpness

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from jaxtyping import Complex, Int
+from jaxtyping import Inexact, Int
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from typing_extensions import Doc
@@ -45,7 +45,7 @@ class DensityControl(nn.Module):
         self.contribution = self.contribution.new_zeros(num_gaussians)
         self.pull = self.pull.new_zeros(num_gaussians)
 
-    def watch(self, seen: Seen, signal: Complex[Tensor, "Q V B"]) -> None:
+    def watch(self, seen: Seen, signal: Inexact[Tensor, "Q V B"]) -> None:
         """Remember the signals of the Gaussians `seen`, whose gradients are read after the step."""
         if signal.requires_grad and self.config.densify_every:
             signal.retain_grad()

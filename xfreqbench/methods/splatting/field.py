@@ -26,7 +26,7 @@ from xfreqbench.methods.splatting.composite import PixelLists, composite
 from xfreqbench.methods.splatting.density import DensityConfig, DensityControl
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
 from xfreqbench.methods.splatting.gaussians import CODES, CodedGaussians, RFGaussians, Seen
-from xfreqbench.methods.splatting.projection import Projection, project
+from xfreqbench.methods.splatting.projection import Projection, project_gaussians
 
 SUPPORT = 9.0  # squared Mahalanobis distance at which a footprint ends: three deviations
 _CODE_RATE = 2.0  # of the learning rate
@@ -145,6 +145,11 @@ class GaussianField(BandField):
         return self.gaussians.position_m if self._move else self.gaussians.position_m.detach()
 
     @property
+    def shapes(self) -> Float[Tensor, "N 10"]:
+        """Positions, quaternions and log-scales side by side."""
+        return torch.cat([self.position_m, self.gaussians.quaternion, self.gaussians.log_scale], dim=-1)
+
+    @property
     def _move(self) -> bool:
         """Whether Gaussians move by now; the device is asked where it depends on the share of the budget alone."""
         return self.config.move_from == 0 or (self.config.move_from < 1 and bool(self.moves))
@@ -195,7 +200,7 @@ class GaussianField(BandField):
 
     def projection(self) -> Projection:
         """The footprints before the frequency spread λ."""
-        return project(self.gaussians.position_m, self.gaussians.covariance)
+        return project_gaussians(self.shapes)
 
     def lists(self, projection: Projection, grid: AngularGrid) -> PixelLists:
         """Which directions see which Gaussians where these are widest."""

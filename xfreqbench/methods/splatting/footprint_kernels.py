@@ -49,18 +49,14 @@ def footprint_spans(
 
 
 @njit(cache=True)
-def fill_lists(first: IntArray, count: IntArray, num_azimuths: int, num_maps: int) -> tuple[IntArray, IntArray]:
-    """Start of each pixel's list, and all lists one after another, each in the order of the Gaussians.
-
-    The maps stand one below the other, and each has its own share of the Gaussians.
-    """
+def fill_lists(first: IntArray, count: IntArray, num_azimuths: int) -> tuple[IntArray, IntArray]:
+    """Start of each pixel's list, and all lists one after another, each in the order of the Gaussians."""
     num_gaussians, num_rows, num_turns = first.shape
-    of_one_map = max(1, num_gaussians // num_maps)
-    start = np.zeros(num_maps * num_rows * num_azimuths + 1, np.int64)
+    start = np.zeros(num_rows * num_azimuths + 1, np.int64)
     for i in range(num_gaussians):
         for row in range(num_rows):
             for turn in range(num_turns):
-                pixel = (i // of_one_map * num_rows + row) * num_azimuths + first[i, row, turn]
+                pixel = row * num_azimuths + first[i, row, turn]
                 for nth in range(count[i, row, turn]):
                     start[pixel + nth + 1] += 1
     for pixel in range(len(start) - 1):
@@ -70,7 +66,7 @@ def fill_lists(first: IntArray, count: IntArray, num_azimuths: int, num_maps: in
     for i in range(num_gaussians):
         for row in range(num_rows):
             for turn in range(num_turns):
-                pixel = (i // of_one_map * num_rows + row) * num_azimuths + first[i, row, turn]
+                pixel = row * num_azimuths + first[i, row, turn]
                 for nth in range(count[i, row, turn]):
                     gaussian[following[pixel + nth]] = i
                     following[pixel + nth] += 1

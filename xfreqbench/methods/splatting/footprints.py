@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -20,30 +19,20 @@ from xfreqbench.methods.splatting.projection import Projection
 
 
 @torch.no_grad()
-def bin_footprints(
-    projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto", num_maps: int = 1
-) -> PixelLists:
+def bin_footprints(projection: Projection, grid: AngularGrid, support: float, backend: Backend = "auto") -> PixelLists:
     """The Gaussians that each direction sees, nearest first; directions are numbered row by row.
 
     The azimuths of the grid have to be evenly spaced over one turn at most; the first may be repeated at the end.
-    Of several maps, one below the other as in `stacked(grid, num_maps)`, each sees its own share of the Gaussians.
     """
-    by_map = projection.range_m.reshape(num_maps, -1)
-    before = by_map.shape[1] * torch.arange(num_maps, device=by_map.device)[:, None]
-    order = (by_map.argsort(stable=True) + before).flatten()
+    order = projection.range_m.argsort(stable=True)
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)[order].double()
     conic = inverse(projection.covariance.double())[order]
     if backend == "torch" or centre.device.type != "cpu":
-        start, nth = _bin_torch(centre, conic, grid, support, num_maps)
+        start, nth = _bin_torch(centre, conic, grid, support)
     else:
         spans = footprint_spans(centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad, support)
-        start, nth = map(torch.from_numpy, fill_lists(*spans, len(grid.azimuth_rad), num_maps))
+        start, nth = map(torch.from_numpy, fill_lists(*spans, len(grid.azimuth_rad)))
     return PixelLists(start, order[nth], len(order))
-
-
-def stacked(grid: AngularGrid, num_maps: int) -> AngularGrid:
-    """A grid with the same directions several times, one map below the other."""
-    return AngularGrid(np.tile(grid.elevation_rad, num_maps), grid.azimuth_rad)
 
 
 def squared_distance(projection: Projection, lists: PixelLists, grid: AngularGrid) -> Float[Tensor, "P"]:
@@ -68,16 +57,15 @@ def inverse(covariance: Float[Tensor, "N 2 2"]) -> Float[Tensor, "N 3"]:
 
 
 def _bin_torch(
-    centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float, num_maps: int
+    centre: Float[Tensor, "N 2"], conic: Float[Tensor, "N 3"], grid: AngularGrid, support: float
 ) -> tuple[Int[Tensor, "K1"], Int[Tensor, "P"]]:
     """Starts of the lists and their Gaussians, on any device: all rows of all footprints, then their directions."""
     gaussian, row, first, count = _spans(centre, conic, grid, support)
     span = torch.repeat_interleave(count)
     nth = torch.arange(len(span), device=span.device) - (count.cumsum(0) - count)[span]
-    row = row + gaussian // max(1, len(centre) // num_maps) * len(grid.elevation_rad)
     pixel = (row * len(grid.azimuth_rad) + first)[span] + nth
     by_pixel = pixel.argsort(stable=True)
-    counts = torch.bincount(pixel, minlength=num_maps * len(grid.azimuth_rad) * len(grid.elevation_rad))
+    counts = torch.bincount(pixel, minlength=len(grid.azimuth_rad) * len(grid.elevation_rad))
     start = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
     return start, gaussian[span][by_pixel]
 
