@@ -16,7 +16,7 @@ from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import estimate_seconds, generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.rooms import RoomsPlan, generate_planned_rooms, plan_of_rooms
+from xfreqbench.data.rooms import MAX_DEPTH, RAYS, RoomsPlan, generate_planned_rooms, plan_of_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
 from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
@@ -42,7 +42,7 @@ from xfreqbench.system.workers import (
     open_workers,
     own_cores,
 )
-from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -99,11 +99,9 @@ class Benchmark:
     @cached_property
     def rooms_plans(self) -> dict[str, RoomsPlan]:
         """The plan of every collection of rooms, by the name of the family."""
+        settings = TraceSettings(interactions=WITHOUT_DIFFRACTION, max_depth=MAX_DEPTH, rays=RAYS)
         numbers = self.preset.num_rooms.items()
-        return {
-            family: plan_of_rooms(family, PAPER_CARRIERS_GHZ, rooms=number, interactions=WITHOUT_DIFFRACTION)
-            for family, number in numbers
-        }
+        return {name: plan_of_rooms(name, PAPER_CARRIERS_GHZ, settings, rooms=number) for name, number in numbers}
 
     @cached_property
     def plans(self) -> dict[str, Plan]:
