@@ -17,11 +17,11 @@ from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import figure_links
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
+from xfreqbench.report.leaderboard.unseen_rooms import rooms_overview
 from xfreqbench.runs.records import BenchRecord
 
 _BRIEFLY = {  # measurements of which the first rows are shown
     "generate": "Generator",
-    "render": "Rendering",
     "stress": "Stability",
 }
 _MOST_ROWS = 5
@@ -32,7 +32,11 @@ _ON_ITS_PAGE_ALONE = ("random-samples",)  # it asks for neither unseen carriers 
 
 
 def overview_markdown(
-    ranked: Sequence[Board], benches: Sequence[BenchRecord], pages: Mapping[str, str], measurements_page: str
+    ranked: Sequence[Board],
+    benches: Sequence[BenchRecord],
+    pages: Mapping[str, str],
+    measurements_page: str,
+    rooms_page: str,
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each scene's page."""
     scene, main = main_scene(ranked), _main_boards(ranked)
@@ -50,6 +54,7 @@ def overview_markdown(
         *rankings,
         *_budget_tables(of_scene),
         *([_skill_matrix(compared)] if len(main) > 1 else []),
+        *rooms_overview(benches, rooms_page),
         *_time_figure(of_scene, pages),
         f"Every carrier, metric, ablation and pair of methods, a page for each scene: {links}.",
         *_measured_parts(benches, measurements_page),

@@ -9,6 +9,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.report.drawing.markdown import heading, literal, paragraph, prose, table
 from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
@@ -44,7 +45,7 @@ _BENCH_SECTIONS = {
     "stress": "Stress",
 }
 _OTHER_BENCHES = "Other measurements"
-_MEASUREMENTS_PAGE, _PAPER_PAGE = "measurements.md", "paper.md"
+_MEASUREMENTS_PAGE, _PAPER_PAGE, _ROOMS_PAGE = "measurements.md", "paper.md", "unseen-rooms.md"
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def _require_files_of_their_own(paths: Sequence[Path]) -> None:
     if twice is not None:
         raise OutputExistsError(
             f"Two pages of the report would both be {twice}: each scene has a page of its name, beside "
-            f"{_MEASUREMENTS_PAGE} and {_PAPER_PAGE}. Give another --output or --details, or name the scene otherwise."
+            f"{_MEASUREMENTS_PAGE}, {_PAPER_PAGE} and {_ROOMS_PAGE}. Give another --output or --details, or name the "
+            "scene otherwise."
         )
 
 
@@ -143,7 +145,11 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
         text = paper_markdown(of_main, grids)
         paper = [_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn)]
     linked = links | ({"the paper's claims": f"{folder}/{_PAPER_PAGE}"} if has_paper else {})
-    short = overview_markdown(found.boards, found.benches, linked, f"{folder}/{_MEASUREMENTS_PAGE}")
+    page_links = f"{folder}/{_MEASUREMENTS_PAGE}", f"{folder}/{_ROOMS_PAGE}"
+    short = overview_markdown(found.boards, found.benches, linked, *page_links)
+    of_rooms = [bench for bench in found.benches if bench.bench == ROOM_PROTOCOLS[0]]
+    measured = [bench for bench in found.benches if bench not in of_rooms]
+    rooms = [_Page(details / _ROOMS_PAGE, "Rooms that were never seen", _sections(of_rooms), (), of_rooms)]
     return [
         _Page(output_md, "Benchmark", short),
         *(
@@ -151,14 +157,13 @@ def _pages(found: RankedResults, output_md: Path, details: Path) -> list[_Page]:
             for scene, ranked in by_scene.items()
         ),
         *paper,
-        _Page(
-            details / _MEASUREMENTS_PAGE,
-            "Measurements",
-            "\n\n".join([*_what_was_run(found.benches), *_bench_sections(found.benches)]) + "\n",
-            (),
-            found.benches,
-        ),
+        *(rooms if of_rooms else []),
+        _Page(details / _MEASUREMENTS_PAGE, "Measurements", _sections(measured), (), measured),
     ]
+
+
+def _sections(benches: Sequence[BenchRecord]) -> str:
+    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
 
 
 def _draw_maps(grid: MapGrid, path: Path) -> None:
