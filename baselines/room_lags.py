@@ -185,9 +185,9 @@ class RoomField(nn.Module):
                 torch.cat([*place, about[: 2 * carriers]]).movedim(0, -1),
                 torch.stack([octave, range_m.log(), direction @ room.up], dim=-1)[:, None, None],
             )
-            weights = self.gain[0].weight.split(self.told, dim=1)  # type: ignore[union-attr, operator]
-            of_image, of_plane, of_transmitter = map(linear, told, weights)
-            hidden = of_image + (of_plane + self.gain[0].bias) + of_transmitter
+            first: Any = self.gain[0]
+            of_image, of_plane, of_transmitter = map(linear, told, first.weight.split(self.told, dim=1))
+            hidden = of_image + (of_plane + first.bias) + of_transmitter
             gain = softplus(self.gain[1:](hidden)[..., 0])
             gain = gain * (before_m > 0) * (range_m[:, None, None] / length_m) ** 2
             sums, total = sums + self._count * torch.einsum("qad,qadl->ql", gain, wave), gain.sum(dim=(1, 2))

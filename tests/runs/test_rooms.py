@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from xfreqbench.baselines.line_of_sight import LineOfSight
 
-from tests.support.places import ROOT
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.unseen_rooms import room_splits
@@ -18,6 +19,7 @@ from xfreqbench.methods.check import check_method
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
+from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.runs import rooms as runner
 from xfreqbench.runs.folder import ResultsFolder
@@ -103,10 +105,12 @@ def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
         for result in check_method("room-lags", ["rooms=1", "queries=4", "headings=8", "distances=4"])
         if result.fault
     ]
-    example = (ROOT / "docs/unseen-rooms.md").read_text().partition("```python\n")[2].partition("```")[0]
-    (tmp_path / "soft.py").write_text(example)
-    monkeypatch.syspath_prepend(tmp_path)
-    assert not [str(result) for result in check_method("soft:SoftDirectWave") if result.fault]
+    written = write_method_package("my-rooms", tmp_path / "mine", rooms=True)
+    assert not [path for path in written if re.search(r"soft|Soft|to copy and", path.read_text())]
+    project = tomllib.loads((tmp_path / "mine" / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"] == {"xfreqbench.room_methods": {"my-rooms": "my_rooms:MyRooms"}}
+    monkeypatch.syspath_prepend(tmp_path / "mine" / "src")
+    assert not [str(result) for result in check_method("my_rooms:MyRooms") if result.fault]
     with pytest.raises(MethodError, match="learns across rooms"):
         run(rooms[0], "room-lags", "held-out-tx", tmp_path)
     with pytest.raises(XFreqBenchError, match="takes unseen-rooms"):

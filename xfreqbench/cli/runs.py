@@ -77,10 +77,13 @@ def check_method(method: str, *, set_: Overrides = ()) -> None:
         raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
 
 
-@app.command(name="new-method", group=RUN, help_epilogue=example("new-method my-method"))
+@app.command(name="new-method", group=RUN, help_epilogue=example("new-method my-method --rooms"))
 def new_method(
     name: str,
     *,
+    rooms: Annotated[
+        bool, Parameter(negative="", help="A method that learns across rooms, for unseen-rooms; else one of one room.")
+    ] = False,
     output: Annotated[
         Path | None,
         Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."),
@@ -97,7 +100,7 @@ def new_method(
     from xfreqbench.methods.template import write_method_package
 
     folder = output or Path(name)
-    for path in write_method_package(name, folder):
+    for path in write_method_package(name, folder, rooms):
         say(f"wrote {path}", quiet)
     say(f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}", quiet)
 

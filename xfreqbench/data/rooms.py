@@ -97,7 +97,7 @@ def generate_rooms(
     raises, and `OutputExistsError` where the folder holds rooms of another family or with other options.
     """
     settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, materials=materials)
-    files = {"pas_kind": pas_kind, "maps": maps, "paths": paths, "polarization": polarization}
+    files: dict[str, Any] = {"pas_kind": pas_kind, "maps": maps, "paths": paths, "polarization": polarization}
     plan = plan_of_rooms(family, freqs_ghz, settings, rooms=rooms, seed=seed, tx=tx, **files)
     with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], not progress) as (report,):
         return generate_planned_rooms(plan, Path(output), workers, report, tell or (lambda text: None))
