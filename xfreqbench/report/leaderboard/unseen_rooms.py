@@ -29,7 +29,6 @@ _NOTE = (
 )
 _TRAINED, _SKILL = "trained types", "skill over the best trivial predictor"
 _MORE = ("skill", "s a room", "s to learn", "rooms learned from")
-_CHOICE_OF_ROOMS = re.compile(r" trained_on=\d+")  # an option of room-lags
 _MOST_ROWS = 6
 _Scores = list[FloatArray]  # SSIM in each room that has any such map
 _Chosen = Callable[[RunRecord], _Scores]
@@ -54,11 +53,12 @@ def room_tables(records: Iterable[RunRecord]) -> list[BenchRecord]:
 def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
     budgets: dict[str, set[str]] = {}
     for record in records:
-        budgets.setdefault(_name(record), set()).add(budget_text(record.job.budget))
+        budgets.setdefault(_without_choice(_name(record)), set()).add(budget_text(record.job.budget))
     runs: _Runs = {}
     for record in records:
         name, budget = _name(record), budget_text(record.job.budget)
-        label = f"{name}, {budget}" if len(budgets[name]) > 1 and name not in EVERY_TRIVIAL else name
+        is_one_of_several = len(budgets[_without_choice(name)]) > 1 and name not in EVERY_TRIVIAL
+        label = f"{name}, {budget}" if is_one_of_several else name
         runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
@@ -106,6 +106,11 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
 
 def _name(record: RunRecord) -> str:
     return " ".join([record.job.method, *record.job.overrides])
+
+
+def _without_choice(name: str) -> str:
+    """A method's name without the option that chooses training rooms."""
+    return re.sub(r" trained_on=\d+", "", name)
 
 
 def _part(record: RunRecord) -> str:
@@ -211,7 +216,7 @@ def _curve(runs: _Runs) -> BenchFigure | None:
     """The skill of methods that learned from several numbers of rooms, by that number."""
     points = [
         BenchPoint(
-            series=f"{_CHOICE_OF_ROOMS.sub('', label)}, {part}, {number} heard",
+            series=f"{_without_choice(label)}, {part}, {number} heard",
             label="",
             x=record.counts[NUM_ROOMS],
             y=_skill(label, _values(runs, part, number, _unheard)),
