@@ -44,6 +44,7 @@ from xfreqbench.units import ghz_to_hz
 
 _NEAREST_M, _FARTHEST_M = 0.15, 12.0  # planes, from the array
 _RELEVANT_M = 1.0  # evidence at a heard transmitter counts less by e for each metre from the one that is asked for
+_LEAST_EXCESS = 0.003  # of power beyond the direct wave's, before its logarithm
 _MAX_GRADIENT, _WARM_UP_STEPS, _MIN_RATE = 1.0, 50, 0.02
 _PREDICT_BATCH = 32
 _FIRST_GAIN = -6.0  # logarithm of an image's power before training
@@ -138,11 +139,11 @@ class RoomField(nn.Module):
             for each in (lags.lag, np.tile(lags.weight, 2), np.tile(lags.count, 2))
         )
         num_sums, carriers, width = 2 * len(lags.lag), len(HEARD_GHZ), config.width
-        told = 2 * carriers + 4  # about a plane by all that was heard
+        told = 3 * carriers + 4  # about a plane by all that was heard
         self.upright = nn.Sequential(nn.Conv2d(told, 16, 3), nn.SiLU(), nn.Conv2d(16, 8, 1))
         self.level = nn.Sequential(nn.Conv1d(told, 16, 3, padding=1), nn.SiLU(), nn.Conv1d(16, 8, 1))
         # what is told of an image: of it alone, of its plane whoever is asked for, and of the transmitter whose it is
-        self.told = 6 + carriers, 3 + 8 + 2 * carriers, 3
+        self.told = 6 + carriers, 3 + 8 + 3 * carriers, 3
         self.gain = _perceptron(sum(self.told), width, width, 1)
         nn.init.constant_(self.gain[-1].bias, _FIRST_GAIN)  # type: ignore[arg-type]
         self.correction = _perceptron(num_sums + 8, 96, 96, num_sums)
@@ -182,7 +183,7 @@ class RoomField(nn.Module):
             place = [room.distance_m.log().expand_as(rise)[None], rise[None], rise.abs()[None], self._context(about)]
             told = (
                 torch.cat([torch.stack(seen, 1), near], dim=1).movedim(1, -1),
-                torch.cat([*place, about[: 2 * carriers]]).movedim(0, -1),
+                torch.cat([*place, about[: 3 * carriers]]).movedim(0, -1),
                 torch.stack([octave, range_m.log(), direction @ room.up], dim=-1)[:, None, None],
             )
             first: Any = self.gain[0]
@@ -204,14 +205,16 @@ class RoomField(nn.Module):
         carriers = len(HEARD_GHZ)
         amount = torch.tensor([share, float(number > 0)])[:, None, None].expand(-1, *planes)
         if not number:
-            nothing = torch.zeros(2 * carriers + 2, *planes)
+            nothing = torch.zeros(3 * carriers + 2, *planes)
             return torch.cat([nothing, amount]), torch.zeros(len(position_m), carriers + 2, *planes)
         power, direct, beyond = heard.power.float(), heard.direct.float(), heard.is_beyond.float()
         is_before = 1 - beyond
         count = is_before.sum(0).clamp_min(1)
         excess = (power - direct[:, None]) * is_before[:, None]
-        means = [(power * is_before[:, None]).sum(0), (excess * (1 - direct[:, None])).sum(0)]
-        about = torch.cat([*(mean / count for mean in means), ((direct * is_before).sum(0) / count)[None]])
+        # a wall mirrors everyone before it: the mean of logarithms is high only where all have the image
+        level = (torch.log(excess.clamp_min(0) + _LEAST_EXCESS) + 4) / 3
+        sums = [power * is_before[:, None], excess * (1 - direct[:, None]), level * is_before[:, None]]
+        about = torch.cat([*(each.sum(0) / count for each in sums), ((direct * is_before).sum(0) / count)[None]])
         about = torch.cat([about, beyond.mean(0)[None], amount])
         weight = torch.softmax(-torch.cdist(position_m, heard.position_m) / _RELEVANT_M, dim=1)
         each = torch.cat([excess, (direct * is_before)[:, None], beyond[:, None]], dim=1)
