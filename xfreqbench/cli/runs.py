@@ -266,7 +266,8 @@ def benchmark(
             benchmarks.record_contents(planned)
     folder = planned.results_dir
     pages = folder / "pages" if preset.startswith("paper") else None  # that of the paper's tables among them
-    report(str(folder), output=folder / "BENCHMARK.md", html=folder / "benchmark.html", details=pages, quiet=quiet)
+    page = folder / "benchmark.html" if planned.scenes else None  # it shows boards, which rooms have not
+    report(str(folder), output=folder / "BENCHMARK.md", html=page, details=pages, quiet=quiet)
     if failures:
         number = f"{len(failures)} of its parts failed; the same command tries them again."
         raise XFreqBenchError("\n".join([number, *failures]))
