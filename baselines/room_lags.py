@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 from torch import Tensor, nn
-from torch.nn.functional import pad, softplus
+from torch.nn.functional import linear, pad, softplus
 from typing_extensions import Doc
 
 from xfreqbench.data.collection import Collection
@@ -44,6 +44,7 @@ from xfreqbench.units import ghz_to_hz
 
 _NEAREST_M, _FARTHEST_M = 0.15, 12.0  # planes, from the array
 _RELEVANT_M = 1.0  # evidence at a heard transmitter counts less by e for each metre from the one that is asked for
+_LEAST_EXCESS = 0.003  # of power beyond the direct wave's, before its logarithm
 _MAX_GRADIENT, _WARM_UP_STEPS, _MIN_RATE = 1.0, 50, 0.02
 _PREDICT_BATCH = 32
 _FIRST_GAIN = -6.0  # logarithm of an image's power before training
@@ -57,6 +58,7 @@ class RoomLagsConfig:
     """Options of `room-lags`; a fit ends after `steps`, or before when the budget is spent."""
 
     steps: Annotated[Count, Doc("most steps of a fit")] = 200_000
+    trained_on: Annotated[int, Field(ge=0), Doc("the first so many of the training rooms; 0: all")] = 0
     rooms: Annotated[Count, Doc("rooms of a step")] = 4
     queries: Annotated[Count, Doc("maps of each room that a step asks for")] = 16
     headings: Annotated[int, Field(ge=4), Doc("of upright planes")] = 32
@@ -114,9 +116,9 @@ class _Images:
         power, direct, beyond = [], [], []
         for place_m, part in zip(position_m.split(16), sums.split(16), strict=True):
             direction, _, before_m = self.towards(place_m)
-            wave = self.field.wave(direction)
-            power.append(torch.einsum("tadl,tcl->tcad", wave, part))
-            direct.append(torch.einsum("tadl,tl->tad", wave, self.field.plane_wave(_unit(place_m))))
+            wave, weight = self.field.wave(direction), self.field.weight
+            power.append(torch.einsum("tadl,tcl->tcad", wave, weight * part))
+            direct.append(torch.einsum("tadl,tl->tad", wave, weight * self.field.plane_wave(_unit(place_m))))
             beyond.append(before_m <= 0)
         return _Heard(position_m, torch.cat(power).half(), torch.cat(direct).half(), torch.cat(beyond))
 
@@ -132,29 +134,30 @@ class RoomField(nn.Module):
         super().__init__()
         self.config, self.beams = config, Beams(beam, _CPU)
         lags = LagFunctions(beam)
-        self._lag, self._weight, self._count = (
-            torch.as_tensor(table, dtype=torch.float32) for table in (lags.lag, lags.weight, lags.count)
+        self._lag, self.weight, self._count = (
+            torch.as_tensor(table, dtype=torch.float32)
+            for table in (lags.lag, np.tile(lags.weight, 2), np.tile(lags.count, 2))
         )
         num_sums, carriers, width = 2 * len(lags.lag), len(HEARD_GHZ), config.width
-        num_features = 2 * carriers + 4  # about a plane by all that was heard
+        num_features = 3 * carriers + 4  # about a plane by all that was heard
         self.upright = nn.Sequential(nn.Conv2d(num_features, 16, 3), nn.SiLU(), nn.Conv2d(16, 8, 1))
         self.level = nn.Sequential(nn.Conv1d(num_features, 16, 3, padding=1), nn.SiLU(), nn.Conv1d(16, 8, 1))
-        sizes = (12 + carriers + 8 + 2 * carriers, width, width, 1)
-        self.gain = _perceptron(*sizes)
+        # features of an image: of it alone, of its plane whoever is asked for, and of the transmitter whose it is
+        self.parts = 6 + carriers, 3 + 8 + 3 * carriers, 3
+        self.gain = _perceptron(sum(self.parts), width, width, 1)
         nn.init.constant_(self.gain[-1].bias, _FIRST_GAIN)  # type: ignore[arg-type]
         self.correction = _perceptron(num_sums + 8, 96, 96, num_sums)
         for parameter in self.correction[-1].parameters():
             nn.init.zeros_(parameter)
 
     def wave(self, direction: Float[Tensor, "... 3"]) -> Float[Tensor, "... L"]:
-        """What each sum over lags contributes to the power from a direction."""
+        """Cosines and sines of a direction's phases: times sums over lags and `weight`, they add up to its power."""
         phase = 2 * math.pi * direction @ self._lag.T
-        return torch.cat([self._weight * phase.cos(), self._weight * phase.sin()], dim=-1)
+        return torch.cat([phase.cos(), phase.sin()], dim=-1)
 
     def plane_wave(self, direction: Float[Tensor, "... 3"]) -> Float[Tensor, "... L"]:
         """Sums over lags of a plane wave from a direction, whose map has peak 1."""
-        phase = 2 * math.pi * direction @ self._lag.T
-        return torch.cat([self._count * phase.cos(), self._count * phase.sin()], dim=-1)
+        return self._count * self.wave(direction)
 
     def forward(
         self, room: _Images, heard: _Heard, position_m: Float[Tensor, "Q 3"], carrier_hz: Float[Tensor, "Q"]
@@ -164,34 +167,34 @@ class RoomField(nn.Module):
         share = math.log1p(number) / math.log1p(max(NUMS_HEARD))
         range_m, direction = position_m.norm(dim=1), _unit(position_m)
         direct = self.plane_wave(direction)
-        octave = torch.log10(carrier_hz / 1e10).float()
+        octave, carriers = torch.log10(carrier_hz / 1e10).float(), len(HEARD_GHZ)
         sums, total = direct, torch.zeros_like(octave)
         if self.config.images:
             towards, length_m, before_m = room.towards(position_m)
             about, near = self._evidence(heard, position_m, number, share)
-            ones = torch.ones_like(length_m)
-            own = torch.einsum("qadl,ql->qad", self.wave(towards), direct)
-            rise = (room.normal @ room.up)[:, None] * ones
-            facts = [
+            wave = self.wave(towards)
+            seen = [
                 torch.log(length_m / range_m[:, None, None]),
                 (room.distance_m + before_m) / length_m,  # cosine of incidence
-                torch.log(room.distance_m) * ones,
-                rise,
-                rise.abs(),
-                own,
-                octave[:, None, None] * ones,
-                torch.log(range_m)[:, None, None] * ones,
-                (direction @ room.up)[:, None, None] * ones,
+                torch.einsum("qadl,ql->qad", wave, self.weight * direct),
                 before_m.clamp(-1, 3),
             ]
-            context = torch.cat([self._context(about), about[: 2 * len(HEARD_GHZ)]])
-            inputs = [torch.stack(facts, -1), near.movedim(1, -1), context.movedim(0, -1).expand(*ones.shape, -1)]
-            gain = softplus(self.gain(torch.cat(inputs, dim=-1))[..., 0])
+            rise = (room.normal @ room.up)[:, None].expand(about.shape[1:])
+            place = [room.distance_m.log().expand_as(rise)[None], rise[None], rise.abs()[None], self._context(about)]
+            told = (
+                torch.cat([torch.stack(seen, 1), near], dim=1).movedim(1, -1),
+                torch.cat([*place, about[: 3 * carriers]]).movedim(0, -1),
+                torch.stack([octave, range_m.log(), direction @ room.up], dim=-1)[:, None, None],
+            )
+            first: Any = self.gain[0]
+            of_image, of_plane, of_transmitter = map(linear, told, first.weight.split(self.parts, dim=1))
+            hidden = of_image + (of_plane + first.bias) + of_transmitter
+            gain = softplus(self.gain[1:](hidden)[..., 0])
             gain = gain * (before_m > 0) * (range_m[:, None, None] / length_m) ** 2
-            sums, total = sums + torch.einsum("qad,qadl->ql", gain, self.plane_wave(towards)), gain.sum(dim=(1, 2))
+            sums, total = sums + self._count * torch.einsum("qad,qadl->ql", gain, wave), gain.sum(dim=(1, 2))
         known = [octave, range_m.log(), *direction.T, torch.full_like(octave, share)]
         known += [torch.full_like(octave, number > 0), total]
-        size = self._count.sum() ** 0.5
+        size = (self._count.sum() / 2) ** 0.5
         return sums + size * self.correction(torch.cat([direct / size**2, torch.stack(known, dim=1)], dim=1))
 
     def _evidence(
@@ -202,14 +205,16 @@ class RoomField(nn.Module):
         carriers = len(HEARD_GHZ)
         amount = torch.tensor([share, float(number > 0)])[:, None, None].expand(-1, *planes)
         if not number:
-            nothing = torch.zeros(2 * carriers + 2, *planes)
+            nothing = torch.zeros(3 * carriers + 2, *planes)
             return torch.cat([nothing, amount]), torch.zeros(len(position_m), carriers + 2, *planes)
         power, direct, beyond = heard.power.float(), heard.direct.float(), heard.is_beyond.float()
         is_before = 1 - beyond
         count = is_before.sum(0).clamp_min(1)
         excess = (power - direct[:, None]) * is_before[:, None]
-        means = [(power * is_before[:, None]).sum(0), (excess * (1 - direct[:, None])).sum(0)]
-        about = torch.cat([*(mean / count for mean in means), ((direct * is_before).sum(0) / count)[None]])
+        # a wall mirrors everyone before it: the mean of logarithms is high only where all have the image
+        level = (torch.log(excess.clamp_min(0) + _LEAST_EXCESS) + 4) / 3
+        sums = [power * is_before[:, None], excess * (1 - direct[:, None]), level * is_before[:, None]]
+        about = torch.cat([*(part.sum(0) / count for part in sums), ((direct * is_before).sum(0) / count)[None]])
         about = torch.cat([about, beyond.mean(0)[None], amount])
         weight = torch.softmax(-torch.cdist(position_m, heard.position_m) / _RELEVANT_M, dim=1)
         features = torch.cat([excess, (direct * is_before)[:, None], beyond[:, None]], dim=1)
@@ -290,12 +295,13 @@ class RoomLags:
         """
         state = self._state or self._started(rooms, seed)
         self._state = state
-        known = [_TrainingRoom(state.field, _of_one_array(dataset, state.field)) for dataset in rooms]
+        chosen = rooms.select(num_rooms=self.config.trained_on or None)
+        known = [_TrainingRoom(state.field, _of_one_array(dataset, state.field)) for dataset in chosen]
         maps = self.config.rooms * self.config.queries
         state.share = max(state.share, state.step / self.config.steps, budget.share(state.step, 0, maps * state.step))
         while state.step < self.config.steps:
             loss = self._train(state, known)
-            spent = yield Progress(state.step, loss, {"maps": maps * state.step})
+            spent = yield Progress(state.step, loss, {"maps": maps * state.step, "rooms": len(known)})
             state.share = max(spent or 0.0, state.step / self.config.steps)
 
     def adapt(self, heard: PasDataset, budget: Budget) -> RoomLagsPredictor:

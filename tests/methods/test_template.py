@@ -11,18 +11,19 @@ import pytest
 from tests.support.places import ROOT
 from xfreqbench.cli.runs import new_method
 from xfreqbench.errors import MethodError, OutputExistsError
-from xfreqbench.methods.template import TEMPLATE, TEMPLATE_FILES, write_method_package
+from xfreqbench.methods.template import TEMPLATE_FILES, write_method_package
 
-FOLDER = ROOT / "examples" / TEMPLATE
 LEFT_BY_TOOLS = re.compile(r"__pycache__|\.egg-info|/build/|\.pytest_cache")
 
 
-def test_every_file_of_the_template_is_copied_and_ships() -> None:
-    found = {path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file()}
-    assert {name for name in found if not LEFT_BY_TOOLS.search(f"/{name}")} == set(TEMPLATE_FILES)
+@pytest.mark.parametrize("template", TEMPLATE_FILES)
+def test_every_file_of_the_template_is_copied_and_ships(template: str) -> None:
+    folder = ROOT / "examples" / template
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert {name for name in found if not LEFT_BY_TOOLS.search(f"/{name}")} == set(TEMPLATE_FILES[template])
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
-    of_template = [name for name in shipped["xfreqbench.examples"] if name.startswith(TEMPLATE)]
-    assert sorted(of_template) == [f"{TEMPLATE}/{name}" for name in sorted(TEMPLATE_FILES)]
+    of_template = [name for name in shipped["xfreqbench.examples"] if name.startswith(template)]
+    assert sorted(of_template) == [f"{template}/{name}" for name in sorted(TEMPLATE_FILES[template])]
 
 
 def test_the_module_the_classes_the_entry_point_tests_and_workflow_have_the_new_name(tmp_path: Path) -> None:

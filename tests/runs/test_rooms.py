@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from xfreqbench.baselines.line_of_sight import LineOfSight
 
-from tests.support.places import ROOT
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.unseen_rooms import room_splits
@@ -18,10 +19,14 @@ from xfreqbench.methods.check import check_method
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
+from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.unseen_rooms import rooms_overview
 from xfreqbench.runs import rooms as runner
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.run import run
+
+SMALL = ["queries=8", "headings=16", "distances=12"]
 
 
 @pytest.fixture(scope="module")
@@ -32,14 +37,19 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> Collection:
 @pytest.fixture(scope="module")
 def results(rooms: Collection, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    methods = {"line-of-sight": {}, "nearest": {}, "room-lags": ["queries=8", "headings=16", "distances=12"]}
+    methods = {"line-of-sight": {}, "nearest": {}, "room-lags": SMALL}
     run(rooms, methods, "unseen-rooms", folder, budget="80steps")
+    run(rooms, {"room-lags": [*SMALL, "trained_on=2"]}, "unseen-rooms", folder, budget="80steps")
     return folder
 
 
 @pytest.mark.usefixtures("one_thread")
 def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
-    found = {(record.job.method, record.job.split): record for record in ResultsFolder(results).records}
+    found = {
+        (record.job.method, record.job.split): record
+        for record in ResultsFolder(results).records
+        if "trained_on=2" not in record.job.overrides
+    }
     for number in (0, 4, 16, 64):
         learned, start = (
             found[name, f"heard-{number}"].scores["ssim"].median for name in ("room-lags", "line-of-sight")
@@ -82,17 +92,30 @@ def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
     assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
 
 
-def test_the_report_has_tables_by_number_heard_by_carrier_and_by_type(results: Path) -> None:
-    by_number, by_carrier, by_type = read_results(results).benches
-    assert by_number.figure is not None
-    assert [row[0] for row in by_number.rows] == [
-        "line-of-sight",
-        "nearest",
-        "room-lags queries=8 headings=16 distances=12",
-    ]
+def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curve_over_rooms(results: Path) -> None:
+    by_number, by_carrier, by_type, by_sight, curve = read_results(results).benches
+    learned = f"room-lags {' '.join(SMALL)}"
+    assert [row[0] for row in by_number.rows] == ["line-of-sight", "nearest", learned, f"{learned} trained_on=2"]
     assert all("[+0.0" in cell for cell in by_number.rows[2][2:6])  # intervals above zero
-    assert len(by_carrier.rows) == 9
+    assert len(by_carrier.rows) == 12
     assert {row[2] for row in by_type.rows} == {"box"}
+    assert {row[2] for row in by_sight.rows} == {"in sight"}  # nothing hides a transmitter in these rooms
+    assert by_number.figure and {point.x for point in by_number.figure.points} == {0, 4, 16, 64}
+    assert curve.figure and not curve.figure.x_is_cost
+    assert {(point.series, point.x) for point in curve.figure.points} == {
+        (f"{learned}, trained types, {number} heard", num_rooms) for number in (0, 64) for num_rooms in (2, 4)
+    }
+    (shown,) = rooms_overview(read_results(results).benches, "more.md")
+    assert len(shown.splitlines()) <= 12 and f"| {learned} " in shown
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
+def test_methods_of_one_room_learn_from_what_is_heard_of_a_new_one(rooms: Collection, tmp_path: Path) -> None:
+    methods = {"aperture-gs": ["num_gaussians=64"], "xfreq-gs": ["num_gaussians=64"], "virtual-source": []}
+    records = run(rooms, methods, "unseen-rooms", tmp_path, budget="256maps")
+    assert len(records) == 3 * 4  # at twelve samples too, of four transmitters at three carriers
+    assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
 
 
 def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
@@ -103,10 +126,12 @@ def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
         for result in check_method("room-lags", ["rooms=1", "queries=4", "headings=8", "distances=4"])
         if result.fault
     ]
-    example = (ROOT / "docs/unseen-rooms.md").read_text().partition("```python\n")[2].partition("```")[0]
-    (tmp_path / "soft.py").write_text(example)
-    monkeypatch.syspath_prepend(tmp_path)
-    assert not [str(result) for result in check_method("soft:SoftDirectWave") if result.fault]
+    written = write_method_package("my-rooms", tmp_path / "mine", rooms=True)
+    assert not [path for path in written if re.search(r"soft|Soft|to copy and", path.read_text())]
+    project = tomllib.loads((tmp_path / "mine" / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"] == {"xfreqbench.room_methods": {"my-rooms": "my_rooms:MyRooms"}}
+    monkeypatch.syspath_prepend(tmp_path / "mine" / "src")
+    assert not [str(result) for result in check_method("my_rooms:MyRooms") if result.fault]
     with pytest.raises(MethodError, match="learns across rooms"):
         run(rooms[0], "room-lags", "held-out-tx", tmp_path)
     with pytest.raises(XFreqBenchError, match="takes unseen-rooms"):

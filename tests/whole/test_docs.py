@@ -129,7 +129,7 @@ def python_texts() -> Iterator[tuple[str, str]]:
             if cell.cell_type == "code":
                 lines = [line for line in cell.source.splitlines() if not line.startswith("%")]
                 yield f"{notebook.name}, cell {number}", "\n".join(lines)
-    for path in (ROOT / "examples" / "xfreqbench-method-template").rglob("*.py"):
+    for path in (ROOT / "examples").glob("*-template/**/*.py"):
         yield named(path), path.read_text("utf-8")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -24,6 +24,9 @@ from xfreqbench.cli.options import (
     say_written,
 )
 from xfreqbench.errors import XFreqBenchError
+
+if TYPE_CHECKING:
+    from xfreqbench.tracing.tracer import TraceSettings
 
 Solver = Annotated[
     Literal["auto", "image", "sionna"],
@@ -134,6 +137,7 @@ def generate(
     """
     from xfreqbench.data import generate as generation
     from xfreqbench.data.fingerprint import compare_fingerprint
+    from xfreqbench.data.rooms import MAX_DEPTH, RAYS
     from xfreqbench.system.workers import require_executor
     from xfreqbench.tracing.solvers import interactions_named
     from xfreqbench.tracing.tracer import TraceSettings
@@ -148,24 +152,22 @@ def generate(
             raise XFreqBenchError(
                 "With --rooms the family draws transmitters and array: leave out --tx-positions and --receiver."
             )
+        limits = {"rays": RAYS, "max_depth": MAX_DEPTH} | limits
         _generate_rooms(
             scene,
             output,
             freqs_ghz,
+            TraceSettings(solver, interactions_named(names), materials=materials, **limits),
             dry_run,
             quiet,
             executor,
             rooms=rooms,
-            tx=120 if tx is None else tx,
-            solver=solver,
-            interactions=names,
             seed=seed,
+            tx=120 if tx is None else tx,
             pas_kind=pas_kind,
-            materials=materials,
             maps=bool(maps),
             paths=paths,
             polarization=parse_names(polarization),
-            **limits,
         )
         return
     chosen = {
@@ -203,24 +205,33 @@ def generate(
 
 
 def _generate_rooms(
-    family: str, output: Path, freqs_ghz: list[float], dry_run: bool, quiet: bool, executor: str, **asked: Any
+    family: str,
+    output: Path,
+    freqs_ghz: list[float],
+    settings: TraceSettings,
+    dry_run: bool,
+    quiet: bool,
+    executor: str,
+    **asked: Any,
 ) -> None:
     """Make a collection of rooms, or say what it would take."""
     from xfreqbench.data import rooms as generation
+    from xfreqbench.system.bars import progress_bars
+    from xfreqbench.system.workers import open_workers
 
-    if not dry_run:
-        collection = generation.generate_rooms(
-            family, output, freqs_ghz, **asked, executor=executor, progress=not quiet, tell=partial(say, quiet=quiet)
+    plan = generation.plan_of_rooms(family, freqs_ghz, settings, **asked)
+    if dry_run:
+        seconds, num_bytes = generation.estimate_rooms(plan)
+        print(
+            f"{asked['rooms']:,} rooms of {plan.family.name!r} × {plan.tx} transmitters × {len(freqs_ghz)} carriers, "
+            f"about {num_bytes / 1e6:,.0f} MB in as many files\nestimated time {seconds:,.0f} s of one core, "
+            f"{seconds / asked['rooms']:.2f} s a room; nothing was written"
         )
-        say(f"{collection!r}\nwrote {output}", quiet)
         return
-    plan = generation.plan_of_rooms(family, freqs_ghz, **asked)
-    seconds, num_bytes = generation.estimate_rooms(plan)
-    print(
-        f"{asked['rooms']:,} rooms of {plan.family.name!r} × {asked['tx']} transmitters × {len(freqs_ghz)} carriers, "
-        f"about {num_bytes / 1e6:,.0f} MB in as many files\nestimated time {seconds:,.0f} s of one core, "
-        f"{seconds / asked['rooms']:.2f} s a room; nothing was written"
-    )
+    with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], quiet) as (report,):
+        told = partial(say, quiet=quiet)
+        collection = generation.generate_planned_rooms(plan, output, workers, report, told)
+    say(f"{collection!r}\nwrote {output}", quiet)
 
 
 def _read_positions(path: Path | None) -> Any:

@@ -77,10 +77,13 @@ def check_method(method: str, *, set_: Overrides = ()) -> None:
         raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
 
 
-@app.command(name="new-method", group=RUN, help_epilogue=example("new-method my-method"))
+@app.command(name="new-method", group=RUN, help_epilogue=example("new-method my-method --rooms"))
 def new_method(
     name: str,
     *,
+    rooms: Annotated[
+        bool, Parameter(negative="", help="A method that learns across rooms, for unseen-rooms; else one of one room.")
+    ] = False,
     output: Annotated[
         Path | None,
         Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."),
@@ -97,7 +100,7 @@ def new_method(
     from xfreqbench.methods.template import write_method_package
 
     folder = output or Path(name)
-    for path in write_method_package(name, folder):
+    for path in write_method_package(name, folder, rooms):
         say(f"wrote {path}", quiet)
     say(f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}", quiet)
 
@@ -270,7 +273,8 @@ def benchmark(
             benchmarks.record_contents(planned)
     folder = planned.results_dir
     pages = folder / "pages" if preset.startswith("paper") else None  # that of the paper's tables among them
-    report(str(folder), output=folder / "BENCHMARK.md", html=folder / "benchmark.html", details=pages, quiet=quiet)
+    page = folder / "benchmark.html" if planned.scenes else None  # it shows boards, which rooms have not
+    report(str(folder), output=folder / "BENCHMARK.md", html=page, details=pages, quiet=quiet)
     if failures:
         number = f"{len(failures)} of its parts failed; the same command tries them again."
         raise XFreqBenchError("\n".join([number, *failures]))

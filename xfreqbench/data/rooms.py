@@ -42,19 +42,19 @@ class RoomsPlan:
 
     family: Family
     seeds: range
-    num_tx: int
     carrier_hz: tuple[float, ...]
     settings: TraceSettings
-    pas_kind: str
-    maps: bool
-    paths: bool
-    polarization: tuple[str, ...] | None
+    tx: int = 120
+    pas_kind: str = "power"
+    maps: bool = False
+    paths: bool = False
+    polarization: tuple[str, ...] | None = None
 
     @property
     def options(self) -> dict[str, Any]:
         """What all rooms have in common, as JSON holds it."""
         settings = {name: value for name, value in asdict(self.settings).items() if name != "seed"}
-        told = {"tx": self.num_tx, "pas_kind": self.pas_kind, "maps": self.maps, "paths": self.paths}
+        told = {"tx": self.tx, "pas_kind": self.pas_kind, "maps": self.maps, "paths": self.paths}
         return TypeAdapter(dict[str, Any]).dump_python(
             {**told, "polarization": self.polarization, **settings}, mode="json"
         )
@@ -96,22 +96,9 @@ def generate_rooms(
     lost are named to `tell`, and made again. A call with more rooms adds them. Raises what `generate`
     raises, and `OutputExistsError` where the folder holds rooms of another family or with other options.
     """
-    plan = plan_of_rooms(
-        family,
-        freqs_ghz,
-        rooms=rooms,
-        tx=tx,
-        solver=solver,
-        interactions=interactions,
-        rays=rays,
-        max_depth=max_depth,
-        seed=seed,
-        pas_kind=pas_kind,
-        materials=materials,
-        maps=maps,
-        paths=paths,
-        polarization=polarization,
-    )
+    settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, materials=materials)
+    files: dict[str, Any] = {"pas_kind": pas_kind, "maps": maps, "paths": paths, "polarization": polarization}
+    plan = plan_of_rooms(family, freqs_ghz, settings, rooms=rooms, seed=seed, tx=tx, **files)
     with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], not progress) as (report,):
         return generate_planned_rooms(plan, Path(output), workers, report, tell or (lambda text: None))
 
@@ -119,27 +106,23 @@ def generate_rooms(
 @checked
 def plan_of_rooms(
     family: FilePath | InstanceOf[Family],
-    freqs_ghz: CarriersGhz = PAPER_CARRIERS_GHZ,
+    freqs_ghz: CarriersGhz,
+    settings: InstanceOf[TraceSettings],
     *,
     rooms: PositiveInt,
-    tx: PositiveInt = 120,
-    solver: SolverName = "auto",
-    interactions: Texts | None = None,
-    rays: int = RAYS,
-    max_depth: int = MAX_DEPTH,
     seed: Seed = 1,
-    pas_kind: str = "power",
-    materials: MaterialPolicy = "error",
-    maps: bool = False,
-    paths: bool = False,
+    tx: PositiveInt = 120,
     polarization: Texts | None = None,
+    **files: Any,
 ) -> RoomsPlan:
-    """The plan of what `generate_rooms` does with the same arguments; its first room is checked as a scene is."""
+    """The plan of rooms of the seeds from `seed` on; its first room is checked as a scene is.
+
+    `files` are `pas_kind`, `maps` and `paths` as `generate_rooms` takes them. Raises what `generate_rooms` raises.
+    """
     known = family if isinstance(family, Family) else load_family(family)
     carrier_hz = tuple(sorted(map(ghz_to_hz, freqs_ghz)))
     pairs = None if polarization is None else tuple(polarization)
-    settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials)
-    plan = RoomsPlan(known, range(seed, seed + rooms), tx, carrier_hz, settings, pas_kind, maps, paths, pairs)
+    plan = RoomsPlan(known, range(seed, seed + rooms), carrier_hz, settings, tx, polarization=pairs, **files)
     _, first = _planned(plan, seed)
     return replace(plan, settings=first.settings)
 
@@ -184,7 +167,7 @@ def made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
 
 def estimate_rooms(plan: RoomsPlan, probes: int = 3) -> tuple[float, float]:
     """Seconds that one core takes for all rooms, and their bytes, from a few rooms that are made and thrown away."""
-    made_room(replace(plan, num_tx=2), plan.seeds[0])  # what has to be compiled
+    made_room(replace(plan, tx=2), plan.seeds[0])  # what has to be compiled
     seconds, sizes = list[float](), list[int]()
     for seed in plan.seeds[:probes]:
         start = time.process_time()
@@ -200,7 +183,7 @@ def _planned(plan: RoomsPlan, seed: int) -> tuple[str, Plan]:
         room.scene,
         plan.carrier_hz,
         replace(plan.settings, seed=seed),
-        tx_position_m=room.transmitters(plan.num_tx),
+        tx_position_m=room.transmitters(plan.tx),
         pas_kind=plan.pas_kind,
         maps=plan.maps,
         paths=plan.paths,

@@ -12,37 +12,53 @@ from xfreqbench.errors import MethodError
 from xfreqbench.methods.registry import method_names
 from xfreqbench.system.files import atomic_folder
 
-TEMPLATE = "xfreqbench-method-template"
-TEMPLATE_FILES = (
-    ".github/workflows/tests.yml",
-    "README.md",
-    "pyproject.toml",
-    "src/plane_waves/__init__.py",
-    "tests/test_plane_waves.py",
-)
-_TITLE = "A method for xfreqbench, to copy and to change"
+TEMPLATE, ROOMS_TEMPLATE = "xfreqbench-method-template", "xfreqbench-rooms-template"
+TEMPLATE_FILES = {
+    TEMPLATE: (
+        ".github/workflows/tests.yml",
+        "README.md",
+        "pyproject.toml",
+        "src/plane_waves/__init__.py",
+        "tests/test_plane_waves.py",
+    ),
+    ROOMS_TEMPLATE: (
+        "README.md",
+        "pyproject.toml",
+        "src/soft_direct_wave/__init__.py",
+        "tests/test_soft_direct_wave.py",
+    ),
+}
+_COPIED = ", to copy and to change"
 _MAX_NAME = 40
 _FOLDERS = ("src", "tests")
 
 
-def write_method_package(name: str, folder: Path) -> list[Path]:
+def write_method_package(name: str, folder: Path, rooms: bool = False) -> list[Path]:
     """Write a package with a method of this name that learns at once, and with its tests; returns its files.
+
+    The method learns in one room, or with `rooms` across many, as a `RoomMethod`.
 
     The name is that of the package for pip, of the entry point, and so of the method on the leaderboard. The
     module and the classes are named after it: `my-waves` has `MyWaves` in `my_waves`. Raises `MethodError` for a name
     that cannot be all of these or is taken, `OutputExistsError` where the folder is neither absent nor empty, and
     `StorageError`.
     """
-    contents = {name: (files("xfreqbench.examples") / TEMPLATE / name).read_text("utf-8") for name in TEMPLATE_FILES}
+    template = ROOMS_TEMPLATE if rooms else TEMPLATE
+    folder_of_it = files("xfreqbench.examples") / template
+    contents = {path: (folder_of_it / path).read_text("utf-8") for path in TEMPLATE_FILES[template]}
     module, class_name = name.replace("-", "_"), "".join(part.capitalize() for part in name.split("-"))
     _require_free(name, module, class_name, "\n".join(contents.values()))
     names = {
-        _TITLE: f"{name}: a method for xfreqbench",
-        TEMPLATE: name,
+        f"A method for xfreqbench{_COPIED}": f"{name}: a method for xfreqbench",
+        f"A method for xfreqbench that learns across rooms{_COPIED}": f"{name}: a method that learns across rooms",
+        template: name,
         "plane-waves": name,
         "plane_waves": module,
         "PlaneWaveField": f"{class_name}Field",
         "PlaneWaves": class_name,
+        "soft-direct-wave": name,
+        "soft_direct_wave": module,
+        "SoftDirectWave": class_name,
     }
     written = []
     with atomic_folder(folder) as temporary:

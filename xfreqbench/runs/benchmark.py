@@ -17,11 +17,11 @@ from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import estimate_seconds, generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.rooms import RoomsPlan, generate_planned_rooms, plan_of_rooms
+from xfreqbench.data.rooms import MAX_DEPTH, RAYS, RoomsPlan, generate_planned_rooms, plan_of_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
 from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
-from xfreqbench.methods.contract import parse_budget
+from xfreqbench.methods.contract import RoomMethod, parse_budget
 from xfreqbench.methods.registry import build_method, device_option
 from xfreqbench.runs.estimate import OVERHEAD_S, in_hours
 from xfreqbench.runs.folder import ResultsFolder
@@ -29,7 +29,7 @@ from xfreqbench.runs.jobs import Task, protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
-from xfreqbench.runs.rooms import room_tasks
+from xfreqbench.runs.rooms import RoomTask, room_tasks
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text, sole_worker
@@ -43,7 +43,7 @@ from xfreqbench.system.workers import (
     open_workers,
     own_cores,
 )
-from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -63,12 +63,12 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "fixed-frequency-gs": 1e-4,
     "frequency-embedded-gs": 1e-4,
     "xfreq-gs": 1.5e-4,
+    "room-lags": 5.5e-4,
     "virtual-source": 9e-4,
     "xfreq-gs-paper": 0.018,
 }
 _USUAL_SECONDS_A_MAP = 4.5e-4
-# to trace a room; to fit a method in a room, or to look maps up there, and score; and rooms tested of a thousand
-_ROOM_S, _ADAPTED_S, _LOOKED_UP_S, _TESTED_ROOMS = 2.0, 4.0, 0.5, 100
+_ROOM_S, _SCORED_S, _TESTED_ROOMS = 1.2, 0.5, 107  # to trace a room; to score one; tested rooms of a thousand
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
 
 
@@ -101,10 +101,10 @@ class Benchmark:
     @cached_property
     def rooms_plans(self) -> dict[str, RoomsPlan]:
         """The plan of every collection of rooms, by the name of the family."""
-        numbers = self.preset.num_rooms.items()
+        settings = TraceSettings(interactions=WITHOUT_DIFFRACTION, max_depth=MAX_DEPTH, rays=RAYS)
         return {
-            family: plan_of_rooms(family, PAPER_CARRIERS_GHZ, rooms=number, interactions=WITHOUT_DIFFRACTION)
-            for family, number in numbers
+            name: plan_of_rooms(name, PAPER_CARRIERS_GHZ, settings, rooms=number, tx=self.preset.num_tx[name])
+            for name, number in self.preset.num_rooms.items()
         }
 
     @cached_property
@@ -126,7 +126,10 @@ class Benchmark:
         return self.data_dir / (f"{scene}-{number}.h5" if number else f"{scene}.h5")
 
     def tasks(self) -> list[Task]:
-        """All jobs, each once, in the order of the blocks. The data sets must have been generated."""
+        """All jobs, each once, in the order of the blocks; but of those that share a fit, all but the first come last.
+
+        Otherwise they would wait for it beside it. The data sets must have been generated.
+        """
         datasets: dict[str, PasDataset | Collection] = {
             scene: open_dataset(self.data_path(scene)) for scene in self.scenes
         }
@@ -134,7 +137,9 @@ class Benchmark:
         by_job = {
             task.job: task for block in self.preset.blocks for task in self._tasks_of(block, datasets[block.scene])
         }
-        return list(by_job.values())
+        fits = {task: task.fit_id if isinstance(task, RoomTask) else task.id for task in by_job.values()}
+        first = {fit: task for task, fit in reversed(fits.items())}
+        return sorted(fits, key=lambda task: first[fits[task]] is not task)
 
     def _tasks_of(self, block: Block, data: PasDataset | Collection) -> Sequence[Task]:
         methods = [
@@ -237,8 +242,9 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     budget = parse_budget(block.budget)
     a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
     if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
-        across = (budget.max_seconds or 0.0) / (2 * len(NUMS_HEARD))
-        return across + _TESTED_ROOMS * (_ADAPTED_S if budget.max_maps else _LOOKED_UP_S)
+        fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
+        is_across = isinstance(build_method(setting.method, setting.overrides), RoomMethod)
+        return fit_s * (1 / _num_splits(block) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
     overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
     maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
     return (budget.max_seconds or maps * a_map) + overhead

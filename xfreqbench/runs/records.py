@@ -302,7 +302,10 @@ class BenchPoint(BaseModel):
 
 
 class BenchFigure(BaseModel):
-    """Points to draw, with labels of both axes that include their units."""
+    """Points to draw, with labels of both axes that include their units.
+
+    Where `x_is_cost`, less of it is better, and the figure marks what nothing cheaper beats.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -310,6 +313,7 @@ class BenchFigure(BaseModel):
     y_label: str
     log_x: bool
     points: tuple[BenchPoint, ...]
+    x_is_cost: bool = True
 
 
 class BenchRecord(SealedModel):

@@ -53,8 +53,11 @@ from xfreqbench.system.files import atomic_path, require_own
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SCHEMA = "xfreqbench/room-predictions/1"
-ROOM_SECONDS = "seconds_a_room"  # among the counts of a record: to adapt to a room and predict what is asked, median
-ROOM_TYPES = "room_types"  # among the settings of a record: the type of every tested room, in turn
+# among the counts of a record: median seconds to adapt to a room and predict what is asked, and how many rooms a
+# method learned from, where it says so
+ROOM_SECONDS, NUM_ROOMS = "seconds_a_room", "rooms"
+# among the settings of a record, of every tested room in turn: its type, and "1" or "0" for each transmitter asked for
+ROOM_TYPES, ROOM_SIGHT = "room_types", "line_of_sight"
 _WAIT_S = 0.5
 
 
@@ -303,7 +306,7 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
     """The record of a task, whose stored predictions are scored here; scores stand by room in `ssim_by_tx`."""
     answers, room = _read(path, task.split)
     scores: dict[str, list[FloatArray]] = {}
-    carriers_hz = []
+    carriers_hz, in_sight = [], []
     for question, answer in zip(task.split.questions(), answers, strict=True):
         asked, kind = question.asked, question.room.header.pas_kind
         if not np.array_equal(asked.rows, answer.rows):
@@ -312,6 +315,8 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
         for name, values in score_all(maps, asked.pas(), asked.grid, kind).items():
             scores.setdefault(name, []).append(values)
         carriers_hz.append(asked.carrier_hz)
+        seen = question.room.tables["line_of_sight"][np.unique(asked.tx_index)]
+        in_sight.append("".join(str(int(each)) for each in seen))
     every, carrier_hz = {name: np.concatenate(values) for name, values in scores.items()}, np.concatenate(carriers_hz)
     told = task.split.collection.record
     recipe = [told.family_sha256, told.options, [each.seed for each in task.split.collection.rooms]]
@@ -328,6 +333,7 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
             "rooms_trained_on": len(task.split.collection.part("train")),
             "rooms_tested": len(answers),
             ROOM_TYPES: [each.type for each in task.split.rooms.rooms],
+            ROOM_SIGHT: in_sight,
         },
         split_sha256=task.split.sha256,
         protocol_version=ROOM_PROTOCOL_VERSION,

@@ -245,7 +245,9 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
                 times = f"{result.setup_s:.2f}", f"{tx_ms:.3g}", f"{tx_ms / len(task.carriers_hz):.3g}"
                 table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")
                 points.append(BenchPoint(series=f"{varied}, {solver}", label=f"{number:,}", x=number, y=tx_ms))
-        table.figure = BenchFigure(x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points))
+        table.figure = BenchFigure(
+            x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points), x_is_cost=False
+        )
 
 
 def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float) -> PeerTask:

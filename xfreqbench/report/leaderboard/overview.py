@@ -13,13 +13,12 @@ from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, short_legend
 from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.figures import bench_figure, time_link
+from xfreqbench.report.leaderboard.figures import time_link
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
-from xfreqbench.report.leaderboard.unseen_rooms import TRAINED_TYPES
+from xfreqbench.report.leaderboard.unseen_rooms import ROOMS, rooms_overview
 from xfreqbench.runs.records import BenchRecord
 
-ROOMS = "unseen-rooms"  # the measurement whose first table is of rooms that were never seen
 _BRIEFLY = {"generate": "Generator", "render": "Rendering", "stress": "Stability"}
 _MOST_ROWS, _MOST_SPLITS = 3, 5
 _FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
@@ -51,7 +50,7 @@ def overview_markdown(
         *_findings(compared, of_scene),
         *_main_board(compared, pages, scene),
         *_skill_matrix(compared),
-        *_unseen_rooms(benches, pages),
+        *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
         *claims,
         *_measured_parts(benches, measurements_page),
@@ -259,18 +258,6 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
 def _skill_cell(comparison: Comparison, row: BoardRow | None) -> str:
     (column,) = leaderboard_columns(comparison, ("skill",))
     return ABSENT if row is None else column.text(row)
-
-
-def _unseen_rooms(benches: Sequence[BenchRecord], pages: Mapping[str, str]) -> list[str]:
-    """How good methods are in rooms that were never seen, of types that were trained on, with a link to the rest."""
-    record = next((bench for bench in benches if bench.bench == ROOMS), None)
-    if record is None or ROOMS not in pages:
-        return []
-    link = pages[ROOMS]
-    figure = f" ([figure]({link.rpartition('/')[0]}/{bench_figure(record)}))" if record.figure else ""
-    caption = f"{paragraph(record.note, prose)} [More]({link}){figure}"
-    rows = [row for row in record.rows if TRAINED_TYPES in row]
-    return [f"## Rooms that were never seen\n\n{caption}\n\n{table(record.columns, rows, prose)}"]
 
 
 def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:

@@ -103,10 +103,10 @@ def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None
 
 @plain_style()
 def plot_cost(figure: BenchFigure, path: Path) -> None:
-    """Draw accuracy against cost as SVG: less `x`, a cost, is better, and more `y`, an accuracy, is better.
+    """Draw accuracy against cost, or against something else, as SVG.
 
-    Each series is a line by increasing cost. Points that no other point beats in both have rings, and a grey step
-    joins them. Points that are not finite have no place. Points of one place and label are labelled once. Equal
+    Each series is a line by increasing `x`. Of a cost, points that no other point beats in both have rings, and a grey
+    step joins them. Points that are not finite have no place. Points of one place and label are labelled once. Equal
     figures give equal bytes. Raises `StorageError`.
     """
     canvas = Figure(figsize=(8.0, 5.4), layout="constrained")
@@ -121,7 +121,8 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
         by_series[point.series].append(point)
     for index, (series, points) in enumerate(by_series.items()):
         _draw_series(axis, index, series, points)
-    _draw_front(axis, drawn)
+    if figure.x_is_cost:
+        _draw_front(axis, drawn)
     axis.set(xlabel=shown(figure.x_label), ylabel=shown(figure.y_label), xscale="log" if figure.log_x else "linear")
     if figure.log_x:
         label_decades(axis)

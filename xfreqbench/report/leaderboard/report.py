@@ -17,7 +17,7 @@ from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.figures import bench_figure, draw_bench, draw_time, require_own_figures, time_link
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
-from xfreqbench.report.leaderboard.overview import ROOMS, main_scene, overview_markdown
+from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
 from xfreqbench.report.leaderboard.paper import (
     CLAIMS_CAPTION,
     MapGrid,
@@ -38,6 +38,7 @@ from xfreqbench.report.leaderboard.tables import (
     require_own_csv,
     write_csv,
 )
+from xfreqbench.report.leaderboard.unseen_rooms import ROOMS
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -169,7 +170,8 @@ def _require_files_of_their_own(paths: Sequence[Path]) -> None:
     if twice is not None:
         raise OutputExistsError(
             f"Two pages of the report would both be {twice}: each scene has a page of its name, beside "
-            f"{_MEASUREMENTS_PAGE} and {_PAPER_PAGE}. Give another --output or --details, or name the scene otherwise."
+            f"{_MEASUREMENTS_PAGE}, {_PAPER_PAGE} and {_ROOMS_PAGE}. Give another --output or --details, or name the "
+            "scene otherwise."
         )
 
 
@@ -210,6 +212,10 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
         *pages,
         _Page(details / _MEASUREMENTS_PAGE, "Measurements", measured, (), others),
     ]
+
+
+def _sections(benches: Sequence[BenchRecord]) -> str:
+    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
 
 
 def _draw_maps(grid: MapGrid, path: Path) -> None:

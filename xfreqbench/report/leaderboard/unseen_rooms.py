@@ -1,11 +1,12 @@
-"""Tables of runs on unseen rooms: how good methods are by the number of transmitters heard, by carrier and by type."""
+"""Tables of runs on unseen rooms: by transmitters heard, carrier, type of room, line of sight, rooms learned from."""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from itertools import groupby
-from math import nan
-from typing import Any
+from itertools import compress, groupby
+from math import isnan, nan
 
 import numpy as np
 from jaxtyping import Float
@@ -13,19 +14,27 @@ from jaxtyping import Float
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.maps.metrics import NUM_RESAMPLES, skill
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.report.drawing.markdown import ABSENT, prose, table
+from xfreqbench.report.leaderboard.figures import bench_figure
+from xfreqbench.report.leaderboard.rows import budget_text
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord
-from xfreqbench.runs.rooms import ROOM_SECONDS, ROOM_TYPES
+from xfreqbench.runs.rooms import NUM_ROOMS, ROOM_SECONDS, ROOM_SIGHT, ROOM_TYPES
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
+ROOMS = ROOM_PROTOCOLS[0]  # the name of the measurement that its tables are
 _START = "line-of-sight"  # which knows geometry alone, and to which the others are compared
 _NOTE = (
     "A cell has the median SSIM of maps at 2.4, 24.25 and 77 GHz, where a method has heard 1, 10 and 60 GHz, and the "
     "mean over rooms of how much higher their median SSIM is than that of `line-of-sight`, with its 95 % interval when "
     "rooms are resampled. "
 )
-TRAINED_TYPES = "trained types"  # of rooms, as rows are named that are tested on such
-_Chosen = Callable[[RunRecord], FloatArray]
+_TRAINED, _SKILL = "trained types", "skill over the best trivial predictor"
+_MORE = ("skill", "s a room", "s to learn", "rooms learned from")
+_MOST_ROWS = 6
+_Scores = list[FloatArray]  # SSIM in each room that has any such map
+_Chosen = Callable[[RunRecord], _Scores]
+_Runs = dict[tuple[str, str], dict[int, RunRecord]]  # by rooms and method, then by the number of transmitters heard
 
 
 def is_of_rooms(record: RunRecord) -> bool:
@@ -34,7 +43,7 @@ def is_of_rooms(record: RunRecord) -> bool:
 
 
 def room_tables(records: Iterable[RunRecord]) -> list[BenchRecord]:
-    """Tables of the records that are of rooms, of each collection and protocol: by number heard, carrier and type."""
+    """Tables of the records that are of rooms, of each collection and protocol, most general first."""
 
     def board(record: RunRecord) -> tuple[str, ...]:
         return record.scene, record.dataset_sha256, record.job.protocol
@@ -44,36 +53,50 @@ def room_tables(records: Iterable[RunRecord]) -> list[BenchRecord]:
 
 
 def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
-    by_row: dict[tuple[str, str], dict[str, RunRecord]] = {}
+    budgets: dict[str, set[str]] = {}
     for record in records:
-        label = " ".join([record.job.method, *record.job.overrides])
-        part = record.job.split.rpartition("heard-")[0].rstrip("-") or TRAINED_TYPES
-        by_row.setdefault((part, label), {})[record.job.split] = record
+        budgets.setdefault(_without_choice(_name(record)), set()).add(budget_text(record.job.budget))
+    runs: _Runs = {}
+    for record in records:
+        name, budget = _name(record), budget_text(record.job.budget)
+        is_one_of_several = len(budgets[_without_choice(name)]) > 1 and name not in EVERY_TRIVIAL
+        label = f"{name}, {budget}" if is_one_of_several else name
+        runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
     last = records[-1]
     tables = []
-    for what, choices in (
-        ("", {"": _unheard}),
-        ("by carrier", carriers),
-        ("by type of room", {each: _of_type(each) for each in types}),
+    for what, choices, figure in (
+        ("", {"": _unheard}, _figure(runs)),
+        ("carrier", carriers, None),
+        ("type of room", {each: _of_type(each) for each in types}, None),
+        ("line of sight", {"in sight": _in_sight("1"), "hidden": _in_sight("0")}, None),
+        ("rooms learned from", {"": _unheard}, _curve(runs)),
     ):
+        is_curve = what == _MORE[-1]
+        if is_curve and figure is None:
+            continue
         rows = [
-            (label, *filter(None, [part, name if what else ""]), *_cells(by_row, part, label, chosen), *_seconds(found))
-            for (part, label), found in by_row.items()
+            (label, *filter(None, [part, name]), *_cells(runs, part, label, chosen), *_seconds(found))
+            for (part, label), found in runs.items()
             for name, chosen in choices.items()
         ]
-        columns = ("method", "rooms", *([what.removeprefix("by ")] if what else []))
+        columns = ("method", "rooms", *([what] if all(choices) else []))
         tables.append(
             BenchRecord(
-                bench=ROOM_PROTOCOLS[0],
-                title=f"{last.scene} · {last.job.protocol}" + (f" · {what}" if what else ""),
+                bench=ROOMS,
+                title=f"{last.scene} · {last.job.protocol}" + (f" · by {what}" if what else ""),
                 command=f"xfreqbench run --data {last.job.dataset} --protocol {last.job.protocol} --methods … "
                 "--results results",
                 note=_note(last),
-                columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), "skill", "s a room", "s to learn"),
-                rows=tuple(row for row in rows if any(cell != "–" for cell in row[len(columns) : -3])),
-                figure=None if what else _figure(by_row),
+                columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), *_MORE),
+                rows=tuple(
+                    row
+                    for row in rows
+                    if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)])
+                    and not (is_curve and row[-1] == ABSENT)
+                ),
+                figure=figure,
                 hardware=last.hardware,
                 software=last.software,
                 git_commit=last.git_commit,
@@ -83,11 +106,24 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
     return tables
 
 
+def _name(record: RunRecord) -> str:
+    return " ".join([record.job.method, *record.job.overrides])
+
+
+def _without_choice(name: str) -> str:
+    """A method's name without the option that chooses training rooms."""
+    return re.sub(r" trained_on=\d+", "", name)
+
+
+def _part(record: RunRecord) -> str:
+    return record.job.split.rpartition("heard-")[0].rstrip("-") or _TRAINED
+
+
 def _note(record: RunRecord) -> str:
     trained, tested = record.settings["rooms_trained_on"], record.settings["rooms_tested"]
     return _NOTE + (
-        f"{trained} rooms were trained on. Skill is that over the best trivial predictor, at the most heard. Seconds a "
-        f"room are those to adapt to a room and to predict {record.num_test // tested} maps."
+        f"There were {trained} rooms to train on. Skill is that over the best trivial predictor, at the most heard. "
+        f"Seconds a room are those to adapt to a room and to predict {record.num_test // tested} maps."
     )
 
 
@@ -98,9 +134,9 @@ def _ssim(record: RunRecord) -> Float[FloatArray, "R T F"]:
 
 
 def _at_carrier(*carriers_ghz: float) -> _Chosen:
-    def chosen(record: RunRecord) -> FloatArray:
+    def chosen(record: RunRecord) -> _Scores:
         known = sorted(map(float, record.scores["ssim"].median_by_carrier_hz))
-        return _ssim(record)[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]]
+        return list(_ssim(record)[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]])
 
     return chosen
 
@@ -109,49 +145,107 @@ _unheard = _at_carrier(*ASKED_GHZ)
 
 
 def _of_type(name: str) -> _Chosen:
-    return lambda record: _unheard(record)[np.array(record.settings[ROOM_TYPES]) == name]
+    return lambda record: list(compress(_unheard(record), [kind == name for kind in record.settings[ROOM_TYPES]]))
 
 
-def _cells(by_row: Any, part: str, label: str, chosen: _Chosen) -> list[str]:
+def _in_sight(flag: str) -> _Chosen:
+    def chosen(record: RunRecord) -> _Scores:
+        flags = record.settings[ROOM_SIGHT]
+        scores = [room[np.array([*seen]) == flag] for room, seen in zip(_unheard(record), flags, strict=True)]
+        return [room for room in scores if room.size]
+
+    return chosen
+
+
+def _median(scores: _Scores) -> float:
+    return float(np.median(np.concatenate(scores)))
+
+
+def _values(runs: _Runs, part: str, number: int, chosen: _Chosen) -> dict[str, _Scores]:
+    """Scores of every method that has any, where a number of transmitters is heard."""
+    found = {label: run[number] for (of_part, label), run in runs.items() if of_part == part and number in run}
+    return {label: scores for label, record in found.items() if (scores := chosen(record))}
+
+
+def _cells(runs: _Runs, part: str, label: str, chosen: _Chosen) -> list[str]:
     """Cells of one row: of each number of transmitters heard, and the skill at the most of them."""
     cells, reached = [], nan
     for number in NUMS_HEARD:
-        found = {
-            name: next((r for split, r in row.items() if split.endswith(f"heard-{number}")), None)
-            for (of_part, name), row in by_row.items()
-            if of_part == part
-        }
-        values = {name: chosen(record) for name, record in found.items() if record is not None}
-        if label not in values or not values[label].size:
-            cells.append("–")
+        values = _values(runs, part, number, chosen)
+        if label not in values:
+            cells.append(ABSENT)
             continue
         cells.append(_cell(values[label], values.get(_START) if label != _START else None))
-        trivial = [float(np.median(each)) for name, each in values.items() if name in EVERY_TRIVIAL and each.size]
-        reached = skill(float(np.median(values[label])), max(trivial, default=nan))
-    return [*cells, "–" if np.isnan(reached) else f"{reached:.2f}"]
+        reached = _skill(label, values)
+    return [*cells, ABSENT if isnan(reached) else f"{reached:.2f}"]
 
 
-def _cell(values: FloatArray, start: FloatArray | None) -> str:
-    if start is None or start.shape != values.shape:
-        return f"{np.median(values):.3f}"
-    by_room = np.median(values, axis=(1, 2)) - np.median(start, axis=(1, 2))
+def _skill(label: str, values: dict[str, _Scores]) -> float:
+    trivial = [_median(scores) for name, scores in values.items() if name in EVERY_TRIVIAL]
+    return skill(_median(values[label]), max(trivial, default=nan))
+
+
+def _cell(values: _Scores, start: _Scores | None) -> str:
+    if start is None:
+        return f"{_median(values):.3f}"
+    by_room = np.array([np.median(room) - np.median(other) for room, other in zip(values, start, strict=True)])
     drawn = np.random.default_rng(0).choice(by_room, (NUM_RESAMPLES, len(by_room))).mean(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return f"{np.median(values):.3f}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
+    return f"{_median(values):.3f}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
-def _seconds(found: dict[str, RunRecord]) -> list[str]:
-    """Cells of the seconds for a new room where most is heard, and of the fit across rooms."""
-    record = max(found.values(), key=lambda each: int(each.job.split.rpartition("-")[2]))
-    return [f"{record.counts[ROOM_SECONDS]:.2f}", f"{record.fit_seconds:.0f}"]
+def _seconds(run: dict[int, RunRecord]) -> list[str]:
+    """Cells of the seconds for a new room where most is heard, of the fit across rooms, and how many rooms it saw."""
+    record = run[max(run)]
+    learned_from = f"{record.counts[NUM_ROOMS]:,.0f}" if NUM_ROOMS in record.counts else ABSENT
+    return [f"{record.counts[ROOM_SECONDS]:.2f}", f"{record.fit_seconds:.0f}", learned_from]
 
 
-def _figure(by_row: Any) -> BenchFigure:
-    points = tuple(
+def _figure(runs: _Runs) -> BenchFigure | None:
+    """The skill of what is not trivial, by the number of transmitters heard."""
+    points = [
         BenchPoint(
-            series=f"{label}, {part}", label="", x=float(split.rpartition("-")[2]), y=float(np.median(_unheard(record)))
+            series=f"{label}, {part}", label="", x=number, y=_skill(label, _values(runs, part, number, _unheard))
         )
-        for (part, label), row in by_row.items()
-        for split, record in row.items()
-    )
-    return BenchFigure(x_label="transmitters heard", y_label="median SSIM", log_x=False, points=points)
+        for (part, label), run in runs.items()
+        if label not in EVERY_TRIVIAL
+        for number in sorted(run)
+    ]
+    return _drawn("transmitters heard", points, log_x=False)
+
+
+def _curve(runs: _Runs) -> BenchFigure | None:
+    """The skill of methods that learned from several numbers of rooms, by that number."""
+    points = [
+        BenchPoint(
+            series=f"{_without_choice(label)}, {part}, {number} heard",
+            label="",
+            x=record.counts[NUM_ROOMS],
+            y=_skill(label, _values(runs, part, number, _unheard)),
+        )
+        for (part, label), run in runs.items()
+        for number, record in run.items()
+        if number in (min(NUMS_HEARD), max(NUMS_HEARD)) and NUM_ROOMS in record.counts
+    ]
+    lengths = Counter(point.series for point in points)
+    points = [point for point in points if lengths[point.series] > 1]
+    return _drawn("rooms learned from", points, log_x=True)
+
+
+def _drawn(x_label: str, points: Sequence[BenchPoint], log_x: bool) -> BenchFigure | None:
+    if not points:
+        return None
+    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=tuple(points), x_is_cost=False)
+
+
+def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
+    """The methods with most skill in rooms of the types trained on, in short: a section of a report, or none."""
+    for found in tables:
+        if found.bench == ROOMS and found.title.endswith(ROOMS):
+            rows = [[row[0], *(cell.partition(",")[0] for cell in row[2:])] for row in found.rows if row[1] == _TRAINED]
+            rows.sort(key=lambda row: float(row[-len(_MORE)].replace(ABSENT, "-inf")), reverse=True)
+            columns = [column for column in found.columns if column != "rooms"]
+            figure = f" ([figure]({page.rpartition('/')[0]}/{bench_figure(found)}))" if found.figure else ""
+            caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page}){figure}"
+            return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}"]
+    return []
