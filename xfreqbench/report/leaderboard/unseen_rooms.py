@@ -62,6 +62,7 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
         is_one_of_several = len(budgets[_without_choice(name)]) > 1 and name not in EVERY_TRIVIAL
         label = f"{name}, {budget}" if is_one_of_several else name
         runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
+    runs = dict(sorted(runs.items(), key=lambda run: run[0][1] in EVERY_TRIVIAL))  # what learns comes first
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
     last = records[-1]
