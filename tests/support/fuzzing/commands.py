@@ -35,6 +35,7 @@ RESULT_PARTS = (
     ".records",
     "predictions",
     "BENCHMARK.md",
+    "BENCHMARK-",
     "benchmark.html",
     "benchmark.csv",
     "benchmark.parquet",
