@@ -78,7 +78,8 @@ def export_shards(
 def _splits(path: Path) -> Mapping[str, PasDataset | Collection]:
     if not path.is_dir():
         return {"train": open_dataset(path)}
-    parts = {part.replace("-", "_"): open_collection(path).part(part) for part in PARTS}
+    collection = open_collection(path)
+    parts = {part.replace("-", "_"): collection.part(part) for part in PARTS}
     if found := {name: rooms for name, rooms in parts.items() if len(rooms)}:
         return found
     raise XFreqBenchError(f"{path} holds no room: its generation was not finished. Run the same command again.")

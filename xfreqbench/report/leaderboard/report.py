@@ -214,10 +214,6 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
     ]
 
 
-def _sections(benches: Sequence[BenchRecord]) -> str:
-    return "\n\n".join([*_what_was_run(benches), *_bench_sections(benches)]) + "\n"
-
-
 def _draw_maps(grid: MapGrid, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_map_grid
 
