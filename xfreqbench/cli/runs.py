@@ -259,10 +259,8 @@ def benchmark(
     if dry_run:
         return
     with planned.alone():
-        with (
-            progress_bars("transmitters", named := [*planned.scenes, *planned.rooms_plans], quiet) as tracing,
-            open_workers(executor or "serial") as workers,
-        ):
+        named, unit = [*planned.scenes, *planned.rooms_plans], "transmitters" if planned.scenes else "rooms"
+        with progress_bars(unit, named, quiet) as tracing, open_workers(executor or "serial") as workers:
             by_scene = dict(zip(named, tracing, strict=True))
             benchmarks.generate_data(planned, by_scene, workers)
         with run_bars(quiet, shows_fit=False) as (ended, _):

@@ -19,7 +19,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Int
@@ -167,10 +167,12 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
     return [split for split in splits if len(split.rooms)]
 
 
+@lru_cache(maxsize=1)
 def require_no_room_twice(collection: Collection) -> None:
     """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
 
-    Plans are compared without names and materials: a room with other walls of the same shape is that room.
+    Plans are compared without names and materials: a room with other walls of the same shape is that room. A thousand
+    rooms take half a minute, so the answer for a collection is kept for its other splits.
     """
     seen = dict[tuple[str, str], str]()
     for room, dataset in zip(collection.rooms, collection, strict=True):
