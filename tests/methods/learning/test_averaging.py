@@ -15,14 +15,6 @@ def weights(value: float, size: int = 2) -> nn.Module:
     return module
 
 
-def test_the_mean_of_a_constant_is_the_constant() -> None:
-    mean = None
-    for _ in range(5):
-        mean = averaged(mean, weights(3.0), 0.9)
-    assert mean is not None
-    torch.testing.assert_close(mean.module.weight, torch.full((1, 2), 3.0))
-
-
 def test_a_step_of_the_weights_is_forgotten_at_the_rate_that_is_asked_for() -> None:
     kept, mean = 0.5, averaged(None, weights(1.0), 0.5)
     for _ in range(20):  # past the start, when the mean keeps less

@@ -44,6 +44,11 @@ def told(maps: np.ndarray) -> Callable[..., np.ndarray]:
     return lambda tx_position_m, carrier_hz: maps[: len(carrier_hz)]
 
 
+@pytest.fixture(scope="module")
+def noise(train: PasDataset) -> np.ndarray:
+    return np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
+
+
 def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
     """A learned method that knows everything."""
 
@@ -168,8 +173,9 @@ def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout:
     assert all(choice.weights == {LEARNED: 1} for choice in blend.choices.values())
 
 
-def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasDataset, holdout: Holdout) -> None:
-    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
+def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(
+    train: PasDataset, holdout: Holdout, noise: np.ndarray
+) -> None:
     blend = Blend.chosen(TRIVIAL, train, holdout, told(noise))
     assert set(blend.choices) == set(holdout.rows)
     assert not any(LEARNED in choice.weights for choice in blend.choices.values())
@@ -183,7 +189,9 @@ def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasD
     np.testing.assert_allclose(blend.maps(noise[:1], *query), mean / mean.max(), atol=1e-6)
 
 
-def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: PasDataset, holdout: Holdout) -> None:
+def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(
+    train: PasDataset, holdout: Holdout, noise: np.ndarray
+) -> None:
     halves: list[type] = []
     for nth in range(2):
 
@@ -199,7 +207,6 @@ def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: Pas
 
         Half.__name__ = f"Half{nth}"
         halves.append(Half)
-    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
     choices = Blend.chosen(halves, train, holdout, told(noise)).choices
     assert all(choice.weights == {"Half0": 0.5, "Half1": 0.5} for choice in choices.values())
 
@@ -220,13 +227,12 @@ def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
     return RightAt
 
 
-def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[int] = []
-    noise = np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
-    with monkeypatch.context() as patched:
-        stored = PasDataset.pas
-        patched.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
-        Blend.chosen(TRIVIAL, train, holdout, told(noise))
+def test_a_choice_reads_each_map_once(
+    train: PasDataset, holdout: Holdout, noise: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, stored = [], PasDataset.pas
+    monkeypatch.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
+    Blend.chosen(TRIVIAL, train, holdout, told(noise))
     assert 0 < len(read) == len(set(read)) <= len(train)
 
 
@@ -264,20 +270,18 @@ def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:
         np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
 
 
-@pytest.mark.parametrize("number", ["few", "many"])
-def test_a_blended_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
-    number: str, train: PasDataset, many: PasDataset, tmp_path: Path
-) -> None:
-    train = many if number == "many" else train
-    options = {**TINY, "blend": "auto"}
-    unbroken, before, after = (XFreqGS(XFreqGSConfig(**options)) for _ in range(3))
-    losses = trained(unbroken, train, 12)
-    early, late = trained(before, train, 4, end=12), trained(after, train, 9, end=12)
-    assert KINDS[1] not in before.findings().get("blend", {})  # of far transmitters it may have chosen
-    assert KINDS[1] in after.findings()["blend"]
-    assert after.findings() == unbroken.findings()
-    for nth, (broken, seen) in enumerate([(before, early), (after, late)]):
-        resumed = reloaded(broken, tmp_path / f"saved{nth}")
-        assert np.array_equal(predicted(resumed, train), predicted(broken, train))
-        assert [*seen, *trained(resumed, train, 12)] == losses
-        assert np.array_equal(predicted(resumed, train), predicted(unbroken, train))
+def test_a_blended_fit_goes_on_from_its_files_as_if_it_had_never_stopped(many: PasDataset, tmp_path: Path) -> None:
+    """Stopped after far transmitters have their choice, and again when all have."""
+    unbroken, broken = (XFreqGS(XFreqGSConfig(**{**TINY, "blend": "auto"})) for _ in range(2))
+    losses = trained(unbroken, many, 12)
+    seen = trained(broken, many, 4, end=12)
+    assert KINDS[3] in broken.findings()["blend"]
+    assert KINDS[1] not in broken.findings()["blend"]
+    for number, end in ((9, 12), (12, None)):
+        resumed = reloaded(broken, tmp_path / f"saved{number}")
+        assert np.array_equal(predicted(resumed, many), predicted(broken, many))
+        seen += trained(resumed, many, number, end)
+        broken = resumed
+        assert broken.findings() == unbroken.findings()
+    assert seen == losses
+    assert np.array_equal(predicted(broken, many), predicted(unbroken, many))

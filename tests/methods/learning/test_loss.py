@@ -27,13 +27,12 @@ def smooth_maps(seed: int, num_maps: int = 6) -> Tensor:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_losss_ssim_is_the_one_that_scores(dtype: torch.dtype) -> None:
     predicted, truth = smooth_maps(0), smooth_maps(1)
-    scored = metrics.ssim(predicted.numpy().astype(np.float32), truth.numpy().astype(np.float32), GRID)
-    alike = 0.9 * truth + 0.1 * predicted
-    scored_alike = metrics.ssim(alike.numpy().astype(np.float32), truth.numpy().astype(np.float32), GRID)
-    assert 0 < scored.mean() < 0.5 < scored_alike.mean() < 1
-    # float32 rounds variances at 1e-7, against the 9e-4 that SSIM adds to them
-    assert float(mean_ssim(predicted.to(dtype), truth.to(dtype))) == pytest.approx(scored.mean(), abs=1e-5)
-    assert float(mean_ssim(alike.to(dtype), truth.to(dtype))) == pytest.approx(scored_alike.mean(), abs=1e-5)
+    scores = []
+    for maps in (predicted, 0.9 * truth + 0.1 * predicted):
+        scores.append(metrics.ssim(maps.float().numpy(), truth.float().numpy(), GRID).mean())
+        # float32 rounds variances at 1e-7, against the 9e-4 that SSIM adds to them
+        assert float(mean_ssim(maps.to(dtype), truth.to(dtype))) == pytest.approx(scores[-1], abs=1e-5)
+    assert 0 < scores[0] < 0.5 < scores[1] < 1
 
 
 @pytest.mark.parametrize("window", [3, 7])
@@ -43,18 +42,10 @@ def test_the_gradient_of_ssim_is_its_derivative(window: int) -> None:
     torch.autograd.gradcheck(lambda maps: mean_ssim(maps, truth, window), (predicted,))
 
 
-@pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
-def test_a_map_is_like_itself(level: float) -> None:
-    constant = torch.full((2, *GRID.shape), level)
-    for maps in (constant, smooth_maps(0).float()):
+def test_a_map_is_like_itself() -> None:
+    for maps in (torch.zeros(2, *GRID.shape), torch.ones(2, *GRID.shape), smooth_maps(0).float()):
         assert float(mean_ssim(maps, maps)) == pytest.approx(1, abs=1e-6)
         assert float(map_loss(maps, maps, 0.4, 7)) == pytest.approx(0, abs=1e-6)
-
-
-def test_constant_maps_differ_by_their_luminance() -> None:
-    low, high = (torch.full((1, 9, 9), level, dtype=torch.float64) for level in (0.2, 0.6))
-    expected = (2 * 0.2 * 0.6 + 1e-4) / (0.2**2 + 0.6**2 + 1e-4)
-    assert float(mean_ssim(low, high)) == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_weight_goes_from_l1_to_ssim() -> None:
@@ -63,14 +54,6 @@ def test_the_weight_goes_from_l1_to_ssim() -> None:
     for weight in (0.0, 0.4, 1.0):
         expected = (1 - weight) * l1 + weight * unlikeness
         assert float(map_loss(predicted, truth, weight, 7)) == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("weight", [0.0, 0.4, 1.0])
-def test_maps_of_zeros_have_a_finite_gradient(weight: float) -> None:
-    zeros = torch.zeros(2, *GRID.shape, requires_grad=True)
-    for truth in (torch.zeros(2, *GRID.shape), smooth_maps(0, 2).float()):
-        (gradient,) = torch.autograd.grad(map_loss(zeros, truth, weight, 7), zeros)
-        assert bool(gradient.isfinite().all())
 
 
 def test_a_slope_costs_in_a_coarse_view_what_it_costs_in_the_score() -> None:
@@ -89,6 +72,7 @@ def test_a_slope_costs_in_a_coarse_view_what_it_costs_in_the_score() -> None:
 def test_the_kernel_has_the_value_and_the_slope_of_its_twin(weight: float, window: int, stride: int) -> None:
     predicted, truth = smooth_maps(0), smooth_maps(1)
     truth[0], predicted[1], truth[2] = predicted[0], 0.0, 0.0  # alike, and dark
+    predicted[3], truth[3] = 0.0, 0.0
     of_kind = {}
     for kind in (torch.float32, torch.float64):  # the kernel takes float32 alone
         maps = predicted.to(kind).requires_grad_()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, SequentialSampler
+from torch.utils.data import BatchSampler, DataLoader, Dataset, SequentialSampler
 
 from tests.support.synthetic import make_header, transmitters, write_dataset
 from xfreqbench.data import dataset as module
@@ -65,14 +65,6 @@ def test_workers_read_what_this_process_reads(dataset: PasDataset, start: str) -
     for number, batch in enumerate(loader):
         require_equal(batch, dataset, [4 * number, 4 * number + 2])
         dataset.pas([0])
-
-
-def test_a_loader_draws_at_random(dataset: PasDataset) -> None:
-    samples = dataset.torch()
-    sampler = RandomSampler(samples, generator=torch.Generator().manual_seed(1))
-    (batch,) = DataLoader(samples, batch_size=12, sampler=sampler)
-    assert sorted(batch.carrier_hz.tolist()) == sorted(dataset.carrier_hz.tolist())
-    assert batch.carrier_hz.tolist() != dataset.carrier_hz.tolist()
 
 
 def test_maps_alone_have_an_empty_channel(tmp_path: Path) -> None:
