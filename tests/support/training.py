@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget, Progress
@@ -20,7 +23,15 @@ TINY = {
     "precision": "float32",
     "blend": "none",
 }
+OF_PAPER = {"ssim_window": 3, "angular_size_deg": 6.0}
 DIVIDING = {"densify_every": 4, "densify_until": 1.0, "growth": 0.3, "max_gaussians": 60, "move_from": 0.0}
+
+
+def tiny(method: type[LearnedMethod], **options: Any) -> LearnedMethod:
+    """A method with the options of `TINY` that it has, and others."""
+    known = {field.name for field in fields(method.Config)}
+    chosen = {name: value for name, value in TINY.items() if name in known}
+    return method(method.Config(**{**chosen, **(OF_PAPER if method is XFreqGSPaper else {}), **options}))
 
 
 def trained(
