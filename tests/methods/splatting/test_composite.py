@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import functools
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -112,7 +110,7 @@ def assert_same(got: Answer, wanted: Answer, tolerance: float = TOLERANCE) -> No
 @functools.cache
 def long_rows(attenuation: complex | str) -> tuple[PixelLists, Inputs, Answer]:
     """Lists of 3,000 Gaussians with one δ, or with |δ| = 0.9 and any phase; and what Eq. (11) says."""
-    lists = pixel_lists([3000, 0, 17, 2999], num_gaussians=3000)
+    lists = pixel_lists([3000, 0, 17], num_gaussians=3000)
     inputs = random_inputs(lists, batch=2)
     if not isinstance(attenuation, str):
         inputs = inputs._replace(attenuation=torch.full_like(inputs.attenuation, attenuation))
@@ -120,7 +118,7 @@ def long_rows(attenuation: complex | str) -> tuple[PixelLists, Inputs, Answer]:
 
 
 @any_backend
-@pytest.mark.parametrize("attenuation", [0, 0.02j, "any phase", 0.999, 1])
+@pytest.mark.parametrize("attenuation", [0, "any phase", 1])
 def test_3000_gaussians_in_a_row_match_the_literal_equation(
     backend: Backend, dtype: torch.dtype, attenuation: complex | str
 ) -> None:
@@ -141,7 +139,7 @@ def test_gradients_survive_gaussians_that_let_nothing_through(backend: Backend, 
 
 
 @any_backend
-@pytest.mark.parametrize("batch", [1, 5, 16, 33])
+@pytest.mark.parametrize("batch", [1, 16, 33])
 def test_any_batch_over_lists_of_unequal_length_matches_the_literal_equation(
     backend: Backend, dtype: torch.dtype, batch: int
 ) -> None:
@@ -177,92 +175,20 @@ def test_pixels_that_see_nothing_are_dark_and_teach_nothing(backend: Backend) ->
 
 
 @either_backend
-def test_one_gaussian_on_one_pixel_in_one_sample_is_enough(backend: Backend) -> None:
-    lists = pixel_lists([1], num_gaussians=1)
-    inputs = random_inputs(lists, batch=1)
-    assert_same(answer(lists, inputs, backend), expected(lists, inputs))
-
-
-@either_backend
-def test_a_gaussian_far_away_in_its_footprint_adds_nothing_and_hides_nothing(backend: Backend) -> None:
-    lists = PixelLists(torch.tensor([0, 2]), torch.tensor([0, 1]), num_gaussians=2)
-    inputs = random_inputs(lists, batch=2)
-    field = composite(lists, torch.tensor([1e6, 0.0]), *inputs[1:], backend=backend)
-    torch.testing.assert_close(field[:, 0], inputs.signal[1])
-
-
-@either_backend
-def test_a_sample_does_not_depend_on_the_rest_of_its_batch(backend: Backend) -> None:
-    lists = pixel_lists([20, 3, 0, 11], num_gaussians=30)
-    inputs = random_inputs(lists, batch=33)
-    field = composite(lists, *inputs, backend=backend)
-    last = composite(lists, inputs.distance, *(x[:, 32:] for x in inputs[1:]), backend=backend)
-    torch.testing.assert_close(field[32:], last, rtol=0, atol=1e-6)  # a few roundings of exp in other lanes
-
-
-@either_backend
-def test_the_order_of_pixels_does_not_matter(backend: Backend) -> None:
-    lengths = [9, 0, 30, 2, 17]
-    lists = pixel_lists(lengths, num_gaussians=40)
-    inputs = random_inputs(lists, batch=3)
-    order = [3, 2, 4, 0, 1]
-    pairs = [torch.arange(lists.start[k].item(), lists.start[k + 1].item()) for k in order]
-    start = torch.tensor([0, *(lengths[k] for k in order)]).cumsum(0)
-    shuffled = PixelLists(start, lists.gaussian[torch.cat(pairs)], lists.num_gaussians)
-    moved = inputs._replace(distance=inputs.distance[torch.cat(pairs)])
-    field = composite(lists, *inputs, backend=backend)
-    torch.testing.assert_close(composite(shuffled, *moved, backend=backend), field[:, order], rtol=0, atol=1e-6)
-
-
-def test_both_backends_agree_on_2000_pixels() -> None:
-    lengths = torch.randint(0, 30, (2000,), generator=torch.Generator().manual_seed(3)).tolist()
-    lists = pixel_lists(lengths, num_gaussians=300)
-    inputs = random_inputs(lists, batch=20)
-    assert_same(answer(lists, inputs, "numba"), answer(lists, inputs, "torch", torch.float64))
-
-
-@either_backend
 def test_gradients_of_a_gaussian_that_every_pixel_sees_stay_accurate(backend: Backend) -> None:
     lists = pixel_lists([3] * 32_400, num_gaussians=3)
     inputs = random_inputs(lists, batch=1)
     assert_same(answer(lists, inputs, backend), answer(lists, inputs, "torch", torch.float64))
 
 
-def test_the_torch_backend_passes_a_numerical_gradient_check() -> None:
-    lists = pixel_lists([3, 0, 5], num_gaussians=6)
-    inputs = to_precision(random_inputs(lists, batch=2), torch.float64)
-    inputs.attenuation[0] = 0
-    leaves = [x.requires_grad_() for x in inputs]
-    assert torch.autograd.gradcheck(lambda *leaves: composite(lists, *leaves, backend="torch"), leaves)
-
-
-def test_compiled_gradients_repeat_to_the_last_bit_on_two_threads() -> None:
-    torch.set_num_threads(2)
-    lists = pixel_lists([50] * 300, num_gaussians=80)
-    inputs = random_inputs(lists, batch=17)
-    once, again = (answer(lists, inputs, "numba") for _ in range(2))
-    assert all(torch.equal(one, other) for one, other in zip(once, again, strict=True))
-
-
-def test_two_threads_find_what_one_finds() -> None:
+def test_gradients_repeat_to_the_last_bit_on_two_threads_and_are_those_of_one() -> None:
     lists = pixel_lists([50, 0, 1, 7] * 50, num_gaussians=80)
     inputs = random_inputs(lists, batch=17)
     on_one = answer(lists, inputs, "numba")
     torch.set_num_threads(2)
-    assert_same(answer(lists, inputs, "numba"), on_one)
-
-
-def test_starting_the_compiled_kernels_leaves_torch_its_number_of_threads() -> None:
-    script = (
-        "import torch; torch.set_num_threads(1)\n"
-        "from xfreqbench.methods.splatting.composite import PixelLists, composite\n"
-        "none = PixelLists(torch.tensor([0, 0]), torch.tensor([], dtype=torch.int64), 1)\n"
-        "one = torch.ones(1, 1)\n"
-        "composite(none, torch.ones(0), one, one + 0j, one + 0j, backend='numba')\n"
-        "print(torch.get_num_threads())"
-    )
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "1", result.stderr
+    once, again = (answer(lists, inputs, "numba") for _ in range(2))
+    assert all(torch.equal(one, other) for one, other in zip(once, again, strict=True))
+    assert_same(once, on_one)
 
 
 def test_the_compiled_backend_refuses_double_precision() -> None:

@@ -97,21 +97,10 @@ def test_gradients_are_those_of_the_published_equations(dtype: torch.dtype, part
         assert relative_error(*pair) < TOLERANCE[dtype]
 
 
-def test_the_jacobian_is_the_derivative_of_the_centre() -> None:
-    position_m = scene()[0]
-    assert relative_error(projection_jacobian(position_m), derivative(position_m)) < 1e-12
-
-
 def test_inside_the_pole_cap_the_jacobian_of_elevation_stays_the_derivative() -> None:
     position_m = torch.tensor([[0.01, 0.02, 3.0], [-1e-4, 0.0, 2.0]], dtype=torch.float64)
-    actual, expected = projection_jacobian(position_m), derivative(position_m)
-    assert relative_error(actual[:, 1], expected[:, 1]) < 1e-12
-
-
-def derivative(position_m: Tensor) -> Tensor:
-    """∂(azimuth, elevation)/∂(x, y, z) by autograd, (N, 2, 3)."""
-    sums = torch.autograd.functional.jacobian(lambda x: torch.stack(angular_centre(x)[:2]).sum(dim=1), position_m)
-    return sums.transpose(0, 1)
+    expected = torch.autograd.functional.jacobian(lambda x: angular_centre(x)[1].sum(), position_m)
+    assert relative_error(projection_jacobian(position_m)[:, 1], expected) < 1e-12
 
 
 def test_an_axis_aligned_gaussian_is_as_wide_as_its_sides_over_its_range() -> None:
@@ -124,18 +113,7 @@ def test_an_axis_aligned_gaussian_is_as_wide_as_its_sides_over_its_range() -> No
     torch.testing.assert_close(seen.covariance, expected)
 
 
-def test_a_longer_quaternion_is_the_same_rotation() -> None:
-    position_m, quaternion, log_scale = scene()
-    torch.testing.assert_close(flat(position_m, -7 * quaternion, log_scale), flat(position_m, quaternion, log_scale))
-
-
-def test_a_ball_looks_the_same_however_it_is_turned() -> None:
-    position_m, quaternion, log_scale = scene()
-    ball = log_scale[:, :1].expand(-1, 3)
-    torch.testing.assert_close(flat(position_m, quaternion, ball), flat(position_m, quaternion.flip(0), ball))
-
-
-@pytest.mark.parametrize("axis_distance_m", [0.0, 1e-9, 1e-3, 0.02, 0.05, 0.2])
+@pytest.mark.parametrize("axis_distance_m", [0.0, 1e-9, 0.02, 0.2])
 def test_towards_the_pole_a_ball_grows_wider_in_azimuth_up_to_the_cap(axis_distance_m: float) -> None:
     position_m = torch.tensor([[0.0, axis_distance_m, math.sqrt(4 - axis_distance_m**2)]], dtype=torch.float64)
     ball = torch.full((1, 3), math.log(0.1), dtype=torch.float64)
@@ -168,13 +146,6 @@ def test_values_and_gradients_are_finite_wherever_a_gaussian_is(place: str, dtyp
     assert float(seen.detach()[0, 2]) >= MIN_VARIANCE * (1 - 1e-6)  # which float32 rounds
     for gradient in torch.autograd.grad(seen.sum(), (position_m, quaternion, log_scale)):
         assert bool(gradient.isfinite().all())
-
-
-def test_a_gaussian_below_the_horizon_has_a_negative_elevation() -> None:
-    below = torch.tensor([[1.0, 1.0, -math.sqrt(2)]], dtype=torch.float64)
-    azimuth_rad, elevation_rad, range_m = angular_centre(below)
-    assert [math.degrees(azimuth_rad), math.degrees(elevation_rad)] == pytest.approx([45, -45])
-    assert float(range_m) == pytest.approx(2)
 
 
 @pytest.mark.parametrize("place", AT_THE_EDGES)
