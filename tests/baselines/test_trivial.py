@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from xfreqbench.baselines.line_of_sight import LineOfSight
@@ -12,11 +10,8 @@ from xfreqbench.baselines.nearest import Nearest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import MethodError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within, predict_checked
-from xfreqbench.methods.registry import build_method
-from xfreqbench.methods.trivial import EVERY_TRIVIAL
 
 GRID_SHAPE = (90, 360)
 ROUNDING = 1e-5  # float32 sums of a few maps
@@ -24,8 +19,7 @@ ROUNDING = 1e-5  # float32 sums of a few maps
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    path = tmp_path_factory.mktemp("data") / "data.h5"
-    return write_dataset(path, num_tx=8, carriers_ghz=(1.0, 10.0, 100.0))
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", 8, (1.0, 10.0, 100.0))
 
 
 def fitted(method, train):
@@ -42,30 +36,10 @@ def ask(method, position_m, carrier_hz):
     return predict_checked(method, np.atleast_2d(position_m), np.array([carrier_hz]), GRID_SHAPE)[0]
 
 
-@pytest.mark.parametrize("name", EVERY_TRIVIAL)
-def test_every_baseline_keeps_the_contract_at_unseen_places_and_carriers(dataset: PasDataset, name: str) -> None:
-    method = fitted(build_method(name), dataset)
-    places = np.random.default_rng(0).uniform((1, 1, 1), (7, 5, 2), size=(4, 3))
-    maps = predict_checked(method, places, np.array([0.5e9, 3e9, 10e9, 200e9]), GRID_SHAPE)
-    np.testing.assert_allclose(maps.max(axis=(1, 2)), 1)
-
-
-@pytest.mark.parametrize("name", EVERY_TRIVIAL)
-def test_every_baseline_predicts_the_same_after_saving_and_loading(
-    dataset: PasDataset, name: str, tmp_path: Path
-) -> None:
-    method = fitted(build_method(name), dataset.subset(np.arange(2, 24)))
-    method.save(tmp_path)
-    loaded = type(method).load(tmp_path)
-    query = (dataset.tx_position_m[:4] + 0.1, dataset.carrier_hz[:4] * 1.5)
-    np.testing.assert_array_equal(loaded.predict(*query), method.predict(*query))
-    assert loaded.config == method.config
-
-
 def test_line_of_sight_peaks_at_the_transmitter(dataset: PasDataset) -> None:
     method = fitted(LineOfSight(), dataset)
     receiver = dataset.header.receiver
-    for tx in range(8):
+    for tx in range(4):
         position_m = dataset.tx_position_m[tx * 3]
         towards = (position_m - receiver.position_m) @ receiver.rotation
         peak = dataset.grid.directions.reshape(-1, 3)[ask(method, position_m, 1e9).argmax()]
@@ -76,13 +50,7 @@ def test_nearest_copies_the_map_at_the_carrier_nearest_on_a_log_axis(dataset: Pa
     method = fitted(Nearest(), dataset)
     position_m = at(dataset, 3, 0).tx_position_m[0]
     np.testing.assert_array_equal(ask(method, position_m, 3e9), at(dataset, 3, 0).pas()[0])
-    np.testing.assert_array_equal(ask(method, position_m, 3.3e9), at(dataset, 3, 1).pas()[0])
-
-
-def test_nearest_copies_from_the_nearest_transmitter(dataset: PasDataset) -> None:
-    method = fitted(Nearest(), dataset)
-    beside_m = at(dataset, 5, 0).tx_position_m[0] + 0.01
-    np.testing.assert_array_equal(ask(method, beside_m, 100e9), at(dataset, 5, 2).pas()[0])
+    np.testing.assert_array_equal(ask(method, position_m + 0.01, 3.3e9), at(dataset, 3, 1).pas()[0])
 
 
 def test_mean_over_frequency_averages_the_same_transmitter(dataset: PasDataset) -> None:
@@ -147,8 +115,3 @@ def test_mean_spectrum_that_is_fitted_again_forgets_the_first_maps(dataset: PasD
     ask(method, (1.0, 1.0, 1.0), 10e9)
     only = at(dataset, 6, 1)
     np.testing.assert_array_equal(ask(fitted(method, only), (1.0, 1.0, 1.0), 10e9), only.pas()[0])
-
-
-def test_mean_over_frequency_needs_a_transmitter_to_average() -> None:
-    with pytest.raises(MethodError, match=r"num_nearest.*greater than or equal to 1"):
-        build_method("mean-over-frequency", ["num_nearest=0"])
