@@ -12,5 +12,5 @@ from xfreqbench.data.plan import plan_generation
 
 @pytest.fixture(scope="session")
 def box(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9], SETTINGS, num_transmitters=6)
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9], SETTINGS, num_transmitters=10)
     return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("data") / "box.h5"))
