@@ -4,6 +4,7 @@ import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import dedent, indent
 
 import pytest
 
@@ -59,141 +60,103 @@ class Sound:
         return method
 '''
 
-PREDICT = """
-class Method(Sound):
-    def predict(self, tx_position_m, carrier_hz):
-        maps = super().predict(tx_position_m, carrier_hz)
-"""
 
-FIT = """
-class Method(Sound):
-    def fit(self, train, budget, seed):
-"""
+def method(text: str) -> str:
+    return f"class Method(Sound):\n{indent(dedent(text), '    ')}\n"
 
-BROKEN = {
-    "lacks a part": (
-        "class Method:\n    def __init__(self, config=None): ...\n",
+
+def predicting(text: str) -> str:
+    """A method whose `predict` begins with sound `maps`."""
+    maps = "def predict(self, tx_position_m, carrier_hz):\n    maps = super().predict(tx_position_m, carrier_hz)\n"
+    return method(maps + indent(dedent(text), "    "))
+
+
+def fitting(text: str) -> str:
+    """A method whose `fit` may go on with the sound `fit`."""
+    sound = "def fit(self, train, budget, seed):\n    fit = super().fit\n"
+    return method(sound + indent(dedent(text), "    "))
+
+
+HALVED = predicting("return maps * np.float32(0.5)")
+CONFIGURED = "class Method(Sound):\n    def __init__(self, config=Own()):\n        self.config = config\n"
+BROKEN = {  # by the requirement that is not met, and words of the fault
+    (
         "it can be constructed",
         "lacks fit, predict, save, load",
-    ),
-    "takes no config": (
-        "class Method(Sound):\n    def __init__(self):\n        self.config = Config()\n",
-        "it can be constructed",
-        "TypeError",
-    ),
-    "config can be changed": (
-        "@dataclass\nclass Loose:\n    level: float = 0.5\n"
-        "class Method(Sound):\n    def __init__(self, config=Loose()):\n        self.config = config\n",
+    ): "class Method:\n    def __init__(self, config=None): ...\n",
+    ("it can be constructed", "TypeError"): method("def __init__(self):\n    self.config = Config()"),
+    (
         "its config is a frozen dataclass",
-        r"frozen=True",
+        "frozen=True",
+    ): f"@dataclass\nclass Own:\n    level: float = 0.5\n{CONFIGURED}",
+    ("fit is a generator", "None"): fitting("self.mean = train.pas().mean(axis=0)"),
+    ("fit is a generator", "ZeroDivisionError"): fitting("yield Progress(1, 1 / 0)"),
+    ("predict is valid at fit's first yield", "AttributeError"): fitting(
+        "yield Progress(0, 0.0)\nyield from fit(train, budget, seed)"
     ),
-    "fit forgets to yield": (FIT + "        self.mean = train.pas().mean(axis=0)\n", "fit is a generator", "None"),
-    "fit raises": (FIT + "        yield Progress(1, 1 / 0)\n", "fit is a generator", "ZeroDivisionError"),
-    "first yield comes too early": (
-        FIT + "        yield Progress(0, 0.0)\n        yield from super().fit(train, budget, seed)\n",
-        "predict is valid at fit's first yield",
-        "AttributeError",
+    ("fit can be closed", "ignored GeneratorExit"): fitting("""
+            try:
+                yield from fit(train, budget, seed)
+            except GeneratorExit:
+                yield Progress(9, 0.0)"""),
+    ("its steps ascending", "yielded step 1 after 1. .* a fit that stops early returns"): fitting(
+        "for progress in fit(train, budget, seed):\n    yield Progress(1, 0.0)"
     ),
-    "fit cannot be closed": (
-        FIT + "        try:\n            yield from super().fit(train, budget, seed)\n"
-        "        except GeneratorExit:\n            yield Progress(9, 0.0)\n",
-        "fit can be closed",
-        "ignored GeneratorExit",
+    ("fit takes a budget in maps", "does not tell how many its steps have shown"): fitting(
+        "for progress in fit(train, budget, seed):\n    yield Progress(progress.step, 0.0)"
     ),
-    "steps stand still": (
-        FIT + "        for progress in super().fit(train, budget, seed):\n            yield Progress(1, 0.0)\n",
-        "its steps ascending",
-        "yielded step 1 after 1. .* a fit that stops early returns",
-    ),
-    "maps are not counted": (
-        FIT
-        + "        for progress in super().fit(train, budget, seed):\n            yield Progress(progress.step, 0.0)\n",
-        "fit takes a budget in maps",
-        "does not tell how many its steps have shown",
-    ),
-    "findings are arrays": (
-        "class Method(Sound):\n    def findings(self):\n        return {'mean': self.mean}\n",
-        "findings, if it has them",
-        "ndarray is not JSON",
-    ),
-    "a GPU is the default": (
-        "@dataclass(frozen=True)\nclass Fast(Config):\n    device: str = 'cuda'\n"
-        "class Method(Sound):\n    def __init__(self, config=Fast()):\n        self.config = config\n",
+    ("findings, if it has them", "ndarray is not JSON"): method("def findings(self):\n    return {'mean': self.mean}"),
+    (
         "the device that it is told",
         "'cuda' by default",
+    ): f"@dataclass(frozen=True)\nclass Own(Config):\n    device: str = 'cuda'\n{CONFIGURED}",
+    ("closed at its last yield", "restore the best weights before it"): fitting(
+        "yield from fit(train, budget, seed)\nself.mean = self.maps[0]"
     ),
-    "the best weights come after the last yield": (
-        FIT + "        yield from super().fit(train, budget, seed)\n        self.mean = self.maps[0]\n",
-        "closed at its last yield",
-        "restore the best weights before it",
+    ("num_parameters is an integer", "0.5, a float"): method("num_parameters = 0.5"),
+    ("returns float32 maps", "0, 1"): predicting("return maps * 30"),
+    ("at a carrier it was not trained on", "TypeError"): predicting(
+        "return [maps[float(carrier == 2.4e9):] for carrier in carrier_hz]"
     ),
-    "parameters are not counted": (
-        "class Method(Sound):\n    num_parameters = 0.5\n",
-        "num_parameters is an integer",
-        "0.5, a float",
+    ("for a transmitter that it was not trained on", "who is that"): fitting(
+        "self.known = train.tx_position_m\nyield from fit(train, budget, seed)"
+    )
+    + """
+    def predict(self, tx_position_m, carrier_hz):
+        if not all((self.known == place).all(axis=1).any() for place in tx_position_m):
+            raise KeyError('who is that')
+        return super().predict(tx_position_m, carrier_hz)
+""",
+    ("peak 1", "from 0.5 to 0.5"): HALVED,
+    ("the same when asked twice", "differ by up to"): predicting(
+        "maps[:, 0, 0] = np.random.default_rng().random(len(maps))\nreturn maps"
     ),
-    "maps are decibels": (PREDICT + "        return maps * 30\n", "returns float32 maps", "0, 1"),
-    "unseen carrier is refused": (
-        PREDICT + "        return [maps[float(carrier == 2.4e9):] for carrier in carrier_hz]\n",
-        "at a carrier it was not trained on",
-        "TypeError",
+    ("does not depend on the other rows", "no mean over the batch"): predicting(
+        "maps = maps + maps[:1]\nreturn maps / maps.max(axis=(1, 2), keepdims=True)"
     ),
-    "unseen transmitter is refused": (
-        "class Method(Sound):\n"
-        "    def fit(self, train, budget, seed):\n"
-        "        self.known = {tuple(place) for place in train.tx_position_m.tolist()}\n"
-        "        yield from super().fit(train, budget, seed)\n"
-        "    def predict(self, tx_position_m, carrier_hz):\n"
-        "        if not {tuple(place) for place in tx_position_m.tolist()} <= self.known:\n"
-        "            raise KeyError('who is that')\n"
-        "        return super().predict(tx_position_m, carrier_hz)\n",
-        "for a transmitter that it was not trained on",
-        "who is that",
+    ("asked for alone", r"shape \(90, 360\)"): predicting("return maps.squeeze()"),
+    ("saved and loaded", "Save everything that predict uses"): method("""
+            def save(self, directory):
+                super().save(directory)
+                np.save(directory / 'mean.npy', self.mean.round(1))"""),
+    ("saved and loaded", r"level=0\.25"): method("""
+            @classmethod
+            def load(cls, directory):
+                method = super().load(directory)
+                method.config = Config(level=0.25)
+                return method"""),
+    ("do not change how training goes on", "differ by up to"): method("""
+            def step(self, random):
+                self.random = random
+                super().step(random)
+            def predict(self, tx_position_m, carrier_hz):
+                getattr(self, 'random', np.random.default_rng()).random()
+                return super().predict(tx_position_m, carrier_hz)"""),
+    ("only training rows are used", "never its file"): fitting(
+        "yield from fit(open_dataset(train.path), budget, seed)"
     ),
-    "maps are not normalised": (PREDICT + "        return maps * np.float32(0.5)\n", "peak 1", "from 0.5 to 0.5"),
-    "predict draws at random": (
-        PREDICT + "        maps[:, 0, 0] = np.random.default_rng().random(len(maps))\n        return maps\n",
-        "the same when asked twice",
-        "differ by up to",
-    ),
-    "rows are averaged": (
-        PREDICT
-        + "        maps = 0.5 * maps + 0.5 * maps[:1]\n        return maps / maps.max(axis=(1, 2), keepdims=True)\n",
-        "does not depend on the other rows",
-        "no mean over the batch",
-    ),
-    "a lone row is squeezed": (PREDICT + "        return maps.squeeze()\n", "asked for alone", r"shape \(90, 360\)"),
-    "save forgets": (
-        "class Method(Sound):\n    def save(self, directory):\n        super().save(directory)\n"
-        "        np.save(directory / 'mean.npy', self.mean.round(1))\n",
-        "saved and loaded",
-        "Save everything that predict uses",
-    ),
-    "save loses the config": (
-        "class Method(Sound):\n    @classmethod\n    def load(cls, directory):\n"
-        "        method = super().load(directory)\n        method.config = Config(level=0.25)\n        return method\n",
-        "saved and loaded",
-        r"level=0\.25",
-    ),
-    "predict disturbs training": (
-        "class Method(Sound):\n"
-        "    def step(self, random):\n"
-        "        self.random = random\n        super().step(random)\n"
-        "    def predict(self, tx_position_m, carrier_hz):\n"
-        "        getattr(self, 'random', np.random.default_rng()).random()\n"
-        "        return super().predict(tx_position_m, carrier_hz)\n",
-        "do not change how training goes on",
-        "differ by up to",
-    ),
-    "test rows are read": (
-        FIT + "        whole = open_dataset(train.path)\n        yield from super().fit(whole, budget, seed)\n",
-        "only training rows are used",
-        "never its file",
-    ),
-    "a file is left behind": (
-        FIT + "        Path('notes.txt').write_text('here')\n        yield from super().fit(train, budget, seed)\n",
-        "nothing is written into the working folder",
-        r"notes\.txt",
+    ("nothing is written into the working folder", r"notes\.txt"): fitting(
+        "Path('notes.txt').write_text('here')\nyield from fit(train, budget, seed)"
     ),
 }
 
@@ -218,9 +181,9 @@ def test_every_trivial_predictor_keeps_the_contract(name: str) -> None:
     assert [str(finding) for finding in findings if finding.fault] == []
 
 
-@pytest.mark.parametrize("kind", BROKEN)
-def test_every_broken_rule_is_found_and_named(own_method, kind: str) -> None:
-    text, requirement, words = BROKEN[kind]
+@pytest.mark.parametrize(("requirement", "words"), BROKEN)
+def test_every_broken_rule_is_found_and_named(own_method, requirement: str, words: str) -> None:
+    text = BROKEN[requirement, words]
     faults = [finding for finding in check_method(own_method(text)) if finding.is_fault]
     named = [finding for finding in faults if requirement in finding.requirement]
     assert named, [str(finding) for finding in faults]
@@ -228,13 +191,13 @@ def test_every_broken_rule_is_found_and_named(own_method, kind: str) -> None:
 
 
 def test_all_faults_are_found_at_once(own_method) -> None:
-    text = PREDICT + "        return maps * np.float32(0.5)\n    num_parameters = -1\n"
+    text = HALVED + "    num_parameters = -1\n"
     faults = {finding.requirement for finding in check_method(own_method(text)) if finding.is_fault}
     assert faults == {"num_parameters is an integer of 0 or more", "every map has peak 1"}
 
 
 def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) -> None:
-    text = FIT + "        yield from super().fit(train, budget, np.random.default_rng().integers(10**9))\n"
+    text = fitting("yield from fit(train, budget, np.random.default_rng().integers(10**9))")
     finding, *not_checked = [finding for finding in check_method(own_method(text)) if finding.fault]
     assert finding.is_warning
     assert str(finding).startswith("warn ")
@@ -244,10 +207,9 @@ def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) ->
 
 
 def test_options_reach_the_method(own_method) -> None:
-    text = PREDICT + "        return maps * np.float32(2 * self.config.level)\n"
-    method = own_method(text)
-    assert not any(finding.fault for finding in check_method(method))
-    faults = [finding.requirement for finding in check_method(method, ["level=0.25"]) if finding.is_fault]
+    name = own_method(predicting("return maps * np.float32(2 * self.config.level)"))
+    assert not any(finding.fault for finding in check_method(name))
+    faults = [finding.requirement for finding in check_method(name, ["level=0.25"]) if finding.is_fault]
     assert faults == ["every map has peak 1"]
 
 
@@ -259,7 +221,7 @@ def test_an_unknown_name_is_an_error_and_no_result(own_method) -> None:
 
 
 def test_the_command_prints_every_rule_and_ends_with_code_2_where_one_is_broken(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(SOUND + PREDICT + "        return maps * np.float32(0.5)\n")
+    (tmp_path / "mine.py").write_text(SOUND + HALVED)
     command = [command_line(), "check-method"]
     broken = subprocess.run([*command, "mine:Method"], capture_output=True, text=True, cwd=tmp_path)
     assert broken.returncode == 2

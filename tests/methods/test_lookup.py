@@ -24,11 +24,6 @@ def test_only_positions_of_training_transmitters_are_known(train: PasDataset) ->
     np.testing.assert_array_equal(TrainingTransmitters(train).knows(positions), [True, False])
 
 
-def test_the_stored_rows_are_those_trained_on(train: PasDataset, tmp_path: Path) -> None:
-    TrainingTransmitters(train).save(tmp_path)
-    np.testing.assert_array_equal(TrainingTransmitters.load(tmp_path).train.rows, train.rows)
-
-
 @pytest.mark.parametrize("stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]'])
 def test_rows_that_are_not_stored_are_refused_by_the_name_of_their_file(tmp_path: Path, stored: str | None) -> None:
     if stored is not None:

@@ -12,7 +12,7 @@ import torch
 from xfreqbench.baselines.virtual_source.config import SourceConfig
 from xfreqbench.baselines.virtual_source.field import learned_room as room_module
 from xfreqbench.baselines.virtual_source.field import slabs as slabs_module
-from xfreqbench.baselines.virtual_source.field.images import Antenna, Mirrors, Traces, sequences, trace
+from xfreqbench.baselines.virtual_source.field.images import Antenna, Traces, sequences, trace
 from xfreqbench.baselines.virtual_source.field.learned_room import MAX_CROSSINGS, LearnedRoom
 from xfreqbench.baselines.virtual_source.field.slabs import NOTHING, THICK, LearnedSlabs, looked_up
 from xfreqbench.baselines.virtual_source.search.planes import Plane
@@ -249,16 +249,6 @@ def test_images_are_chosen_by_the_power_they_carry_however_many_are_weighed_at_o
     assert {tuple(planes) for planes in best} == chosen[0]  # the line of sight is among them
 
 
-def test_no_path_carries_more_than_its_planes_could() -> None:
-    generator = torch.Generator().manual_seed(0)
-    room = known_box(("dipole", "V"))
-    with torch.no_grad():
-        room.presence.logits.copy_(3 * torch.randn(room.presence.logits.shape, generator=generator))
-        room.presence.settle()
-        found = sequences(len(SLABS), 3)
-        assert bool((room._power_of(found, room.trained_m, room.trained_hz) <= room._most_power(found)).all())
-
-
 def test_a_walls_corners_are_those_of_the_room_for_paths_beyond_it_are_none() -> None:
     tx_m = np.random.default_rng(0).uniform((0.3, 0.3, 0.3), (4.7, 3.7, 1.9), (100, 3))
     found = known_box(("iso", "V"), tx_m).findings(torch.as_tensor(ARRAY_M))
@@ -283,16 +273,7 @@ def test_gains_and_gradients_are_finite_wherever_a_plane_lies(normal: tuple[floa
     assert bool(torch.isfinite(gain).all())
     assert float(gain.detach().abs().max()) <= 1 + 1e-5
     for name, parameter in room.named_parameters():
-        assert parameter.grad is not None
         assert bool(torch.isfinite(parameter.grad).all()), name
-
-
-def test_a_plane_seen_from_behind_the_transmitter_is_seen_by_no_reflection() -> None:
-    mirrors = Mirrors.of([plane((1, 0, 0), 1.0)])
-    tx_m = torch.tensor([(0.5, 0.2, 0.1), (1.5, 0.2, 0.1), (9.0, 0.2, 0.1)], dtype=torch.float64)
-    traces = trace(mirrors, sequences(1, 1), tx_m, ("iso", "V"))
-    assert traces.is_real.tolist() == [[True, True], [True, False], [True, False]]
-    assert (traces.crossing.plane[:, 0] >= 0).any(-1).tolist() == [False, True, True]
 
 
 def test_gradients_are_those_of_differences() -> None:
@@ -309,7 +290,6 @@ def test_gradients_are_those_of_differences() -> None:
 
     value().backward()
     for name, parameter in room.named_parameters():
-        assert parameter.grad is not None
         flat, gradient = parameter.data.view(-1), parameter.grad.view(-1)
         for place in gradient.abs().topk(2).indices.tolist():
             before, step = float(flat[place]), 0.02

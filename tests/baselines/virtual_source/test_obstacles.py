@@ -57,7 +57,6 @@ def without_last_steps(unsettled: None, monkeypatch: pytest.MonkeyPatch) -> None
 def refinement(dataset: PasDataset) -> Refinement:
     """Of a room that has all of the box but the crate, which may be of metal or wood."""
     made = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
-    assert made is not None
     made._slabs = [slab for slab in made._slabs if slab.material in ("metal", "wood")]
     return made
 
@@ -165,7 +164,6 @@ def test_another_round_goes_on_in_the_room_that_was_found(dataset: PasDataset, m
     lower = np.sort(frame.along(CRATE_M - [[0, 0, 0], [0, 0, 0.1]]), axis=0)
     told.known, told.room = {}, [*told.found, frame.surface(lower, 90, METAL)]
     again = Refinement.resumed(json.loads(json.dumps(told.as_json())), dataset).again()
-    assert again is not None
     monkeypatch.setattr(refine, "obstacles", lambda room, *_: sought.append(room) or [])
     monkeypatch.setattr(refine, "trials_of_face", lambda *_: [Trial(without_patches, repeats=0)] * 3)
     while not again.is_over:

@@ -99,7 +99,6 @@ def test_edges_diffract_in_the_room_where_they_do_in_the_data(
     for data, settings in ((dataset, PREDICTING), (diffracted, DIFFRACTING)):
         learned = Known(data, everywhere)
         render = rendered(data, learned, mode)
-        assert render.tracer is not None
         assert render.tracer.settings == settings
         assert render.findings() == {"room": [surface_json(surface) for surface in render.tracer.room]}
         maps = render.maps(learned(*asked(data)), *asked(data))
@@ -115,7 +114,6 @@ def test_the_learned_field_is_believed_where_it_is_right(dataset: PasDataset) ->
     findings = found_room(error_m=0.05)
     learned = Known(dataset)(*asked(dataset))
     render = rendered(dataset, Known(dataset), findings=lambda: findings)
-    assert render.tracer is not None
     assert RoomRender("blended").findings() == {}
     np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
     traced = rendered(dataset, Known(dataset), "traced", findings=lambda: findings)
@@ -162,7 +160,6 @@ def test_no_transmitter_that_validates_is_compared_by_the_refinement(dataset: Pa
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RoomRender, "_weigh", watched)
         render.advance(dataset, STEPS, 1.0, found_room, Known(dataset))
-    assert render.weights is not None
     validating = {*map(tuple, render.weights.position_m.tolist())}
     assert len(validating) >= 3
     assert not validating & {*map(tuple, compared[0].tolist())}
@@ -202,7 +199,6 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     for render in (first, loaded):
         render.advance(dataset, STEPS, 1.0, found_room, learned)
         assert done[-1] == 8
-        assert render.tracer is not None
         rooms.append([(surface.number, surface.corners_m.tolist()) for surface in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert len(rooms[0]) == 3
@@ -227,7 +223,6 @@ def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: P
     for render in (first, loaded):
         go_on(render, CHOOSE_AT)
         render.advance(dataset, budget, 1.0, found_room, learned)
-        assert render.tracer is not None
         rooms.append([(surface.number, surface.corners_m.tolist()) for surface in render.tracer.room])
     assert rooms[0] == rooms[1]
     assert loaded.count == first.count
@@ -280,7 +275,6 @@ def test_a_map_stays_as_it_was_learned_where_no_path_is_traced(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     render = rendered(dataset, Known(dataset, everywhere))
-    assert render.tracer is not None
     monkeypatch.setattr(render.tracer, "maps", lambda tx_m, hz: np.zeros((len(hz), *dataset.grid.shape), np.float32))
     learned = Known(dataset)(*asked(dataset))
     np.testing.assert_array_equal(render.maps(learned, *asked(dataset)), learned)
@@ -293,7 +287,6 @@ def test_rooms_are_traced_to_arrays_in_any_plane_of_their_frame(dataset: PasData
     pole = tuple(to_world[:, 2].tolist())
     turned = replace(receiver, plane="yz", boresight=pole, orientation=rotation_quaternion(to_world))
     refinement = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
-    assert refinement is not None
     tx_m = dataset.tx_position_m[:: len(dataset) // 2]
     own, other = (tracer_in(refinement.room, array, [2.4e9]).channel(tx_m).cfr for array in (receiver, turned))
     assert abs(own).min() > 0

@@ -101,7 +101,6 @@ def test_a_door_is_put_where_paths_tell_of_it(tmp_path: Path) -> None:
     settings = replace(SETTINGS, max_depth=COMPARING.max_depth)
     dataset = generated(tmp_path, scene, settings, num_transmitters=60)
     told = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
-    assert told is not None
     told.room = room_with(with_door(1.2, 2.0, 2.3))
     told._change(Trial(partial(with_patches, NORTH), at_lowest=True), never)
     door_m = door_of(told.room).corners_m

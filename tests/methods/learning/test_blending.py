@@ -22,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 CARRIERS_GHZ = (1.0, 5.0, 10.0, 37.0)
 NEW_M = np.array([[40.0, 1.0, 1.0]])
+NOISE = np.random.default_rng(0).random((64, 90, 360), dtype=np.float32)
 WEIGHTS = ((2e9, 0.25), (8e9, 1.0))
 
 
@@ -42,11 +43,6 @@ def holdout(train: PasDataset) -> Holdout:
 
 def told(maps: np.ndarray) -> Callable[..., np.ndarray]:
     return lambda tx_position_m, carrier_hz: maps[: len(carrier_hz)]
-
-
-@pytest.fixture(scope="module")
-def noise(train: PasDataset) -> np.ndarray:
-    return np.random.default_rng(0).random((64, *train.grid.shape), dtype=np.float32)
 
 
 def truth_of(train: PasDataset) -> Callable[..., np.ndarray]:
@@ -173,10 +169,8 @@ def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout:
     assert all(choice.weights == {LEARNED: 1} for choice in blend.choices.values())
 
 
-def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(
-    train: PasDataset, holdout: Holdout, noise: np.ndarray
-) -> None:
-    blend = Blend.chosen(TRIVIAL, train, holdout, told(noise))
+def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasDataset, holdout: Holdout) -> None:
+    blend = Blend.chosen(TRIVIAL, train, holdout, told(NOISE))
     assert set(blend.choices) == set(holdout.rows)
     assert not any(LEARNED in choice.weights for choice in blend.choices.values())
     query = train.tx_position_m[:1], np.array([80e9])
@@ -186,12 +180,10 @@ def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(
         alone = predictor()
         next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
         mean += weights.get(predictor.__name__, 0) * alone.predict(*query)
-    np.testing.assert_allclose(blend.maps(noise[:1], *query), mean / mean.max(), atol=1e-6)
+    np.testing.assert_allclose(blend.maps(NOISE[:1], *query), mean / mean.max(), atol=1e-6)
 
 
-def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(
-    train: PasDataset, holdout: Holdout, noise: np.ndarray
-) -> None:
+def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: PasDataset, holdout: Holdout) -> None:
     halves: list[type] = []
     for nth in range(2):
 
@@ -207,7 +199,7 @@ def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(
 
         Half.__name__ = f"Half{nth}"
         halves.append(Half)
-    choices = Blend.chosen(halves, train, holdout, told(noise)).choices
+    choices = Blend.chosen(halves, train, holdout, told(NOISE)).choices
     assert all(choice.weights == {"Half0": 0.5, "Half1": 0.5} for choice in choices.values())
 
 
@@ -227,12 +219,10 @@ def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
     return RightAt
 
 
-def test_a_choice_reads_each_map_once(
-    train: PasDataset, holdout: Holdout, noise: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:
     read, stored = [], PasDataset.pas
     monkeypatch.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
-    Blend.chosen(TRIVIAL, train, holdout, told(noise))
+    Blend.chosen(TRIVIAL, train, holdout, told(NOISE))
     assert 0 < len(read) == len(set(read)) <= len(train)
 
 

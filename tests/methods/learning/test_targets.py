@@ -115,14 +115,6 @@ def test_carriers_are_blurred_by_parts_of_the_band_on_a_logarithmic_axis(tmp_pat
     torch.testing.assert_close(decades.mean(0), torch.zeros(3).double(), rtol=0, atol=0.05)
 
 
-def test_targets_of_a_part_of_the_data_are_those_of_its_rows(tmp_path: Path) -> None:
-    whole = write_dataset(tmp_path / "data.h5")
-    part = whole.subset(np.array([10, 2, 5]))
-    maps = Targets(part, Beams(whole.beam, CPU)).maps(torch.arange(3), GridView(9, 0, 4))
-    every_map = Targets(whole, Beams(whole.beam, CPU)).maps(torch.tensor([10, 2, 5]), GridView(9, 0, 4))
-    assert torch.equal(maps, every_map)
-
-
 @pytest.mark.parametrize("pas_kind", ["power", "amplitude"])
 def test_maps_of_any_scale_have_peak_one(pas_kind: PasKind) -> None:
     power = torch.rand(4, 6, 12, generator=torch.Generator().manual_seed(0))

@@ -51,8 +51,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def field_of(method: LearnedMethod) -> SplatField:
-    assert method._training is not None
-    assert isinstance(method._training.field, SplatField)
     return method._training.field
 
 
@@ -122,7 +120,6 @@ def test_the_mean_of_weights_begins_anew_where_gaussians_are_replaced_by_as_many
     model = tiny(XFreqGS, averaging=0.9)
     num_averaged = []
     for progress in model.fit(dataset, Budget(max_steps=4), 0):
-        assert model._training is not None and model._training.mean is not None
         num_averaged.append(int(model._training.mean.n_averaged))
         if progress.step == 4:
             break
@@ -163,7 +160,6 @@ def test_xfreq_gs_learns_places_turns_and_sizes_and_shows_them(dataset: PasDatas
     model = tiny(XFreqGS)
     start = model.started(dataset, 0).field
     trained(model, dataset, 20)
-    assert model._training is not None
     shown, learned = predicted(model, dataset), model._training.predictor
     for name in ("position_m", "quaternion", "log_scale"):
         value = learned.get_parameter(f"gaussians.{name}")

@@ -102,14 +102,12 @@ def compared(dataset: PasDataset, *planes: dict[str, object]) -> ComparedFinding
 @pytest.mark.parametrize("error_m", [-3e-4, 0.0, 2e-4, 0.04])
 def test_a_plane_beyond_its_surface_has_that_error(dataset: PasDataset, axis: str, at_m: float, error_m: float) -> None:
     (match,) = compared(dataset, plane(axis, at_m, error_m)).matches
-    assert match is not None
     assert match.distance_error_m == pytest.approx(error_m, abs=EXACT_M)
     assert match.tilt_error_rad == pytest.approx(0.0, abs=EXACT_M)
 
 
 def test_a_tilted_plane_has_its_tilt_and_no_distance_error_at_the_foot(dataset: PasDataset) -> None:
     (match,) = compared(dataset, plane("x", 8.0, tilt_rad=0.02)).matches
-    assert match is not None
     assert match.tilt_error_rad == pytest.approx(0.02, abs=EXACT_M)
     assert match.distance_error_m == pytest.approx(0.0, abs=EXACT_M)
 
@@ -121,7 +119,6 @@ def test_a_tilted_plane_is_judged_where_the_surface_is(dataset: PasDataset) -> N
     found["normal"] = [0.0, float(np.sin(0.01)), float(-np.cos(0.01))]
     found["distance_m"] = float(1.85 * np.cos(0.01))
     (match,) = compared(dataset, found).matches
-    assert match is not None
     assert match.distance_error_m == pytest.approx(-np.tan(0.01) * 1.0, abs=EXACT_M)
 
 
@@ -150,7 +147,6 @@ def test_the_image_of_a_desk_in_the_ceiling_is_told_as_such(dataset: PasDataset)
     result = compared(dataset, plane("z", 2.8), image)
     assert result.surface(1) == "image of desk 2 in ceiling"
     match = result.matches[1]
-    assert match is not None
     assert match.mirror == 0
     assert match.distance_error_m == pytest.approx(1e-3, abs=EXACT_M)
     assert result.reflections[1] is None
@@ -192,7 +188,6 @@ def test_a_wall_with_a_window_is_mixed_by_what_the_rectangle_shows(dataset: PasD
     corners_m = [[8.0, 3.0, 1.0], [8.0, 5.0, 1.0], [8.0, 5.0, 2.0], [8.0, 3.0, 2.0]]
     result = compared(dataset, plane("x", 8.0, corners_m=corners_m))
     (match,) = result.matches
-    assert match is not None
     assert match.slabs(result.meshes) == pytest.approx({("plasterboard", 0.1): 0.5, ("glass", 0.008): 0.5})
 
 
