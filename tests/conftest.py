@@ -8,12 +8,16 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.support.typechecking import calls, check_first_calls
+
+if TYPE_CHECKING:
+    from xfreqbench.data.dataset import PasDataset
 
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
@@ -58,6 +62,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that at the end no worker waits for a long one of another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Six transmitters at three carriers, for tests that have no data set of their own."""
+    from tests.support.synthetic import write_dataset
+
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
 
 
 @pytest.fixture

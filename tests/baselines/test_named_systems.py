@@ -13,7 +13,6 @@ from xfreqbench.baselines.gsrf import GSRF, FourierLegendre, regular_grid
 from xfreqbench.baselines.wideband_3dgs import Wideband3DGS
 from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus
 
-from tests.support.synthetic import write_dataset
 from tests.support.training import tiny, trained
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
@@ -26,11 +25,6 @@ from xfreqbench.methods.splatting.footprints import bin_footprints, squared_dist
 from xfreqbench.methods.splatting.projection import angular_centre
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
 
 
 def started(method: type[LearnedMethod], dataset: PasDataset, **options: Any) -> tuple[GaussianField, Beams]:

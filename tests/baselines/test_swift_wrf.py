@@ -9,17 +9,11 @@ import pytest
 import torch
 from xfreqbench.baselines.swift_wrf import SwiftWRF, SwiftWRFField
 
-from tests.support.synthetic import write_dataset
 from tests.support.training import tiny
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.targets import Beams, GridView
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
 
 
 def still(dataset: PasDataset, num_gaussians: int) -> tuple[SwiftWRFField, Beams]:

@@ -55,11 +55,6 @@ TINY = {
 }
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
-
-
 def tiny(**options: Any) -> VirtualSource:
     return VirtualSource(VirtualSourceConfig(**{**TINY, **options}))
 

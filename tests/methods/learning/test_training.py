@@ -45,11 +45,6 @@ METHODS = [*DIVIDED, ApertureGS, SwiftWRF]
 every_method = pytest.mark.parametrize("method", METHODS)
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
-
-
 def field_of(method: LearnedMethod) -> SplatField:
     return method._training.field
 
@@ -272,12 +267,6 @@ def test_gaussians_out_of_view_never_reach_the_network(dataset: PasDataset, monk
     field.gaussians.position_m.data[:11, 2] = -5.0  # far below the horizon
     ask = field.network.forward
     monkeypatch.setattr(field.network, "forward", lambda *args: asked.append(args[2]) or ask(*args))
-    predicted(model, dataset)
-    (position_m,) = asked
-    assert 0 < len(position_m) <= 19
-    assert bool((position_m[:, 2] > -5).all())
-
-    asked.clear()
     part = GridView(30, 7, 11)
     grid = part.of_grid(dataset.grid)
     tx_position_m = torch.zeros(2, 3)
@@ -292,7 +281,7 @@ def test_gaussians_out_of_view_never_reach_the_network(dataset: PasDataset, monk
     offset[..., 0] = torch.atan2(offset[..., 0].sin(), offset[..., 0].cos())
     distance = torch.einsum("nki,nij,nkj->nk", offset, torch.linalg.inv(seen.covariance), offset)
     reached = (distance <= field._support).any(dim=1)
-    assert 0 < int(reached.sum()) < len(position_m)
+    assert 0 < int(reached.sum()) < 19
     assert torch.equal(asked[0], field.gaussians.position_m.detach()[reached])
 
 

@@ -13,7 +13,6 @@ import torch
 from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
-from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.learning.targets import Targets
 from xfreqbench.methods.splatting.projection import Projection
@@ -59,11 +58,6 @@ for got, right in zip(answer(False), answer(True), strict=True):
     assert right.abs().max() > 0
     print(float((got.cpu() - right).norm() / right.norm()))
 """
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_device])])

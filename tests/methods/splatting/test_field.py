@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
@@ -26,11 +25,6 @@ NETWORK = LowRankConfig(width=8, rank=4, tx_levels=1)
 STANDING = SplatConfig(num_gaussians=128, move_from=1.0)
 TX_M = torch.tensor([[1.0, 2.0, 1.0], [6.0, 4.0, 1.5]])
 CARRIER_HZ = torch.tensor([1e9, 37e9], dtype=torch.float64)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=6)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import torch
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
 from torch.nn.functional import normalize
@@ -16,7 +16,6 @@ from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError
-from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.low_rank import LowRankConfig, LowRankNetwork
 from xfreqbench.methods.learning.network import Attributes, WideFreqNetwork
@@ -165,7 +164,9 @@ class GaussianField(BandField):
     ) -> Float[Tensor, "B E A"]:
         """Power |R_k|² of what is accumulated from each direction in view (Eq. 11)."""
         footprints = self._footprints(view, beams) if tx_position_m.device.type == "cpu" else None
-        seen = slice(None) if footprints is None else seen_of(footprints[0])
+        seen: Seen = slice(None)
+        if footprints is not None:
+            seen = torch.bincount(footprints[0].gaussian, minlength=len(self.gaussians)) > 0
         attributes = self.attributes(tx_position_m, carrier_hz, seen)
         self.density.watch(seen, attributes.signal)
         signal = self.signal_of(attributes, tx_position_m, beams, seen)
@@ -177,7 +178,9 @@ class GaussianField(BandField):
             response = composite_on_cuda(*geometry, spread, signal, attenuation)
         else:
             lists, distance = footprints
-            response = composite(renumbered(lists, seen), distance, spread, signal, attenuation)
+            # only the Gaussians that are seen from any direction have attributes
+            seen_lists = PixelLists(lists.start, (seen.cumsum(0) - 1)[lists.gaussian], int(seen.sum()))
+            response = composite(seen_lists, distance, spread, signal, attenuation)
         return torch.view_as_real(response).square().sum(-1).reshape(-1, *view.of_grid(beams.grid).shape)
 
     def signal_of(
@@ -191,7 +194,7 @@ class GaussianField(BandField):
         if not self._move and view in self._standing:
             return self._standing[view]
         grid, projection = view.of_grid(beams.grid), self.projection()
-        lists = self.lists(projection, grid)
+        lists = bin_footprints(projection, grid, self._support)
         distance = squared_distance(projection, lists, grid)
         if not self._move:
             distance = distance.detach()
@@ -201,10 +204,6 @@ class GaussianField(BandField):
     def projection(self) -> Projection:
         """The footprints before the frequency spread λ."""
         return project_gaussians(self.shapes)
-
-    def lists(self, projection: Projection, grid: AngularGrid) -> PixelLists:
-        """Which directions see which Gaussians where these are widest."""
-        return bin_footprints(projection, grid, self._support)
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
         """Divide and drop Gaussians, and let them move, when it is time; while they stand still none is divided."""
@@ -315,13 +314,3 @@ class SplatField(GaussianField):
             {"params": geometry, "lr": self.config.position_rate * learning_rate},
             *([{"params": codes, "lr": _CODE_RATE * learning_rate}] if codes else []),
         ]
-
-
-def seen_of(lists: PixelLists) -> Bool[Tensor, "N"]:
-    """Whether each Gaussian is seen from any direction."""
-    return torch.bincount(lists.gaussian, minlength=lists.num_gaussians) > 0
-
-
-def renumbered(lists: PixelLists, seen: Bool[Tensor, "N"]) -> PixelLists:
-    """The same lists with indices that count only the Gaussians `seen`, since only these have attributes."""
-    return PixelLists(lists.start, (seen.cumsum(0) - 1)[lists.gaussian], int(seen.sum()))

@@ -21,19 +21,14 @@ _SIGNAL_CODE = 0.5  # standard deviation of the codes of signals at the start
 
 def covariance(quaternion: Float[Tensor, "N 4"], log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3 3"]:
     """Σ = R S Sᵀ Rᵀ (Eq. 5) in m², from quaternions (w, x, y, z) of any length and logarithms of sizes in metres."""
-    axes = rotation_matrix(quaternion) * log_scale.exp()[:, None, :]
-    return axes @ axes.mT
-
-
-def rotation_matrix(quaternion: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
-    """Rotation matrices of quaternions (w, x, y, z), which are scaled to length 1."""
     w, x, y, z = normalize(quaternion, dim=-1).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    axes = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2) * log_scale.exp()[:, None, :]
+    return axes @ axes.mT
 
 
 class RFGaussians(nn.Module):
