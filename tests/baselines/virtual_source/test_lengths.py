@@ -37,6 +37,11 @@ def room(dataset: PasDataset) -> list[RoomSurface]:
     return learned_surfaces(findings, np.unique(dataset.carrier_hz).tolist(), NOWHERE_M)
 
 
+@pytest.fixture(scope="module")
+def lags(dataset: PasDataset) -> LagAverages:
+    return LagAverages(dataset, never)
+
+
 def place_m(room: list[RoomSurface], plane: int) -> float:
     """Distance of a plane from the array centre."""
     wall = next(surface for surface in room if surface.plane == plane)
@@ -49,8 +54,9 @@ def box(room: list[RoomSurface], low_m: list[float], high_m: list[float]) -> Roo
     return frame.surface(np.sort(corners_m, axis=0), 99, NamedSlab("metal", 0.002, 0.0))
 
 
-def test_displaced_and_tilted_walls_are_put_back(dataset: PasDataset, room: list[RoomSurface]) -> None:
-    lags = LagAverages(dataset, never)
+def test_displaced_and_tilted_walls_are_put_back(
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
+) -> None:
     free_m = standing(dataset.header.receiver, dataset.carrier_hz, dataset.tx_position_m)
     planes = sorted({surface.plane for surface in room if surface.is_wall})
     wrong = moved(moved(room, RoomPart("wall", planes[0]), 0.006), RoomPart("wall", planes[1]), -0.003)
@@ -66,14 +72,14 @@ def test_displaced_and_tilted_walls_are_put_back(dataset: PasDataset, room: list
 
 
 def test_walls_that_are_off_by_a_share_of_the_shortest_wave_are_put_right_at_once(
-    dataset: PasDataset, room: list[RoomSurface]
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
 ) -> None:
     planes = sorted({surface.plane for surface in room if surface.is_wall})
     wrong = room
     for plane, by_m in zip(planes, (1e-4, -2e-4, 2e-4), strict=False):
         wrong = moved(wrong, RoomPart("wall", plane), by_m)
     wrong = moved(wrong, RoomPart("tilt", planes[-1], 1), 1e-4)
-    found = sharpened(wrong, dataset, LagAverages(dataset, never), NOWHERE_M)
+    found = sharpened(wrong, dataset, lags, NOWHERE_M)
     for plane in planes:
         assert place_m(found, plane) == pytest.approx(place_m(room, plane), abs=6e-5)
     normals = [next(surface.normal for surface in of if surface.plane == planes[-1]) for of in (found, room)]
@@ -81,18 +87,18 @@ def test_walls_that_are_off_by_a_share_of_the_shortest_wave_are_put_right_at_onc
 
 
 def test_no_part_moves_where_it_would_be_too_near_to_a_transmitter(
-    dataset: PasDataset, room: list[RoomSurface]
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
 ) -> None:
     wrong = moved(room, RoomPart("wall", room[0].plane), 2e-4)
     beside_m = wrong[0].corners_m.mean(axis=0)[None]
-    found = sharpened(wrong, dataset, LagAverages(dataset, never), beside_m)
+    found = sharpened(wrong, dataset, lags, beside_m)
     assert place_m(found, room[0].plane) == place_m(wrong, room[0].plane)
 
 
 def test_what_channels_leave_of_rows_has_the_power_that_they_do_not_explain(
-    dataset: PasDataset, room: list[RoomSurface]
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
 ) -> None:
-    lags, rows = LagAverages(dataset, never), np.arange(len(dataset))
+    rows = np.arange(len(dataset))
     told = lags.of_channels(channels_in(room[1:], dataset)), lags.of_channels(2j * dataset.cfr[rows])
     for known in told:
         left = np.linalg.norm(lags.left(lags.measured(rows), known), axis=1)
@@ -100,8 +106,9 @@ def test_what_channels_leave_of_rows_has_the_power_that_they_do_not_explain(
     assert left.max() < 1e-6
 
 
-def test_nothing_moves_where_all_is_right_or_no_time_is_left(dataset: PasDataset, room: list[RoomSurface]) -> None:
-    lags = LagAverages(dataset, never)
+def test_nothing_moves_where_all_is_right_or_no_time_is_left(
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
+) -> None:
     there = settled(room, dataset, lags, NOWHERE_M)
     for before, after in zip(room, there, strict=True):
         np.testing.assert_allclose(after.corners_m, before.corners_m, atol=3e-4)
@@ -109,13 +116,13 @@ def test_nothing_moves_where_all_is_right_or_no_time_is_left(dataset: PasDataset
 
 
 def test_likeness_without_tracing_again_is_that_of_the_room_with_the_part_moved(
-    dataset: PasDataset, room: list[RoomSurface]
+    dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
 ) -> None:
-    lags, by_m = LagAverages(dataset, never), 1e-3
+    by_m = 1e-3
     paths = ReflectedPaths.of(room, dataset, lags)
     part = next(strongest for strongest in paths.strongest_first if strongest.kind == "wall")
     predicted = paths.likeness(part, np.array([0.0, by_m]), np.arange(len(paths.carrier_hz)))
-    rows = np.flatnonzero(np.isin(dataset.tx_index, np.unique(dataset.tx_index)))
+    rows = np.arange(len(dataset))
     there = moved(room, part, by_m)
     traced = lags.likeness(lags.measured(rows), lags.of_channels(channels_in(there, dataset)))
     assert predicted[1] == pytest.approx(traced.sum(), abs=0.01 * len(rows))

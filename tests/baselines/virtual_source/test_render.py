@@ -148,7 +148,9 @@ def test_too_few_transmitters_choose_no_weights(dataset: PasDataset) -> None:
 
 
 @pytest.mark.usefixtures("unrefined")
-def test_no_transmitter_that_validates_is_compared_by_the_refinement(dataset: PasDataset) -> None:
+def test_no_transmitter_that_validates_is_compared_by_the_refinement(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
     render = RoomRender("blended")
     compared: list[np.ndarray] = []
     weigh = RoomRender._weigh
@@ -157,9 +159,8 @@ def test_no_transmitter_that_validates_is_compared_by_the_refinement(dataset: Pa
         compared.append(refinement.score.samples.tx_position_m)
         weigh(self, refinement, *rest)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RoomRender, "_weigh", watched)
-        render.advance(dataset, STEPS, 1.0, found_room, Known(dataset))
+    monkeypatch.setattr(RoomRender, "_weigh", watched)
+    render.advance(dataset, STEPS, 1.0, found_room, Known(dataset))
     validating = {*map(tuple, render.weights.position_m.tolist())}
     assert len(validating) >= 3
     assert not validating & {*map(tuple, compared[0].tolist())}
@@ -247,10 +248,8 @@ def test_other_rounds_begin_while_the_budget_allows_and_something_changes(
     for share in np.linspace(FROM, SETTLE_AT - 0.01, 40).tolist():
         render.advance(dataset, budget, share, found_room, Known(dataset))
     found = len(rounds[0].found)
-    assert [len(refinement.found) for refinement in rounds[::2]] == [
-        *range(found, 3, -2),
-        3,
-    ]  # the last has nothing to change
+    # the last has nothing to change
+    assert [len(refinement.found) for refinement in rounds[::2]] == [*range(found, 3, -2), 3]
     assert len(rounds[-1].room) == 3
 
 
