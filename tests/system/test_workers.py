@@ -188,7 +188,7 @@ def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
 
 
 @pytest.mark.parametrize("way", ["pool", "alone"])
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals, way: str) -> None:
     """Nor do their processes import a file of the working folder that has a standard name."""
     (tmp_path / "parent.py").write_text(PARENT)
