@@ -10,7 +10,8 @@ import pytest
 
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
-from xfreqbench.scene.families import DrawnRoom, draw_room, family_schema, load_family
+from xfreqbench.scene.drawn_rooms import DrawnRoom, draw_room
+from xfreqbench.scene.families import family_schema, load_family
 from xfreqbench.scene.model import load_scene, shipped_families, shipped_folder, shipped_scenes
 from xfreqbench.tracing.tracer import TraceSettings
 

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -300,11 +300,16 @@ def _raises(argument: int) -> None:
     raise StorageError(f"no room for {argument}")
 
 
-def test_an_error_of_a_call_is_the_error_that_was_raised(running: Started) -> None:
+def test_an_error_of_a_call_is_the_error_that_was_raised_and_a_call_that_every_worker_refuses_says_why(
+    running: Started,
+) -> None:
     with dask_workers(running.address) as workers:
-        ((_, ended),) = side_by_side(workers, _raises, [7])
+        ((_, raised),) = side_by_side(workers, _raises, [7])
+        ((_, refused),) = side_by_side(workers, _refuses, [7])
     with pytest.raises(StorageError, match="no room for 7"):
-        ended.result()
+        raised.result()
+    with pytest.raises(ClusterError, match=r"Worker tcp://.* cannot see 7. Worker tcp://.* cannot see 7"):
+        refused.result()
 
 
 def test_workers_with_other_versions_are_refused_before_any_work(
@@ -361,21 +366,16 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
     assert {path.stem for path in results.glob("predictions/*.h5")} == {record.id for record in stored}
 
 
-def test_a_call_that_every_worker_refuses_says_why(running: Started) -> None:
-    with dask_workers(running.address) as workers:
-        ((_, ended),) = side_by_side(workers, _refuses, [7])
-    with pytest.raises(ClusterError, match=r"Worker tcp://.* cannot see 7. Worker tcp://.* cannot see 7"):
-        ended.result()
-
-
 def test_the_run_of_a_suspended_worker_is_made_by_another_once_the_scheduler_drops_it(tmp_path: Path) -> None:
     paper_dataset(tmp_path / "data.h5", num_tx=4)
     method = f"{Patient.__module__}:{Patient.__name__}"
     command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
-    with started(tmp_path, 2, WORKER_TTL="5s") as running:
+    with started(tmp_path, 2, WORKER_TTL="4s") as running:
         with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
-            running.signal_a_busy_worker(signal.SIGSTOP)
+            suspended = running.signal_a_busy_worker(signal.SIGSTOP)
             _, message = driver.communicate()
+        with suppress(ProcessLookupError):
+            os.kill(suspended, signal.SIGKILL)  # or the end of the cluster waits for it
         assert driver.returncode == 0, message
     assert len(read(tmp_path / "results" / "records.jsonl").records) == 1
 

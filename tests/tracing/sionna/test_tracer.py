@@ -13,41 +13,32 @@ from numpy.typing import NDArray
 from tests.support.places import ROOT
 from tests.support.reference import antenna_field, cfr_at_centre, over_one_slab, slab_coefficients
 from tests.support.sionna_scenes import (
+    ANTENNAS,
+    CARRIERS_HZ,
     CONCRETE_WALL,
     GLASS_PANE,
     METAL_BOX,
     ONE_ELEMENT,
     RECEIVER,
+    SETTINGS,
+    TRANSMITTERS_M,
+    relative_error,
     scene_of,
     simple_scenes,
+    sionna_tracer,
 )
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
-from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR, Paths
-from xfreqbench.tracing.tracer import Interaction, TraceSettings
+from xfreqbench.tracing.tracer import Interaction
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 pytestmark = pytest.mark.sionna
 
-CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
-TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
-ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
-
-
-def tracer(scene: Scene, carrier_hz: Any = CARRIERS_HZ, settings: TraceSettings = SETTINGS) -> Any:
-    from xfreqbench.tracing.sionna.tracer import SionnaTracer
-
-    return SionnaTracer(scene, carrier_hz, settings)
-
 
 def distances_m(receiver: ReceiverArray, carrier_hz: float, tx: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.linalg.norm(receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz) - tx, axis=1)
-
-
-def relative_error(cfr: NDArray[np.complex128], truth: NDArray[np.complex128]) -> float:
-    return float(np.abs(cfr - truth).max() / np.abs(truth).max())
 
 
 def only_path(paths: Paths, *interactions: int) -> tuple[NDArray[np.complex128], float]:
@@ -61,8 +52,8 @@ def only_path(paths: Paths, *interactions: int) -> tuple[NDArray[np.complex128],
 def test_free_space_obeys_friis_and_its_phase(rows_and_cols: int) -> None:
     receiver = replace(RECEIVER, rows=rows_and_cols, cols=rows_and_cols)
     tx = np.array([9.0, -7.0, 2.0])  # in the equator: the antennas of both ends are parallel
-    channel = tracer(scene_of(receiver=receiver)).channel(tx[None])
-    for row, carrier in zip(channel.cfr[0], CARRIERS_HZ.tolist(), strict=True):
+    channel = sionna_tracer(scene_of(receiver=receiver)).channel(tx[None])
+    for row, carrier in zip(channel.cfr[0], CARRIERS_HZ, strict=True):
         distance = distances_m(receiver, carrier, tx)
         friis = SPEED_OF_LIGHT_M_S / carrier / (4 * np.pi * distance)
         np.testing.assert_allclose(np.abs(row), friis, rtol=1e-6)  # float32 gains
@@ -80,9 +71,9 @@ def test_a_wall_reflects_as_p2040_says(pattern: Any, polarization: Any) -> None:
     distance = np.linalg.norm(path)
     outgoing = -path / distance
     incident = outgoing * [-1, 1, 1]
-    gain, delay_s = only_path(tracer(scene_of(CONCRETE_WALL, receiver=receiver)).paths(tx), SPECULAR)
+    gain, delay_s = only_path(sionna_tracer(scene_of(CONCRETE_WALL, receiver=receiver)).paths(tx), SPECULAR)
     assert delay_s == pytest.approx(distance / SPEED_OF_LIGHT_M_S, rel=1e-12)
-    for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
+    for carrier, traced in zip(CARRIERS_HZ, gain, strict=True):
         eta = complex_permittivity("concrete", carrier)
         te, tm, *_ = slab_coefficients(eta, 0.2, carrier, float(-incident @ normal))
         field = over_one_slab(antenna_field(incident, pattern, polarization), incident, outgoing, normal, te, tm)
@@ -98,8 +89,8 @@ def test_a_pane_transmits_as_p2040_says(pattern: Any, polarization: Any) -> None
     line = np.array(receiver.position_m) - tx
     distance = np.linalg.norm(line)
     direction = line / distance
-    gain, _ = only_path(tracer(scene_of(GLASS_PANE, receiver=receiver)).paths(tx), REFRACTION)
-    for carrier, traced in zip(CARRIERS_HZ.tolist(), gain, strict=True):
+    gain, _ = only_path(sionna_tracer(scene_of(GLASS_PANE, receiver=receiver)).paths(tx), REFRACTION)
+    for carrier, traced in zip(CARRIERS_HZ, gain, strict=True):
         eta = complex_permittivity("glass", carrier)
         *_, te, tm = slab_coefficients(eta, 0.008, carrier, abs(float(direction @ normal)))
         field = over_one_slab(antenna_field(direction, pattern, polarization), direction, direction, normal, te, tm)
@@ -111,8 +102,8 @@ def test_a_pane_transmits_as_p2040_says(pattern: Any, polarization: Any) -> None
 def test_a_wall_in_coplanar_pieces_reflects_once() -> None:
     low = replace(CONCRETE_WALL, name="low", max_m=(0.0, 6.0, 1.3))
     high = replace(CONCRETE_WALL, name="high", min_m=(0.0, -4.0, 1.3))
-    whole = tracer(scene_of(CONCRETE_WALL)).channel(TRANSMITTERS_M)
-    pieces = tracer(scene_of(low, high)).channel(TRANSMITTERS_M)
+    whole = sionna_tracer(scene_of(CONCRETE_WALL)).channel(TRANSMITTERS_M)
+    pieces = sionna_tracer(scene_of(low, high)).channel(TRANSMITTERS_M)
     assert pieces.num_paths.tolist() == whole.num_paths.tolist()
     assert relative_error(pieces.cfr, whole.cfr) < 1e-5
 
@@ -130,13 +121,13 @@ def test_planes_are_one_whichever_way_their_triangles_face() -> None:
 
 def test_paths_and_channel_agree_at_the_array_centre() -> None:
     receiver = replace(RECEIVER, rows=3, cols=3)  # its fifth element is at the centre
-    rays = tracer(scene_of(CONCRETE_WALL, METAL_BOX, receiver=receiver))
+    rays = sionna_tracer(scene_of(CONCRETE_WALL, METAL_BOX, receiver=receiver))
     at_centre = rays.channel(TRANSMITTERS_M[:1]).cfr[0, :, 4]
     np.testing.assert_allclose(cfr_at_centre(rays.paths(TRANSMITTERS_M[0])), at_centre, rtol=1e-5)
 
 
 def test_a_channel_does_not_depend_on_the_transmitters_asked_for_with_it() -> None:
-    rays = tracer(scene_of(CONCRETE_WALL, METAL_BOX))
+    rays = sionna_tracer(scene_of(CONCRETE_WALL, METAL_BOX))
     tx = np.array([3.1, 4.2, 1.1]) + np.linspace(0, 0.7, 11)[:, None] * [0.5, 0.3, 0.2]
     together = rays.channel(tx)
     for row in (0, 4, 10):
@@ -147,7 +138,7 @@ def two_boxes_sha256() -> list[str]:
     """Digests of the channels of two transmitters among two boxes, without diffraction and with it."""
     plain: tuple[Interaction, ...] = ("specular", "refraction")
     settings = (replace(SETTINGS, interactions=asked, rays=20_000) for asked in (plain, (*plain, "diffraction")))
-    rays = (tracer(simple_scenes()["two boxes"], [1e9, 94e9], asked) for asked in settings)
+    rays = (sionna_tracer(simple_scenes()["two boxes"], [1e9, 94e9], asked) for asked in settings)
     return [hashlib.sha256(one.channel(TRANSMITTERS_M).cfr.tobytes()).hexdigest() for one in rays]
 
 
@@ -167,17 +158,17 @@ print(*two_boxes_sha256())
 def test_extrapolated_materials_are_traced() -> None:
     brick = replace(CONCRETE_WALL, material="brick")
     settings = replace(SETTINGS, materials="extrapolate")
-    assert tracer(scene_of(brick), [1e9, 94e9], settings).channel(TRANSMITTERS_M).num_paths.min() == 2
+    assert sionna_tracer(scene_of(brick), [1e9, 94e9], settings).channel(TRANSMITTERS_M).num_paths.min() == 2
 
 
 def test_a_material_undefined_at_sionnas_default_carrier_is_traced() -> None:
     floorboard = replace(CONCRETE_WALL, material="floorboard")
-    assert tracer(scene_of(floorboard), [60e9]).channel(TRANSMITTERS_M).num_paths.tolist() == [[2], [2]]
+    assert (sionna_tracer(scene_of(floorboard), [60e9]).channel(TRANSMITTERS_M).num_paths == 2).all()
 
 
 def test_a_shut_metal_box_lets_nothing_through() -> None:
     tx = np.array([[1.4, 2.6, 0.4]])
-    rays = tracer(scene_of(METAL_BOX))
+    rays = sionna_tracer(scene_of(METAL_BOX))
     channel = rays.channel(tx)
     assert not channel.cfr.any() and not channel.num_paths.any()
     assert len(rays.paths(tx[0]).delay_s) == 0
