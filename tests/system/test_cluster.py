@@ -78,7 +78,7 @@ class Started:
             processes[:] = self.client.run(os.getpid, workers=busy).values() if busy else []
             return len(processes) == 1
 
-        _wait(one_answers, timeout_s=60)
+        _wait(one_answers)
         os.kill(processes[0], sent)
         return processes[0]
 
@@ -370,7 +370,7 @@ def test_the_run_of_a_suspended_worker_is_made_by_another_once_the_scheduler_dro
     paper_dataset(tmp_path / "data.h5", num_tx=4)
     method = f"{Patient.__module__}:{Patient.__name__}"
     command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
-    with started(tmp_path, 2, WORKER_TTL="4s") as running:
+    with started(tmp_path, 2, WORKER_TTL="5s") as running:
         with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
             suspended = running.signal_a_busy_worker(signal.SIGSTOP)
             _, message = driver.communicate()
