@@ -37,7 +37,7 @@ from .runs.records import RunRecord as RunRecord
 from .runs.run import run as run
 from .runs.scoring import score as score
 from .runs.training_log import training_log as training_log
-from .scene.families import draw_room as draw_room
+from .scene.drawn_rooms import draw_room as draw_room
 from .scene.families import load_family as load_family
 from .scene.materials import permittivity as permittivity
 from .scene.model import ReceiverArray as ReceiverArray

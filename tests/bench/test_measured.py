@@ -10,23 +10,20 @@ import numpy as np
 import pytest
 
 from tests.support.places import MEASURED_FLAT
+from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.bench.measured import bench_measured, read_measurement
 from xfreqbench.bench.tables import Bench
-from xfreqbench.errors import DataError, SceneError, StorageError
-from xfreqbench.scene.model import ReceiverArray, Scene, load_scene, parse_scene
+from xfreqbench.errors import DataError, SceneError
+from xfreqbench.scene.model import ReceiverArray, load_scene, parse_scene
 from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import ignore_progress
 
-SETTINGS = TraceSettings("image", rays=5000, max_depth=2)
+SETTINGS = TraceSettings("image", rays=2000, max_depth=2)
 RECEIVERS = (
     ReceiverArray(position_m=(1.0, 1.0, 2.5), name="north"),
     ReceiverArray(position_m=(5.0, 4.2, 2.0), name="2"),
 )
-
-
-def two_receivers() -> Scene:
-    return replace(load_scene("two_rooms"), receiver=RECEIVERS[0], other_receivers=RECEIVERS[1:])
 
 
 def rows_of(said: list[str]) -> dict[str, list[str]]:
@@ -40,9 +37,9 @@ def rmse_db(cell: str) -> float:
 
 
 def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path: Path) -> None:
-    scene, rng = two_receivers(), np.random.default_rng(2)
-    position_m = rng.uniform([0.4, 0.4, 0.9], [5.0, 4.0, 1.7], (40, 3))
-    columns = [position_m[:, 0], position_m[:, 1], position_m[:, 2]]
+    scene = replace(SCREENED, receiver=RECEIVERS[0], other_receivers=RECEIVERS[1:])
+    position_m = np.random.default_rng(2).uniform([0.4, 0.4, 0.9], [7.6, 5.6, 1.7], (31, 3))
+    columns = [*position_m.T]
     for receiver, offset_db in zip(RECEIVERS, (-30.0, 12.5), strict=True):
         power = np.zeros(len(position_m))
         for polarization in ("V", "H"):
@@ -51,17 +48,14 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
             paths = [tracer.paths(place_m) for place_m in position_m]
             power += [(np.abs(found.gain) ** 2).mean(axis=0).sum() for found in paths]
         columns.append(10 * np.log10(power) + offset_db)
-    table = np.stack(columns, axis=1)
-    lines = [",".join(f"{value:.9g}" for value in row) for row in table]
+    lines = [",".join(f"{value:.9g}" for value in row) for row in np.stack(columns, axis=1)]
     lines[7] = lines[7].rpartition(",")[0] + ","  # not measured
     (tmp_path / "measured.csv").write_text("\n".join(["x,y,z_m,north,rssi_2", *lines]))
     measurement = read_measurement(tmp_path / "measured.csv", scene.receivers, None)
     assert np.isnan(measurement.power_db).sum() == 1
-    said: list[str] = []
-    output = tmp_path / "records.jsonl"
-    bench_measured(
-        Bench("measured", "x", said.append, output), scene, measurement, [2.4e9, 5e9], SETTINGS, 1, ignore_progress
-    )
+    said, output = list[str](), tmp_path / "records.jsonl"
+    bench = Bench("measured", "x", said.append, output)
+    bench_measured(bench, scene, measurement, [2.4e9, 5e9], SETTINGS, 1, ignore_progress)
     rows = rows_of(said)
     assert rmse_db(rows["traced, depth 2"][0]) < 0.01
     assert rows["traced, depth 2"][-1] == "1.00"
@@ -74,10 +68,7 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
     ("text", "message"),
     [
         ("", "holds no measurement"),
-        (
-            "x,y,z,2\n1,2,3,4\n",
-            "no column for receiver north; its columns are x, y, z, 2. Name one north, or so that it en",
-        ),
+        ("x,y,z,2\n1,2,3,4\n", "no column for receiver north; its columns are x, y, z, 2. Name one north"),
         ("x,y,north,2\n1,2,3,4\n", "no column for z"),
         ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "columns 2, rssi_2 for receiver 2"),
         ("x,y,z,north,2\n1,2,3,4,loud\n", "column 2 holds what is no number"),
@@ -89,8 +80,6 @@ def test_a_measurement_that_cannot_be_used_is_refused(tmp_path: Path, text: str,
     (tmp_path / "measured.csv").write_text(text)
     with pytest.raises(DataError, match=re.escape(message)):
         read_measurement(tmp_path / "measured.csv", RECEIVERS, None)
-    with pytest.raises(StorageError, match="cannot be read"):
-        read_measurement(tmp_path / "none.csv", RECEIVERS, None)
 
 
 @pytest.mark.slow

@@ -15,39 +15,26 @@ from xfreqbench.tracing.tracer import TraceSettings
 def test_a_rung_changes_what_it_says_and_nothing_else() -> None:
     for rung in ladder(["image", "sionna"]):
         defaults = TraceSettings(rung.solver, ("specular", "refraction"))
-        changed = {
-            "depth": rung.settings.max_depth != defaults.max_depth,
-            "rays": rung.settings.rays != defaults.rays,
-            "interactions": rung.settings.interactions != defaults.interactions,
-        }
+        fields = {"depth": "max_depth", "rays": "rays", "interactions": "interactions"}
+        changed = {name for name, key in fields.items() if getattr(rung.settings, key) != getattr(defaults, key)}
         if rung.label == "defaults":
-            assert not any(changed.values())
+            assert not changed
         else:
-            assert {name for name, has_changed in changed.items() if has_changed} >= set(rung.varied)
-            others = {name for name, has_changed in changed.items() if has_changed} - set(rung.varied)
-            assert all(f"{rung.settings.rays:,} rays" in rung.label for name in others)
+            assert changed >= set(rung.varied)
+            assert changed == set(rung.varied) or f"{rung.settings.rays:,} rays" in rung.label
 
 
 def test_the_table_of_settings_is_recorded_with_its_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rungs = [
-        Rung(
-            "image", "depth 1", ("depth",), TraceSettings("image", ("specular", "refraction"), max_depth=1, rays=1000)
-        ),
-        Rung(
-            "image",
-            "depth 2",
-            ("depth", "rays"),
-            TraceSettings("image", ("specular", "refraction"), max_depth=2, rays=1000),
-        ),
+        Rung("image", f"depth {depth}", varied, TraceSettings("image", ("specular", "refraction"), depth, rays=1000))
+        for depth, varied in ((1, ("depth",)), (2, ("depth", "rays")))
     ]
     monkeypatch.setattr(convergence, "ladder", lambda solvers: iter(rungs))
-    said: list[str] = []
     output = tmp_path / "records.jsonl"
-    convergence.bench_generate(Bench("generate", "command", said.append, output), "office", ["image"])
+    convergence.bench_generate(Bench("generate", "command", lambda text: None, output), "office", ["image"])
     (record,) = read(output).benches
     assert record.columns == ("setting", "rays once, s", "ms a sample", "1 GHz", "10 GHz", "94 GHz", "bar")
     assert [cells[0] for cells in record.rows] == ["image, depth 1", "image, depth 2"]
-    assert all(f"| {' | '.join(cells)} |" in said for cells in record.rows)
     assert record.figure is not None
     series = [(point.series, point.label) for point in record.figure.points]
     assert series == [("image, depth", "depth 1"), ("image, depth", "depth 2"), ("image, rays", "depth 2")]

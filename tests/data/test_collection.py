@@ -28,7 +28,8 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import drawn_rows, require_origin
 from xfreqbench.data.rooms import generate_rooms
 from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError
-from xfreqbench.scene.families import draw_room, load_family
+from xfreqbench.scene.drawn_rooms import draw_room
+from xfreqbench.scene.families import load_family
 
 NUM_TX = (4, 2, 3)  # of each room, at three carriers
 PERCENT = [64, 84, 62, 57, 30, 43]  # of seeds 0 to 5, on every machine

@@ -10,7 +10,7 @@ from xfreqbench.maps.bartlett import PAS_KINDS, BartlettBeam, cfr_of_plane_waves
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import frame_rotation, planar_array, steering_vector
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.units import PAPER_CARRIERS_GHZ, SPEED_OF_LIGHT_M_S
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 GRID = AngularGrid.hemisphere()
 RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.5))
@@ -23,7 +23,7 @@ def plane_wave_cfr(row: int, column: int, carrier_hz: float) -> np.ndarray:
     return cfr_of_plane_waves(np.array([3e-5 + 1e-5j]), np.array([2.7e-8]), arrival, element_m, carrier_hz)
 
 
-@pytest.mark.parametrize("carrier_ghz", PAPER_CARRIERS_GHZ)
+@pytest.mark.parametrize("carrier_ghz", [1.0, 94.0])
 @given(row=st.integers(5, 89), column=st.integers(0, 359))
 def test_a_lone_plane_wave_peaks_at_its_angle_of_arrival(carrier_ghz: float, row: int, column: int) -> None:
     cfr = plane_wave_cfr(row, column, carrier_ghz * 1e9)
@@ -58,15 +58,14 @@ def test_channels_too_weak_for_float32_powers_keep_their_map() -> None:
 def test_maps_are_the_same_bytes_alone_and_among_others_in_one_thread_and_in_two() -> None:
     rng = np.random.default_rng(0)
     cfr = rng.normal(size=(20, 16)) + 1j * rng.normal(size=(20, 16))
-    made = []
-    together, _ = BEAM.maps(cfr)
+    together, peaks = BEAM.maps(cfr)
     for size in (1, 3, 8, 13):
         np.testing.assert_array_equal(BEAM.maps(cfr[5 : 5 + size])[0], together[5 : 5 + size])
     for threads in (1, 2):
         with threadpool_limits(threads, "blas"):
             maps, peak = BEAM.maps(cfr)
-        made.append(maps.tobytes() + peak.tobytes())
-    assert made[0] == made[1]
+        np.testing.assert_array_equal(maps, together)
+        np.testing.assert_array_equal(peak, peaks)
 
 
 def test_a_channel_of_zeros_is_a_map_of_zeros() -> None:

@@ -10,34 +10,16 @@ import pytest
 
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
-from xfreqbench.scene.families import DrawnRoom, draw_room, family_schema, load_family
+from xfreqbench.scene.drawn_rooms import DrawnRoom, draw_room
+from xfreqbench.scene.families import family_schema, load_family
 from xfreqbench.scene.model import load_scene, shipped_families, shipped_folder, shipped_scenes
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 FAMILY = load_family("rooms")
-FINGERPRINTS = {
-    0: "5252c157",
-    1: "2a0ba67e",
-    2: "66d0e5a5",
-    3: "63cc1f2e",
-    4: "a5d3f8e3",
-    5: "bcb686b3",
-    6: "d5be651c",
-    7: "d7dff59e",
-    8: "7bd50f1b",
-    9: "79c13d35",
-    10: "6123fb40",
-    11: "b3c4554e",
-    12: "f89b67a6",
-    13: "2e202b59",
-    14: "dedf8ebc",
-    15: "604bf578",
-    16: "01c3bed7",
-    17: "a9e89f8e",
-    18: "d4e7f10e",
-    19: "0c1cb00b",
-}
+FINGERPRINTS = (  # of seeds 0 to 19
+    "5252c157 2a0ba67e 66d0e5a5 63cc1f2e a5d3f8e3 bcb686b3 d5be651c d7dff59e 7bd50f1b 79c13d35 "
+    "6123fb40 b3c4554e f89b67a6 2e202b59 dedf8ebc 604bf578 01c3bed7 a9e89f8e d4e7f10e 0c1cb00b"
+)
 
 
 def fingerprint(room: DrawnRoom) -> str:
@@ -47,15 +29,14 @@ def fingerprint(room: DrawnRoom) -> str:
 
 
 def test_a_seed_draws_the_same_room_everywhere() -> None:
-    assert {seed: fingerprint(draw_room(FAMILY, seed)) for seed in range(20)} == FINGERPRINTS
+    assert [fingerprint(draw_room(FAMILY, seed)) for seed in range(20)] == FINGERPRINTS.split()
 
 
 def require_valid(seed: int) -> None:
     """Plan a room as `generate` does, which checks that array and transmitters are in free space, and overlaps."""
     room = draw_room(FAMILY, seed)
-    tx_position_m = room.transmitters(120)
-    carrier_hz = [ghz_to_hz(ghz) for ghz in PAPER_CARRIERS_GHZ]
-    plan = plan_generation(room.scene, carrier_hz, TraceSettings(), tx_position_m=tx_position_m, maps=False)
+    tx_position_m = room.transmitters(40)
+    plan = plan_generation(room.scene, [1e9, 94e9], TraceSettings(), tx_position_m=tx_position_m, maps=False)
     assert plan.settings.solver == "image"
     for solid in room.solids:
         start_m, along_m = solid.outline_m, np.roll(solid.outline_m, -1, axis=0) - solid.outline_m
@@ -66,19 +47,14 @@ def require_valid(seed: int) -> None:
         assert len(start_m) < 3 or not (is_inside & is_as_high).any()
 
 
-def test_drawn_rooms_can_be_traced() -> None:
-    for seed in range(20):
-        require_valid(seed)
-
-
-@pytest.mark.slow
-def test_a_hundred_more_drawn_rooms_can_be_traced() -> None:
-    for seed in range(20, 120):
+@pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 80), marks=pytest.mark.slow)])
+def test_drawn_rooms_can_be_traced(seeds: range) -> None:
+    for seed in seeds:
         require_valid(seed)
 
 
 def test_rooms_of_a_family_differ_in_type_and_shape_and_place_of_the_array() -> None:
-    rooms = [draw_room(FAMILY, seed) for seed in range(60)]
+    rooms = [draw_room(FAMILY, seed) for seed in range(20)]
     assert {room.type.name for room in rooms} == {room_type.name for room_type in FAMILY.type}
     assert {len(room.outline_m) for room in rooms} == {4, 5, 6, 8}
     assert {room.scene.receiver.boresight[2] for room in rooms} == {0.0, -1.0}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from tests.support.mesh_scenes import ply_bytes
 from tests.support.sionna_scenes import GRID, RECEIVER, scene_of
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import group_by_plane, planar_facets
@@ -49,32 +51,24 @@ def test_a_material_that_no_shape_refers_to_may_be_anything(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("faces", "message"),
-    [("0", "no face of any area"), ("1\n3 0 1 1", "no face of any area"), ("1\n3 0 1 9", "cannot be read")],
+    [
+        ([], "no face of any area"),
+        ([[0, 1, 1]], "no face of any area"),
+        ([[0, 1, 9]], "cannot be read"),
+        ([[0, 1, 2], [0, 1, 3]], "not finite"),
+        (None, r"points\.ply of shape 'a'"),  # a point cloud
+    ],
 )
-def test_a_mesh_without_faces_does_not_vanish_silently(tmp_path: Path, faces: str, message: str) -> None:
-    num_faces, _, body = faces.partition("\n")
-    (tmp_path / "points.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {num_faces}\nproperty list uchar int vertex_indices\nend_header\n"
-        f"0 0 0\n1 0 0\n0 1 0\n{body}\n"
-    )
+def test_a_mesh_without_faces_does_not_vanish_silently(
+    tmp_path: Path, faces: list[list[int]] | None, message: str
+) -> None:
+    last = np.nan if message == "not finite" else 0
+    content = ply_bytes(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, last]]), faces or [], binary=False)
+    if faces is None:
+        content = re.sub(rb"element face 0\n.*\n", b"", content)
+    (tmp_path / "points.ply").write_bytes(content)
     with pytest.raises(SceneError, match=message):
-        surface_meshes(imported(tmp_path, CONCRETE.format(""), SHAPE.format("", "points")))
-
-
-def test_a_point_cloud_is_no_mesh(tmp_path: Path) -> None:
-    (tmp_path / "cloud.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-        "end_header\n0 0 0\n"
-    )
-    with pytest.raises(SceneError, match=r"cloud\.ply of shape 'a'"):
-        surface_meshes(imported(tmp_path, CONCRETE.format(""), SHAPE.format(' id="mesh-a"', "cloud")))
-
-
-def test_vertices_at_no_place_are_refused(tmp_path: Path) -> None:
-    trimesh.Trimesh([*SQUARE_M, [np.nan] * 3], [*SQUARE, [0, 1, 4]], process=False).export(tmp_path / "hole.ply")
-    with pytest.raises(SceneError, match="not finite"):
-        surface_meshes(imported(tmp_path, CONCRETE.format(""), SHAPE.format("", "hole")))
+        surface_meshes(imported(tmp_path, CONCRETE.format(""), SHAPE.format(' id="mesh-a"', "points")))
 
 
 @pytest.mark.sionna

@@ -8,31 +8,14 @@ import pytest
 import trimesh
 
 from tests.support.furnished_room import SHELL, furnished_room
+from tests.support.mesh_scenes import PLACES
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
-from xfreqbench.scene.model import PatchSize, Scene, parse_scene
+from xfreqbench.scene.model import PatchSize, parse_scene
 from xfreqbench.scene.patches import Patches
 
-SHED = """
-name = "shed"
-scene = "room.xml"
-mirrors = "patches"
-least_patch_area_m2 = 0.2
-[receiver]
-position_m = [1.0, 1.0, 2.0]
-[transmitters]
-min_m = [0.0, 0.0, 0.0]
-max_m = [1.0, 1.0, 1.0]
-step_m = [1.0, 1.0, 1.0]
-"""
-DULL = """
-name = "back of a chair"
-material = "wood"
-thickness_m = 0.01
-min_m = [0.0, 0.0, 0.5]
-max_m = [0.4, 0.0, 1.0]
-mirrors = false
-"""
+SHED = f'name = "shed"\nscene = "room.xml"\nmirrors = "patches"\nleast_patch_area_m2 = 0.2\n{PLACES}'
+DULL = '{name = "a", material = "wood", thickness_m = 0.01, min_m = [0, 0, 0], max_m = [1, 0, 1], mirrors = false}'
 
 
 def patches_of(mesh: trimesh.Trimesh) -> Patches:
@@ -116,7 +99,7 @@ def test_a_surface_may_say_that_it_does_not_mirror(tmp_path: Path) -> None:
     assert not geometry.mirrors[geometry.mesh_of_triangle == 0].any()
     assert geometry.mirrors[geometry.mesh_of_triangle > 0].all()
     assert geometry.num_mirrors == Geometry(surface_meshes(room)).num_mirrors - 2
-    assert parse_scene(f"{SHED}\n[[surface]]\n{DULL}").surface[0].mirrors is False
+    assert parse_scene(f"surface = [{DULL}]\n{SHED}").surface[0].mirrors is False
 
 
 def test_scenes_of_surfaces_say_nothing_of_patches(tmp_path: Path) -> None:
@@ -136,5 +119,4 @@ def test_scenes_of_surfaces_say_nothing_of_patches(tmp_path: Path) -> None:
 
 
 def test_the_scene_file_states_the_least_patch() -> None:
-    scene: Scene = parse_scene(SHED)
-    assert scene.least_patch == (0.2, PatchSize().width_m)
+    assert parse_scene(SHED).least_patch == (0.2, PatchSize().width_m)

@@ -80,15 +80,6 @@ def test_the_space_between_walls_of_two_shells_is_free(tmp_path: Path) -> None:
         check_transmitters(scene, surface_meshes(scene), np.array([[-0.1, 2.0, 1.0]]), [10e9])
 
 
-def test_a_transmitter_in_an_object_of_a_room_is_refused() -> None:
-    scene = scene_of(ROOM, ASIDE)
-    meshes = surface_meshes(scene)
-    with pytest.raises(PlacementError, match="Transmitter 1 stands inside 'aside'"):
-        check_transmitters(scene, meshes, np.array([[4.0, 3.0, 1.0], [2.5, 1.5, 0.4]]), [10e9])
-    with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
-        check_transmitters(scene, meshes, np.array([[4.995, 3.0, 1.0]]), [10e9])
-
-
 def test_rooms_side_by_side_are_named() -> None:
     with pytest.raises(PlacementError, match=r"rooms = \['room'\]"):
         check(scene_of(ROOM, NEXT))

@@ -57,31 +57,17 @@ def test_meshes_that_were_read_before_have_the_hash_of_then(tmp_path: Path) -> N
     assert meshes_sha256(meshes)[:16] == "1eba06249f5081c3"
 
 
-@pytest.mark.parametrize(
-    ("name", "num_triangles", "material"),
-    [
-        ("floor_wall", 4, "brick"),
-        ("box", 12, "metal"),
-        ("box_two_screens", 16, "glass"),
-        ("simple_wedge", 4, "concrete"),
-    ],
-)
-def test_scenes_of_sionna_rt_are_named(tmp_path: Path, name: str, num_triangles: int, material: str) -> None:
-    meshes = surface_meshes(scene_of_file(tmp_path, f"sionna:{name}"))
-    assert sum(len(mesh.triangles) for mesh in meshes) == num_triangles
-    assert material in {mesh.material for mesh in meshes}
-
-
-def test_a_scene_that_sionna_rt_does_not_bring_names_the_nearest(tmp_path: Path) -> None:
+def test_scenes_of_sionna_rt_are_named(tmp_path: Path) -> None:
+    for name, num_triangles, material in (("floor_wall", 4, "brick"), ("box_two_screens", 16, "glass")):
+        meshes = surface_meshes(scene_of_file(tmp_path, f"sionna:{name}"))
+        assert sum(len(mesh.triangles) for mesh in meshes) == num_triangles
+        assert material in {mesh.material for mesh in meshes}
+    plan = plan_generation(scene_of_file(tmp_path, "sionna:box"), [2.4e9], replace(PLAIN, max_depth=2), maps=False)
+    assert len(plan.tx_position_m) == 2  # a box is a room
     with pytest.raises(UnknownNameError, match=r"scene of Sionna RT 'floor_wal'\. Did you mean 'floor_wall'"):
         surface_meshes(scene_of_file(tmp_path, "sionna:floor_wal"))
     with pytest.raises(UnknownNameError, match="scene of Sionna RT"):
         surface_meshes(scene_of_file(tmp_path, "sionna:../scenes/box"))
-
-
-def test_sionnas_box_is_a_room(tmp_path: Path) -> None:
-    plan = plan_generation(scene_of_file(tmp_path, "sionna:box"), [2.4e9], replace(PLAIN, max_depth=2), maps=False)
-    assert len(plan.tx_position_m) == 2
 
 
 def test_a_surface_may_be_of_a_material_of_the_scenes_own() -> None:
@@ -98,19 +84,13 @@ def test_a_surface_may_be_of_a_material_of_the_scenes_own() -> None:
 def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN}{FOAM}')
     tx_position_m, carriers_hz = np.array([[3.5, 3.0, 1.5]]), [1e9, 30e9]
-    image, sionna = (
-        tracer_of(PreparedScene.of(scene), carriers_hz, replace(PLAIN, solver=solver, max_depth=1, rays=10_000))
-        .channel(tx_position_m)
-        .cfr
-        for solver in ("image", "sionna")
+    vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
+    settings = replace(PLAIN, max_depth=1, rays=10_000)
+    image, sionna, nothing = (
+        tracer_of(PreparedScene.of(traced), carriers_hz, replace(settings, solver=solver)).channel(tx_position_m).cfr
+        for traced, solver in ((scene, "image"), (scene, "sionna"), (vacuum, "image"))
     )
     assert np.abs(image - sionna).max() < 2e-3 * np.abs(image).max()  # Sionna's float32
-    vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
-    nothing = (
-        tracer_of(PreparedScene.of(vacuum), carriers_hz, replace(PLAIN, solver="image", max_depth=1))
-        .channel(tx_position_m)
-        .cfr
-    )
     assert np.abs(image - nothing).max() > 0.01 * np.abs(image).max()
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import Scene, parse_scene
 
 ROOM = trimesh.creation.box(bounds=[[0, 0, 0], [5, 4, 3]])
@@ -33,6 +34,11 @@ def write_meshes(folder: Path) -> None:
     for kind in ("ply", "obj", "stl"):
         TABLE.export(folder / "meshes" / f"table.{kind}")
         ROOM.export(folder / "meshes" / f"room.{kind}")
+
+
+def bounds_m(mesh: SurfaceMesh) -> np.ndarray:
+    """The lowest and the highest corner of the box about a mesh, (2, 3)."""
+    return np.array([mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)])
 
 
 def shape(kind: str, inside: str = "", material: str = '<ref id="M" name="bsdf"/>', ident: str = "s") -> str:

@@ -5,11 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
+from xfreqbench.tracing.tracer import TraceSettings
 
 GRID = TransmitterGrid(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0), step_m=(1.0, 1.0, 1.0))
 RECEIVER = ReceiverArray(position_m=(2.0, 1.5, 2.0))
 ONE_ELEMENT = ReceiverArray(position_m=(2.0, 1.5, 2.0), rows=1, cols=1)
+ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
+CARRIERS_HZ = [1e9, 10e9, 94e9]
+TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
+SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 
 CONCRETE_WALL = Surface(
     name="wall", material="concrete", thickness_m=0.2, min_m=(0.0, -4.0, -3.0), max_m=(0.0, 6.0, 6.0)
@@ -62,3 +70,13 @@ def simple_scenes(receiver: ReceiverArray = RECEIVER) -> dict[str, Scene]:
         "a slope and a pane between": scene_of(SLOPE, GLASS_PANE, receiver=receiver),
         "two boxes": scene_of(METAL_BOX, WOODEN_BOX, receiver=receiver),
     }
+
+
+def sionna_tracer(scene: Scene, carrier_hz: Any = CARRIERS_HZ, settings: TraceSettings = SETTINGS) -> Any:
+    from xfreqbench.tracing.sionna.tracer import SionnaTracer
+
+    return SionnaTracer(scene, carrier_hz, settings)
+
+
+def relative_error(cfr: NDArray[np.complex128], truth: NDArray[np.complex128]) -> float:
+    return float(np.abs(cfr - truth).max() / np.abs(truth).max())

@@ -109,15 +109,11 @@ def test_processes_stay_for_the_next_call_unless_each_call_asks_for_a_new_one() 
         assert len(processes) == number
 
 
-def test_a_call_whose_process_dies_is_made_again(tmp_path: Path) -> None:
+def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_is_an_error(tmp_path: Path) -> None:
     with LocalProcesses(own_cores()) as workers:
         ((_, future),) = side_by_side(workers, _dies_once, [str(tmp_path / "mark")])
-    assert future.result() == "done"
-
-
-def test_a_call_that_processes_die_of_is_an_error_and_the_others_are_made() -> None:
-    with LocalProcesses(own_cores()) as workers:
         outcomes = dict(side_by_side(workers, _dies_on_two, [1, 2, 3]))
+    assert future.result() == "done"
     assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
     assert isinstance(outcomes[2].exception(), ClusterError)
     assert f"{MAX_DEATHS} workers died of it" in str(outcomes[2].exception())
@@ -188,7 +184,7 @@ def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
 
 
 @pytest.mark.parametrize("way", ["pool", "alone"])
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals, way: str) -> None:
     """Nor do their processes import a file of the working folder that has a standard name."""
     (tmp_path / "parent.py").write_text(PARENT)

@@ -9,28 +9,36 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from tests.support.sionna_scenes import CONCRETE_WALL, GRID, ONE_ELEMENT, RECEIVER, moved, scene_of, simple_scenes
+from tests.support.sionna_scenes import (
+    CARRIERS_HZ,
+    CONCRETE_WALL,
+    GRID,
+    ONE_ELEMENT,
+    RECEIVER,
+    SETTINGS,
+    TRANSMITTERS_M,
+    moved,
+    scene_of,
+    simple_scenes,
+)
 from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import POLARIZATION_PAIRS, ReceiverArray, Scene, TransmitterGrid, load_scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import Paths
-from xfreqbench.tracing.solvers import resolve_solver, tracer_of
-from xfreqbench.tracing.tracer import SolverName, TraceSettings
+from xfreqbench.tracing.solvers import tracer_of
+from xfreqbench.tracing.tracer import SolverName, Tracer, TraceSettings
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 pytestmark = pytest.mark.sionna
 
-CARRIERS_HZ = [1e9, 10e9, 94e9]
-TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7], [2.6, 2.9, 0.4]])
-SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
-SOLVERS = ("sionna", "image")
+SOLVERS: tuple[SolverName, ...] = ("sionna", "image")
 POLARIZATIONS = ("V", "H")
 DIPOLE_H = replace(GRID, pattern="dipole", polarization="H")
 TILTED = replace(GRID, pattern="dipole", orientation_deg=(20.0, 40.0, -30.0))
@@ -45,48 +53,48 @@ def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> An
     return solve(loaded_scene, tx[None], SETTINGS.interactions, 3, SETTINGS.rays, 1, antenna)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+def tracers(scene: Scene) -> list[Tracer]:
+    return [tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver)) for solver in SOLVERS]
+
+
 @pytest.mark.parametrize("polarization", POLARIZATIONS)
 @pytest.mark.parametrize("name", simple_scenes())
-def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(
-    name: str, polarization: Any, solver: SolverName
-) -> None:
+def test_tracing_once_equals_a_public_solve_at_each_carrier_path_by_path(name: str, polarization: Any) -> None:
     scene = simple_scenes(replace(ONE_ELEMENT, polarization=polarization))[name]
-    tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    both = tracers(scene)
     for tx in TRANSMITTERS_M:
-        paths = tracer.paths(tx)
-        for traced, carrier_hz in zip(paths.gain, CARRIERS_HZ, strict=True):
+        found = [tracer.paths(tx) for tracer in both]
+        for f, carrier_hz in enumerate(CARRIERS_HZ):
             public = public_paths(scene, carrier_hz, tx)
             gain = (public.a[0].numpy() + 1j * public.a[1].numpy()).reshape(-1)
             delay_s = public.tau.numpy().reshape(-1)
             order = np.argsort(delay_s)
-            heard = np.abs(traced) > 1e-6 * np.abs(traced).max()  # Sionna drops what has vanished
-            np.testing.assert_allclose(paths.delay_s[heard], delay_s[order], rtol=1e-6)
-            # The carrier phase is in neither gain, so float32 delays do not blur the comparison:
-            # measured 1e-4 of the strongest path (Sionna's slab runs in float32).
-            np.testing.assert_allclose(traced[heard], gain[order], rtol=0, atol=1e-3 * np.abs(gain).max())
+            for paths in found:
+                traced = paths.gain[f]
+                heard = np.abs(traced) > 1e-6 * np.abs(traced).max()  # Sionna drops what has vanished
+                np.testing.assert_allclose(paths.delay_s[heard], delay_s[order], rtol=1e-6)
+                # The carrier phase is in neither gain, so float32 delays do not blur the comparison:
+                # measured 1e-4 of the strongest path (Sionna's slab runs in float32).
+                np.testing.assert_allclose(traced[heard], gain[order], rtol=0, atol=1e-3 * np.abs(gain).max())
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize(
     ("receiver", "transmitters"),
     [(ONE_ELEMENT, GRID), (ONE_ELEMENT, DIPOLE_H), (ONE_ELEMENT, TILTED), (LOOKING, GRID), (LOOKING, SECTOR)],
     ids=["equal antennas", "H to V", "tilted to V", "iso to sector", "sector to sector"],
 )
 def test_the_channel_is_the_public_channel_with_the_carrier_phase_counted_once(
-    receiver: ReceiverArray, transmitters: TransmitterGrid, solver: SolverName
+    receiver: ReceiverArray, transmitters: TransmitterGrid
 ) -> None:
     scene = replace(simple_scenes(receiver)["a wall and a pane between"], transmitters=transmitters)
-    tracer = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver))
-    cfr = tracer.channel(TRANSMITTERS_M).cfr[..., 0]
-    for tx, row in zip(TRANSMITTERS_M, cfr, strict=True):
-        for carrier_hz, value in zip(CARRIERS_HZ, row, strict=True):
-            gain, delay_s = public_paths(scene, carrier_hz, tx).cir(normalize_delays=False, out_type="numpy")
-            # one float32 rounding of τ is 6e-8 · 2πfτ: at most 1e-3 rad at 94 GHz and 5 m
-            error = abs(gain.sum() - value) / np.abs(gain).sum()
-            assert error < 1e-3
-            assert delay_s.size == gain.size
-            assert abs(value) > 1e-7
+    both = [tracer.channel(TRANSMITTERS_M).cfr[..., 0] for tracer in tracers(scene)]
+    for t, tx in enumerate(TRANSMITTERS_M):
+        for f, carrier_hz in enumerate(CARRIERS_HZ):
+            gain, _ = public_paths(scene, carrier_hz, tx).cir(normalize_delays=False, out_type="numpy")
+            for cfr in both:
+                # one float32 rounding of τ is 6e-8 · 2πfτ: at most 1e-3 rad at 94 GHz and 5 m
+                assert abs(gain.sum() - cfr[t, f]) / np.abs(gain).sum() < 1e-3
+                assert abs(cfr[t, f]) > 1e-7
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -106,24 +114,22 @@ def test_interactions_that_are_off_do_not_happen(
 ) -> None:
     scene = simple_scenes(ONE_ELEMENT)["a wall and a pane between"]
     settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
-    assert tracer_of(PreparedScene.of(scene), [1e9], settings).channel(TRANSMITTERS_M[:1]).num_paths.tolist() == [
-        [num_paths]
-    ]
+    in_sight_m = np.array([3.1, 1.2, 1.1])
+    tx_m = np.array([TRANSMITTERS_M[0], in_sight_m])
+    behind, beside = tracer_of(PreparedScene.of(scene), [1e9], settings).channel(tx_m).num_paths.ravel().tolist()
+    assert behind == num_paths
+    if not (interactions and max_depth):
+        assert beside == 1  # the line of sight
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName) -> None:
     office = load_scene("office")
     reference = read_reference(office)
-    settings = resolve_solver(
-        Geometry(surface_meshes(office)), TraceSettings(interactions=("specular", "refraction"), solver=solver)
-    )
+    settings = TraceSettings(solver, ("specular", "refraction"))
     tracer = tracer_of(PreparedScene.of(office), reference.carrier_hz.tolist(), settings)
-    cfr = tracer.channel(reference.tx_position_m).cfr
-    for error in map_errors(office, cfr, reference.cfr):
-        assert error.median_psnr_db > 40
-        assert error.fifth_percentile_psnr_db > 30
-        assert error.median_ssim > 0.99
+    for error in map_errors(office, tracer.channel(reference.tx_position_m).cfr, reference.cfr):
+        assert error.meets_bar and error.median_ssim > 0.99
 
 
 def shortest_stretch_m(paths: Paths, tx_m: np.ndarray, receiver_m: np.ndarray) -> float:
@@ -172,10 +178,7 @@ def test_the_field_right_below_an_element_is_that_beside_it(
 
 def tilted(mesh: SurfaceMesh) -> SurfaceMesh:
     """The mesh turned about an axis that no plane is square to."""
-    axis, angle = np.array([0.36, 0.48, 0.8]), 0.2
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return replace(mesh, vertices_m=mesh.vertices_m @ rotation.T)
+    return replace(mesh, vertices_m=Rotation.from_rotvec([0.072, 0.096, 0.16]).apply(mesh.vertices_m))
 
 
 def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Path) -> None:
@@ -185,19 +188,19 @@ def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Pat
     imported = replace(scene, surface=(), scene="scene.xml", folder=tmp_path)
     settings = TraceSettings(interactions=("specular", "refraction"), rays=400_000, max_depth=3)
     prepared = PreparedScene.of(imported)
-    tracers = (
-        ImageTracer(prepared, CARRIERS_HZ, settings, ImageSavings(field_nodes_per_axis=4)),
-        tracer_of(prepared, CARRIERS_HZ, replace(settings, solver="sionna")),
+    carriers_hz = CARRIERS_HZ[::2]
+    image = (
+        ImageTracer(prepared, carriers_hz, settings, ImageSavings(field_nodes_per_axis=4)).channel(TRANSMITTERS_M).cfr
     )
-    image, sionna = (tracer.channel(TRANSMITTERS_M).cfr for tracer in tracers)
+    sionna = tracer_of(prepared, carriers_hz, replace(settings, solver="sionna")).channel(TRANSMITTERS_M).cfr
     is_short = np.zeros(image.shape, bool)  # where Sionna RT drops a path
-    for f, carrier_hz in enumerate(CARRIERS_HZ):
+    for f, carrier_hz in enumerate(carriers_hz):
         for m, place_m in enumerate(scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)):
             receiver = replace(scene.receiver, rows=1, cols=1, position_m=tuple(place_m.tolist()))
             alone = PreparedScene(replace(imported, receiver=receiver), prepared.geometry)
             tracer = ImageTracer(alone, [carrier_hz], replace(settings, rays=50_000))
             is_short[:, f, m] = [shortest_stretch_m(tracer.paths(tx), tx, place_m) < 0.011 for tx in TRANSMITTERS_M]
-    assert 0 < is_short.mean() < 0.2
+    assert 0 < is_short.mean() < 0.25
     # float32 vertices, and paths along an edge that one of the two misses
     error = np.where(is_short, 0, np.abs(sionna - image))
     assert error.max() < 5e-3 * np.abs(image).max()

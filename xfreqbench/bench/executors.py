@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -32,8 +31,6 @@ from xfreqbench.tracing.tracer import Channel
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
-Argument = TypeVar("Argument")
-Result = TypeVar("Result")
 SCENE = "office"
 NUM_WORKERS = 2
 NUM_SPLITS = 2  # of protocol lofo, for the runs

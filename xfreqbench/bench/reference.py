@@ -45,13 +45,8 @@ PUBLIC_WAY = (
 )
 
 _ADVICE = "Delete it, and make it anew."
-IDENTITY = (
-    "scene_sha256",
-    "rays",
-    "max_depth",
-    "seed",
-    "interactions",
-)  # entries of `about` that have to agree when a reference is continued
+# entries of `about` that have to agree when a reference is continued
+IDENTITY = ("scene_sha256", "rays", "max_depth", "seed", "interactions")
 
 
 @dataclass(frozen=True)
@@ -111,17 +106,12 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
         missing = np.argwhere(np.isnan(reference.cfr[..., 0]))
         total = reference.cfr.shape[0] * reference.cfr.shape[1]
         progress(total - len(missing), total)
+        of = REFERENCE_SETTINGS
+        asked = of.named_interactions, of.max_depth, of.rays, of.seed
         for done, (t, f) in enumerate(missing, start=total - len(missing) + 1):
+            carrier_hz, tx_m = float(reference.carrier_hz[f]), reference.tx_position_m[t : t + 1]
             with roomy_hash_table():
-                reference.cfr[t, f] = plain_channel(
-                    scene,
-                    float(reference.carrier_hz[f]),
-                    reference.tx_position_m[t : t + 1],
-                    REFERENCE_SETTINGS.named_interactions,
-                    REFERENCE_SETTINGS.max_depth,
-                    REFERENCE_SETTINGS.rays,
-                    REFERENCE_SETTINGS.seed,
-                )[0]
+                reference.cfr[t, f] = plain_channel(scene, carrier_hz, tx_m, *asked)[0]
             _write_reference(path, reference)
             progress(done, total)
 
@@ -177,15 +167,12 @@ def _lit_and_shadowed(scene: Scene) -> Float[FloatArray, "T 3"]:
     lit = sees(meshes, usable.tx_position_m, np.asarray(scene.receiver.position_m))
     num_shadowed = min(REFERENCE_TRANSMITTERS // 2, int((~lit).sum()))
     kinds = ((lit, REFERENCE_TRANSMITTERS - num_shadowed), (~lit, num_shadowed))
-    return np.concatenate(
-        [
-            choose_transmitters(
-                replace(usable, tx_position_m=usable.tx_position_m[which]), number, REFERENCE_SETTINGS.seed
-            )
-            for which, number in kinds
-            if number
-        ]
-    )
+    chosen = [
+        choose_transmitters(replace(usable, tx_position_m=usable.tx_position_m[is_so]), number, REFERENCE_SETTINGS.seed)
+        for is_so, number in kinds
+        if number
+    ]
+    return np.concatenate(chosen)
 
 
 def _write_reference(path: Path, reference: Reference) -> None:
@@ -195,10 +182,4 @@ def _write_reference(path: Path, reference: Reference) -> None:
         storage_errors(path, num_bytes),
         temporary.open("wb") as file,  # given a path, NumPy adds .npz to its name
     ):
-        np.savez(
-            file,
-            tx_position_m=reference.tx_position_m,
-            carrier_hz=reference.carrier_hz,
-            cfr=reference.cfr,
-            about=json.dumps(reference.about),
-        )
+        np.savez(file, **(vars(reference) | {"about": json.dumps(reference.about)}))

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import tempfile
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from timeit import timeit
 
 import numpy as np
 import torch
@@ -38,18 +38,8 @@ METHODS = (
 FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s")
 CARRIERS_HZ = np.array([ghz_to_hz(carrier) for carrier in (1.0, 10.0)])  # of the training data
 SPLATTING_COLUMNS = (
-    "N",
-    "B",
-    "pairs",
-    "numba ms",
-    "samples/s",
-    "torch ms",
-    "samples/s",
-    "dense ms",
-    "dense / numba",
-    "dense / torch",
-    "error of values",
-    "of gradients",
+    *("N", "B", "pairs", "numba ms", "samples/s", "torch ms", "samples/s", "dense ms"),
+    *("dense / numba", "dense / torch", "error of values", "of gradients"),
 )
 DIRECTIONS_PER_GAUSSIAN = 200
 _FEWER = GridView(stride=5)  # directions for timing dense accumulation where all of them are too many
@@ -71,7 +61,7 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
     """Print the time of splatting alone, for all combinations of numbers of Gaussians and batch sizes."""
     note = (
         f"Forward and backward, footprints given, all 90 × 360 directions, about {DIRECTIONS_PER_GAUSSIAN} "
-        f"of them a Gaussian; ms a sample, numba and torch on {num_threads()} threads. Dense: one sample in "
+        f"of them a Gaussian; ms a sample, numba and torch on {torch.get_num_threads()} threads. Dense: one sample in "
         "float32, every Gaussian on every direction; where `1/n` stands, timed on that part of the directions "
         "and scaled up. Errors are those of numba in float32 against dense float64, relative to the largest "
         "value, on 1/81 of the directions."
@@ -83,7 +73,7 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
 
 def tabulate_fits(bench: Bench, train: PasDataset) -> None:
     """Print the maps that training steps of methods see a second."""
-    note = f"The method's own loop on a data set of 64 maps, {num_threads()} threads, after its first step."
+    note = f"The method's own loop on a data set of 64 maps, {torch.get_num_threads()} threads, after its first step."
     with bench.table("Training steps of methods", note, FIT_COLUMNS) as table:
         for method in METHODS:
             size, seconds = build_method(method).config.batch_size, step_s(train, method)
@@ -96,18 +86,6 @@ def step_s(train: PasDataset, method: str) -> float:
     assert isinstance(fit, Generator)
     next(fit)
     return timed_s(lambda: fit.send(0.5))[0]
-
-
-def num_threads() -> int:
-    """Number of threads of torch, which is also that of the kernels."""
-    return torch.get_num_threads()
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    """Time of one call."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,11 +220,11 @@ def dense_s(projection: Projection, grid: AngularGrid) -> float:
             distance = (across**2 + along**2) / near_first.covariance[:, 0, 0]
             differentiated(dense_field, replace(leaves, distance=distance), weights)
 
-    all_threads, times_s = num_threads(), []
+    all_threads, times_s = torch.get_num_threads(), []
     try:
         for number in {1, all_threads}:
             torch.set_num_threads(number)
-            times_s.append(_seconds(render))
+            times_s.append(timeit(render, number=1))
     finally:
         torch.set_num_threads(all_threads)
     return min(times_s)

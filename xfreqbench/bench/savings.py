@@ -97,6 +97,11 @@ class Workload:
         per_sample = off_s / self.num_samples * 1e3, on_s / self.num_samples * 1e3
         return Saving(name, f"{timed}; {self.size}", *per_sample, change)
 
+    def by_tracers(self, name: str, timed: str, off: ImageTracer, on: ImageTracer) -> Saving:
+        """Measure the channels of two tracers, whose rays are shot beforehand."""
+        both = (lambda: off.channel(self.tx_position_m).cfr), (lambda: on.channel(self.tx_position_m).cfr)
+        return self.saving(f"image: {name}", f"{timed}, rays shot beforehand", *both)
+
 
 def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
     """Transmitters of the office at the paper's carriers, with a solver at its defaults."""
@@ -145,12 +150,7 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             ImageTracer(work.scene, work.carrier_hz, work.settings, image_savings)
             for image_savings in (without, with_it)
         )
-        yield work.saving(
-            f"image: {name}",
-            "channels, rays shot beforehand",
-            lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
-            lambda on=on: on.channel(work.tx_position_m).cfr,  # type: ignore[misc]
-        )
+        yield work.by_tracers(name, "channels", off, on)
     yield from edge_savings(work.few(2, 3))
     yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
@@ -166,12 +166,7 @@ def edge_savings(work: Workload) -> Iterator[Saving]:
         ("one reflection on each side of an edge, not three", ImageSavings(diffraction_planes=3)),
     ):
         off = ImageTracer(work.scene, work.carrier_hz, settings, without)
-        yield work.saving(
-            f"image: {name}",
-            "channels with diffraction, rays shot beforehand",
-            lambda off=off: off.channel(work.tx_position_m).cfr,  # type: ignore[misc]
-            lambda: on.channel(work.tx_position_m).cfr,
-        )
+        yield work.by_tracers(name, "channels with diffraction", off, on)
 
 
 def diffuse_savings(work: Workload) -> Iterator[Saving]:
@@ -179,21 +174,12 @@ def diffuse_savings(work: Workload) -> Iterator[Saving]:
     names = sorted({str(surface.material) for surface in work.scene.surface})
     rough = tuple(SceneMaterial(name, scattering=Scattering(0.3)) for name in names)
     scene, every = replace(work.scene, material=rough), (*WITHOUT_DIFFRACTION, "diffuse")
-    settings = replace(work.settings, interactions=every)
-    on = ImageTracer(scene, work.carrier_hz, settings)
-    for name, without in (
-        ("no diffuse reflection", ImageTracer(scene, work.carrier_hz, work.settings)),
-        (
-            "no diffuse reflection over a mirror",
-            ImageTracer(scene, work.carrier_hz, settings, ImageSavings(diffuse_mirrors=0)),
-        ),
-    ):
-        yield work.saving(
-            f"image: {name}",
-            "channels with all materials rough, S = 0.3, rays shot beforehand",
-            lambda: on.channel(work.tx_position_m).cfr,
-            lambda without=without: without.channel(work.tx_position_m).cfr,  # type: ignore[misc]
-        )
+    settings, timed = replace(work.settings, interactions=every), "channels with all materials rough, S = 0.3"
+    whole = ImageTracer(scene, work.carrier_hz, settings)
+    smooth = ImageTracer(scene, work.carrier_hz, work.settings)
+    yield work.by_tracers("no diffuse reflection", timed, whole, smooth)
+    direct = ImageTracer(scene, work.carrier_hz, settings, ImageSavings(diffuse_mirrors=0))
+    yield work.by_tracers("no diffuse reflection over a mirror", timed, whole, direct)
 
 
 def sionna_savings(work: Workload) -> Iterator[Saving]:
@@ -213,7 +199,6 @@ def side_by_side(work: Workload, name: str) -> Saving:
     The image method has a thread for each transmitter, so its ratio is mostly due to threads.
     """
     tracer = tracer_of(PreparedScene.of(work.scene), work.carrier_hz, work.settings)
-
     return work.saving(
         name,
         "channels, rays shot beforehand",

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Complex
@@ -49,16 +50,8 @@ PLAIN_LADDER = (  # rays, depth, whether Sionna's table of candidates is enlarge
 )
 PLAIN_WAY = (100_000, 5, False)
 PIPELINE_COLUMNS = (
-    "pipeline",
-    "transmitters",
-    "carriers",
-    "seconds",
-    "of planning",
-    "ms a sample",
-    "samples/s",
-    "peak memory, MiB",
-    "rate / the plain way",
-    "rate / the cheapest plain that meets the bar",
+    *("pipeline", "transmitters", "carriers", "seconds", "of planning", "ms a sample", "samples/s", "peak memory, MiB"),
+    *("rate / the plain way", "rate / the cheapest plain that meets the bar"),
 )
 _FEW_TX = 64
 
@@ -89,14 +82,9 @@ def map_errors(
     errors = []
     for f in range(cfr.shape[1]):
         ours, true = beam.maps(cfr[:, f])[0], beam.maps(truth[:, f])[0]
-        ratios = psnr(ours, true, grid)
-        errors.append(
-            MapError(
-                float(np.median(ratios)),
-                float(np.percentile(ratios, 5, method="lower")),
-                float(np.median(ssim(ours, true, grid))),
-            )
-        )
+        ratios, similarity = psnr(ours, true, grid), ssim(ours, true, grid)
+        fifth = float(np.percentile(ratios, 5, method="lower"))
+        errors.append(MapError(float(np.median(ratios)), fifth, float(np.median(similarity))))
     return errors
 
 
@@ -171,9 +159,8 @@ def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: 
     is_dear = "diffraction" in settings.named_interactions and settings.solver == "sionna"
     num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), REPEATS)
     _traced(scene, settings, reference, num_warm)
-    shoot_s, channel_s, (cfr, *_) = zip(
-        *(_traced(scene, settings, reference, None) for _ in range(repeats)), strict=True
-    )
+    traced = [_traced(scene, settings, reference, None) for _ in range(repeats)]
+    shoot_s, channel_s, (cfr, *_) = zip(*traced, strict=True)
     num_samples = cfr.shape[0] * cfr.shape[1]
     errors = map_errors(scene, cfr, reference.cfr)
     return MeasuredSetting(label, min(shoot_s), min(channel_s) / num_samples * 1e3, errors)
@@ -212,12 +199,8 @@ def measure_plain(
         channels.append(solve(float(carrier_hz), chosen))
         seconds += time.perf_counter() - start
     errors = map_errors(scene, np.stack(channels, axis=1), reference.cfr[chosen])
-    return MeasuredSetting(
-        f"plain, {rays:,} rays, depth {max_depth}{', larger table' if is_roomy else ''}",
-        0.0,
-        seconds / (num_tx * len(reference.carrier_hz)) * 1e3,
-        errors,
-    )
+    label = f"plain, {rays:,} rays, depth {max_depth}{', larger table' if is_roomy else ''}"
+    return MeasuredSetting(label, 0.0, seconds / (num_tx * len(reference.carrier_hz)) * 1e3, errors)
 
 
 @dataclass(frozen=True)
@@ -238,15 +221,8 @@ class PipelineCost:
     @property
     def cells(self) -> tuple[str, ...]:
         """A row of the table."""
-        return (
-            str(self.num_tx),
-            str(self.num_carriers),
-            f"{self.seconds:.1f}",
-            f"{self.plan_s:.2f}",
-            f"{self.sample_ms:.2f}",
-            f"{1e3 / self.sample_ms:.0f}",
-            f"{self.peak_memory_mib:.0f}",
-        )
+        times = f"{self.seconds:.1f}", f"{self.plan_s:.2f}", f"{self.sample_ms:.2f}", f"{1e3 / self.sample_ms:.0f}"
+        return str(self.num_tx), str(self.num_carriers), *times, f"{self.peak_memory_mib:.0f}"
 
 
 def measure_pipeline(
@@ -336,18 +312,12 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
 
 def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
     """Costs of the full pipeline, by name."""
-    yield "image", measure_pipeline(scene, TraceSettings("image", WITHOUT_DIFFRACTION), num_tx)
+    few = min(num_tx or _FEW_TX, _FEW_TX)
+    auto, image, sionna = (TraceSettings(solver, WITHOUT_DIFFRACTION) for solver in get_args(SolverName))
+    yield "image", measure_pipeline(scene, image, num_tx)
     for count in (1, 5, 10):
-        carriers_ghz = PAPER_CARRIERS_GHZ[:count]
-        few = min(num_tx or _FEW_TX, _FEW_TX)
-        yield (
-            f"price per carrier: {count}",
-            measure_pipeline(scene, TraceSettings(interactions=WITHOUT_DIFFRACTION), few, carriers_ghz),
-        )
-    yield (
-        "sionna",
-        measure_pipeline(scene, TraceSettings("sionna", WITHOUT_DIFFRACTION), min(num_tx or _FEW_TX, _FEW_TX)),
-    )
+        yield f"price per carrier: {count}", measure_pipeline(scene, auto, few, PAPER_CARRIERS_GHZ[:count])
+    yield "sionna", measure_pipeline(scene, sionna, few)
 
 
 def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[MeasuredSetting]:
@@ -367,9 +337,8 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
             series = "plain, larger table" if is_roomy else "plain"
             points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
         for solver in SOLVERS:
-            row = measure(
-                scene, TraceSettings(solver, WITHOUT_DIFFRACTION), reference, f"{solver}, defaults, tracing alone"
-            )
+            settings = TraceSettings(solver, WITHOUT_DIFFRACTION)
+            row = measure(scene, settings, reference, f"{solver}, defaults, tracing alone")
             table.add(*row.cells)
             points.append(row.point(solver, "defaults"))
         table.figure = _figure(points)

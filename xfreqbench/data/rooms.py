@@ -18,7 +18,8 @@ from xfreqbench.data.dataset import verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.scene.families import Family, draw_room, load_family
+from xfreqbench.scene.drawn_rooms import draw_room
+from xfreqbench.scene.families import Family, load_family
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars

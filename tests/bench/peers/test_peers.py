@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +23,12 @@ from xfreqbench.tracing.tracer import TraceSettings
 ORDER = 2
 
 
-@pytest.mark.parametrize("number", [12, 14, 40])
-def test_a_room_has_as_many_triangles_as_asked(number: int) -> None:
-    assert sum(len(mesh.triangles) for mesh in surface_meshes(panel_room(number))) == number
-
-
-@pytest.mark.parametrize("number", [0, 10, 13])
-def test_a_room_that_rectangles_cannot_make_is_refused(number: int) -> None:
-    with pytest.raises(XFreqBenchError, match=f"but {number} are asked for"):
-        panel_room(number)
+def test_a_room_has_as_many_triangles_as_asked_or_is_refused() -> None:
+    for number in (12, 40):
+        assert sum(len(mesh.triangles) for mesh in surface_meshes(panel_room(number))) == number
+    for number in (10, 13):
+        with pytest.raises(XFreqBenchError, match=f"but {number} are asked for"):
+            panel_room(number)
 
 
 def require_same_answers(theirs: type, **options) -> None:
@@ -68,59 +66,56 @@ def test_a_solver_is_timed_in_a_process_of_its_own() -> None:
     assert result.tx_s > 0 and result.setup_s > 0
 
 
-def test_a_solver_that_takes_too_long_is_stopped_and_not_asked_for_more(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+Asked = Callable[[Callable[[PeerTask], float | None]], list[PeerTask]]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+
+
+@pytest.fixture
+def pretend(monkeypatch: pytest.MonkeyPatch) -> Asked:
+    """Makes every task take the seconds a transmitter that a function says, or stop; the list of what was asked."""
+
+    def of(seconds: Callable[[PeerTask], float | None]) -> list[PeerTask]:
+        asked: list[PeerTask] = []
+
+        def measured(task: PeerTask) -> Measured | None:
+            asked.append(task)
+            tx_s = seconds(task)
+            return None if tx_s is None else Measured(1.0, tx_s, 100.0, np.ones((1, 16), complex), [np.ones(3)])
+
+        monkeypatch.setattr(run, "measured", measured)
+        return asked
+
+    return of
+
+
+def test_a_solver_that_takes_too_long_is_stopped_and_not_asked_for_more(pretend: Asked, bench: Bench) -> None:
     assert measured(PeerTask("image", 12, 1, num_tx=4, seconds=60.0, limit_s=0.0)) is None
-    asked: list[PeerTask] = []
-
-    def rays_end_at_order_one(task: PeerTask) -> Measured | None:
-        asked.append(task)
-        if task.solver.startswith("sionna") and task.order > 1:
-            return None
-        return Measured(1.0, 1e-3, 100.0, np.ones((1, 16), complex), [np.ones(3)])
-
-    monkeypatch.setattr(run, "measured", rays_end_at_order_one)
-    monkeypatch.setattr(run, "GROWTHS", ())
-    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+    asked = pretend(lambda task: None if task.solver == "sionna" and task.order == 2 else 1e-3)
     run.bench_peers(bench, ["sionna", "PathSolver"], [3, 1, 2], 1.0, 7.0)
-    _, times, _ = read(tmp_path / "records.jsonl").benches
+    _, times, _ = read(bench.output).benches
     assert [row[:2] for row in times.rows if row[1] == "sionna"] == [("1", "sionna")]
     assert "Stopped after 7 s" in times.note and "`sionna` with 2" in times.note
-    assert {task.order for task in asked if task.solver == "sionna"} == {1, 2}
+    assert {task.order for task in asked if task.solver == "sionna" and task.num_triangles == 40} == {1, 2, 3}
 
 
-def test_what_is_measured_stays_where_the_converged_solution_is_stopped(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def only_little(task: PeerTask) -> Measured | None:
-        is_much = (task.solver == CONVERGED and task.order > 1) or task.num_tx > 1000
-        channel = np.ones((1, 16), complex)
-        return None if is_much else Measured(1.0, 1e-3, 100.0, channel, [np.ones(3)])
-
-    monkeypatch.setattr(run, "measured", only_little)
-    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+def test_what_is_measured_stays_where_the_converged_solution_is_stopped(pretend: Asked, bench: Bench) -> None:
+    pretend(lambda task: None if (task.solver == CONVERGED and task.order > 1) or task.num_tx > 1000 else 1e-3)
     run.bench_peers(bench, ["PathSolver"], [1, 2, 3], 1.0, 7.0)
-    _, times, growth = read(tmp_path / "records.jsonl").benches
+    _, times, growth = read(bench.output).benches
     assert [row[:2] for row in times.rows] == [("1", "image"), ("1", "PathSolver")]
     assert "`image, converged` with 2" in times.note
     (stopped,) = [row for row in growth.rows if "over" in row[3]]
     assert stopped[:4] == ("transmitters", "image", "10,000", "over 7 in all")
 
 
-def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    asked: list[PeerTask] = []
-
-    def as_the_square_of_triangles(task: PeerTask) -> Measured:
-        asked.append(task)
-        return Measured(1.0, 1e-6 * task.num_triangles**2, 100.0, np.zeros((1, 16), complex), [np.ones(3)])
-
-    monkeypatch.setattr(run, "measured", as_the_square_of_triangles)
-    bench = Bench("peers", "xfreqbench bench peers", lambda line: None, tmp_path / "records.jsonl")
+def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(pretend: Asked, bench: Bench) -> None:
+    asked = pretend(lambda task: 1e-6 * task.num_triangles**2)
     run._tabulate_growth(bench, 1.0, 2.0)
-    (record,) = read(tmp_path / "records.jsonl").benches
+    (record,) = read(bench.output).benches
     assert record.figure is not None
     series = {point.series for point in record.figure.points}
     assert {"triangles, image", "transmitters, image"} < series
@@ -134,8 +129,9 @@ def test_growth_is_told_with_its_exponent_for_numbers_that_the_solvers_take(
     assert can_solve(Geometry(surface_meshes(panel_room(most))), settings)
 
 
-def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench("peers", "xfreqbench bench peers", print)
+def test_what_is_missing_or_unknown_is_told_before_anything_is_timed(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench
+) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'PathSolver'"):
         run.bench_peers(bench, ["PathSolvr"], [1], 1.0, 1.0)
     for seconds, limit_s in ((0.0, 1.0), (1.0, -1.0), (float("nan"), 1.0)):

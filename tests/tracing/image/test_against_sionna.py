@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.support.reference import antenna_field
 from tests.support.sionna_scenes import ONE_ELEMENT, scene_of
 from tests.support.sionna_wedge import sionna_wedge
 from xfreqbench.scene.facets import Geometry
@@ -39,15 +40,8 @@ def public_paths(scene: Scene, tx_m: NDArray[np.float64], max_depth: int) -> Any
 
     sionna_scene = loaded(scene, CARRIER_HZ)
     sionna_scene.add(rt.Transmitter(name="transmitter", position=mi.Point3f(*map(float, tx_m))))
-    return rt.PathSolver()(
-        sionna_scene,
-        max_depth=max_depth,
-        samples_per_src=100_000,
-        synthetic_array=False,
-        diffraction=True,
-        edge_diffraction=True,
-        seed=1,
-    )
+    asked = {"diffraction": True, "edge_diffraction": True, "synthetic_array": False, "seed": 1}
+    return rt.PathSolver()(sionna_scene, max_depth=max_depth, samples_per_src=100_000, **asked)
 
 
 def our_paths(scene: Scene, tx_m: NDArray[np.float64], max_depth: int) -> Paths:
@@ -80,13 +74,6 @@ def test_every_diffracted_path_of_the_public_solver_is_found_at_its_place() -> N
     assert num_compared > 15
 
 
-def antenna(towards: NDArray[np.float64]) -> NDArray[np.float64]:
-    """θ̂ of a direction: the field of a vertical isotropic antenna."""
-    x, y, z = towards
-    across = np.hypot(x, y)
-    return np.array([z * x / across, z * y / across, -across])
-
-
 def test_gains_differ_from_the_public_ones_by_sionnas_coefficients_alone() -> None:
     """With its coefficients in place of ours, on our points, distances and angles, its gains come out."""
     num_compared, apart = 0, []
@@ -110,7 +97,8 @@ def test_gains_differ_from_the_public_ones_by_sionnas_coefficients_alone() -> No
                 before, after = point_m - tx_m, np.asarray(scene.receiver.position_m) - point_m
                 s = float(np.linalg.norm(before)), float(np.linalg.norm(after))
                 matrix = sionna_wedge(edge, before / s[0], after / s[1], s, wavelength_m, slab)
-                theirs = antenna(-after / s[1]) @ matrix @ antenna(before / s[0])
+                sent, heard = (antenna_field(way, "iso", "V") for way in (before / s[0], -after / s[1]))
+                theirs = heard @ matrix @ sent
                 theirs *= wavelength_m / (4 * np.pi * np.sqrt(s[0] * s[1] * sum(s)))
                 straight = wavelength_m / (4 * np.pi * sum(s))
                 # single precision, and their Fresnel integral of 1e-5 or so where the four terms cancel
@@ -123,7 +111,7 @@ def test_gains_differ_from_the_public_ones_by_sionnas_coefficients_alone() -> No
 
 def test_sionnas_field_jumps_where_a_face_ceases_to_reflect_and_ours_does_not() -> None:
     receiver = replace(ONE_ELEMENT, position_m=(1.5, 1.6, 2.3), polarization="H")
-    scene, jumps_db = scene_of(METAL_BOX, receiver=receiver), []
+    scene = scene_of(METAL_BOX, receiver=receiver)
     beside_m = np.array([[2.498, 1.61, 2.3], [2.502, 1.61, 2.3]])  # the top ends half-way, at x = 2
     theirs = [public_paths(scene, tx_m, 1).cir(normalize_delays=False, out_type="numpy")[0].sum() for tx_m in beside_m]
     settings = TraceSettings(interactions=("specular", "diffraction"), max_depth=1, rays=5000)

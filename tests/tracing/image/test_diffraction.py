@@ -116,9 +116,10 @@ def test_a_plane_wave_at_a_metal_half_plane_gives_sommerfelds_solution(is_soft: 
                 assert abs(total - expected) < 1e-8
 
 
-@pytest.mark.parametrize("polarization", ["V", "H"])
-@pytest.mark.parametrize("half_turns_free", [2.0, 1.5])  # beside a screen's edge, and beside a box's
-@pytest.mark.parametrize(("distance_m", "azimuth_rad"), [(0.5, 1.0), (0.3, 2.1), (1.0, 2.6)])
+@pytest.mark.parametrize(  # beside a screen's edge, and beside a box's
+    ("polarization", "half_turns_free", "distance_m", "azimuth_rad"),
+    [("V", 2.0, 0.5, 1.0), ("H", 2.0, 0.3, 2.1), ("V", 1.5, 1.0, 2.6), ("H", 1.5, 0.5, 1.0)],
+)
 def test_what_leaves_through_a_far_circle_is_the_power_radiated_beside_the_edge(
     polarization: str, half_turns_free: float, distance_m: float, azimuth_rad: float
 ) -> None:
@@ -152,11 +153,11 @@ def test_what_leaves_through_a_far_circle_is_the_power_radiated_beside_the_edge(
 
 
 @pytest.mark.parametrize("material", ["metal", "glass"])
-@pytest.mark.parametrize("polarization", ["V", "H"])
 @pytest.mark.parametrize("side", [-3.0, 3.0])  # behind the sheet, at the shadow; before it, where it ceases to reflect
-def test_the_field_is_continuous_where_another_path_ends(material: str, polarization: str, side: float) -> None:
+def test_the_field_is_continuous_where_another_path_ends(material: str, side: float) -> None:
+    """Of horizontal antennas; `bench stress` has the vertical ones."""
     sheet = Surface("sheet", material, 0.008, (0.0, -20.0, -20.0), (0.0, 20.0, 1.0))
-    scene = scene_of(sheet, polarization=polarization)
+    scene = scene_of(sheet, polarization="H")
     beside_m = (-1e-6, -1e-9, 0.0, 1e-9, 1e-6)
     tx_m = np.array([(side, 0.0, 0.25 + beside) for beside in beside_m])  # on the line over the edge, or its image
     with_edges, without = (
@@ -175,7 +176,6 @@ UPRIGHT = 0.0, 0.0, 0.0
     "antennas",
     [
         (("iso", "V", UPRIGHT), ("iso", "V", UPRIGHT)),
-        (("iso", "H", UPRIGHT), ("iso", "H", UPRIGHT)),
         (("iso", "V", UPRIGHT), ("iso", "H", UPRIGHT)),
         (("dipole", "H", (20.0, 40.0, -30.0)), ("tr38901", "V", (150.0, 30.0, 10.0))),
     ],
@@ -215,26 +215,22 @@ def test_a_metal_floor_doubles_the_paths_over_an_edge_by_the_transmitters_image(
 
 
 def test_sums_of_paths_equal_channels_and_elements_solved_alone() -> None:
-    scene = scene_of(METAL_BOX, PANE, FLOOR, at_m=(0.4, 0.3, 2.0), rows=2, cols=2)
-    carriers_hz, tx_m = [1e9, 24e9], np.array([[3.3, 1.1, 0.6]])
-    cfr = tracer(scene, carriers_hz, max_depth=3, savings=replace(EXACT, field_nodes_per_axis=2)).channel(tx_m)
-    for f, carrier_hz in enumerate(carriers_hz):
-        places = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
-        alone = [
-            cfr_at_centre(
-                tracer(scene_of(METAL_BOX, PANE, FLOOR, at_m=tuple(place)), [carrier_hz], max_depth=3).paths(tx_m[0])
-            )[0]
-            for place in places
-        ]
-        np.testing.assert_allclose(cfr.cfr[0, f], alone, rtol=0, atol=1e-9 * np.abs(alone).max())
+    surfaces, carriers_hz, tx_m = (METAL_BOX, PANE, FLOOR), [1e9, 24e9], np.array([3.3, 1.1, 0.6])
+    scene = scene_of(*surfaces, at_m=(0.4, 0.3, 2.0), rows=2, cols=2)
+    savings = replace(EXACT, field_nodes_per_axis=2)
+    channel = tracer(scene, carriers_hz, max_depth=3, savings=savings).channel(tx_m[None])
+    for cfr, carrier_hz in zip(channel.cfr[0], carriers_hz, strict=True):
+        places_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
+        lone = (tracer(scene_of(*surfaces, at_m=tuple(place_m)), [carrier_hz], max_depth=3) for place_m in places_m)
+        alone = [cfr_at_centre(of_element.paths(tx_m))[0] for of_element in lone]
+        np.testing.assert_allclose(cfr, alone, rtol=0, atol=1e-9 * np.abs(alone).max())
 
 
 def test_what_is_shared_and_skipped_hardly_changes_the_field_over_edges() -> None:
     scene = load_scene("office")
     tx_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 3, seed=1)
     plain = ImageSavings(share_visibility=False, field_nodes_per_axis=4, diffraction_floor=0.0)
-    carriers_hz = [1e9, 24.25e9]
-    settings = TraceSettings(interactions=ALL, max_depth=4, rays=2000)
+    carriers_hz, settings = [1e9, 24.25e9], TraceSettings(interactions=ALL, max_depth=3, rays=2000)
 
     def over_edges(savings: ImageSavings) -> np.ndarray:
         whole, rest = (
@@ -253,10 +249,9 @@ def test_what_is_shared_and_skipped_hardly_changes_the_field_over_edges() -> Non
         assert 20 * np.log10(error.max() + 1e-30) < limit_db
 
 
-@pytest.mark.parametrize("name", ["office", "two_rooms", "lounge"])
-def test_a_channel_does_not_depend_on_what_else_is_asked_for(name: str) -> None:
+def test_a_channel_does_not_depend_on_what_else_is_asked_for() -> None:
     """Neither on other carriers nor on other transmitters; 7e-3 at 2.4 GHz where the lowest carrier decided for all."""
-    scene, settings = PreparedScene.of(load_scene(name)), TraceSettings(rays=50_000)
+    scene, settings = PreparedScene.of(load_scene("office")), TraceSettings(max_depth=3, rays=20_000)
     tx_m = choose_transmitters(place_transmitters(scene.scene, scene.geometry.meshes), 3, seed=1)
     whole = ImageTracer(scene, [1e9, 2.4e9, 94e9], settings).channel(tx_m)
     some = ImageTracer(scene, [2.4e9, 94e9], settings).channel(tx_m[::-2])

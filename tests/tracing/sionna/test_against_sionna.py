@@ -9,49 +9,48 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.support.sionna_scenes import CONCRETE_WALL, METAL_BOX, RECEIVER, scene_of, simple_scenes
+from tests.support.sionna_scenes import (
+    ANTENNAS,
+    CARRIERS_HZ,
+    CONCRETE_WALL,
+    METAL_BOX,
+    RECEIVER,
+    SETTINGS,
+    TRANSMITTERS_M,
+    relative_error,
+    scene_of,
+    simple_scenes,
+    sionna_tracer,
+)
 from xfreqbench.scene.materials import materials_defined_at
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface
 from xfreqbench.tracing.paths import NO_INTERACTION
-from xfreqbench.tracing.tracer import Interaction, TraceSettings
+from xfreqbench.tracing.tracer import Interaction
 
 pytestmark = pytest.mark.sionna
 
-CARRIERS_HZ = np.array([1e9, 10e9, 94e9])
-TRANSMITTERS_M = np.array([[3.1, 4.2, 1.1], [1.35, 3.9, 1.7]])
-SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=100_000, max_depth=3)
 # The public solver's delays are float32: 6e-8 of 2πfτ ≈ 1.5e4 rad at 94 GHz and 8 m, a few roundings over.
 PLAIN_TOLERANCE = {1e9: 1e-3, 10e9: 1e-3, 94e9: 6e-3}
-ANTENNAS = [("iso", "V"), ("iso", "H"), ("dipole", "V")]
 
 
-def tracer(scene: Scene, carrier_hz: Any = CARRIERS_HZ, settings: TraceSettings = SETTINGS) -> Any:
-    from xfreqbench.tracing.sionna.tracer import SionnaTracer
-
-    return SionnaTracer(scene, carrier_hz, settings)
-
-
-def relative_error(cfr: NDArray[np.complex128], truth: NDArray[np.complex128]) -> float:
-    return float(np.abs(cfr - truth).max() / np.abs(truth).max())
-
-
-def plain(scene: Scene, carrier_hz: float, tx_position_m: NDArray[np.float64] = TRANSMITTERS_M) -> Any:
+def plain(scene: Scene, carrier_hz: float, tx_position_m: NDArray[np.float64] = TRANSMITTERS_M[:2]) -> Any:
     from xfreqbench.tracing.sionna.plain import plain_channel
 
     interactions = SETTINGS.interactions
     return plain_channel(scene, carrier_hz, tx_position_m, interactions, SETTINGS.max_depth, SETTINGS.rays, 1)
 
 
-@pytest.mark.parametrize(("pattern", "polarization"), ANTENNAS)
-@pytest.mark.parametrize("name", simple_scenes())
+@pytest.mark.parametrize(
+    ("name", "pattern", "polarization"), [(name, *ANTENNAS[n % 3]) for n, name in enumerate(simple_scenes())]
+)
 def test_rays_from_the_receiver_give_the_channel_of_rays_from_each_transmitter(
     name: str, pattern: Any, polarization: Any
 ) -> None:
     receiver = replace(RECEIVER, pattern=pattern, polarization=polarization)
     scene = simple_scenes(receiver)[name]
-    cfr = tracer(scene).channel(TRANSMITTERS_M).cfr
-    for index, carrier in enumerate(CARRIERS_HZ.tolist()):
+    cfr = sionna_tracer(scene).channel(TRANSMITTERS_M[:2]).cfr
+    for index, carrier in enumerate(CARRIERS_HZ):
         for row, truth in zip(cfr[:, index], plain(scene, carrier), strict=True):
             assert relative_error(row, truth) < PLAIN_TOLERANCE[carrier]
 
@@ -60,9 +59,9 @@ def test_a_path_that_only_the_arrays_edge_sees_is_found() -> None:
     """At 1 GHz the array is half a metre wide: a plate can hide the transmitter from its centre alone."""
     plate = Surface(name="plate", material="metal", thickness_m=0.002, min_m=(2.4, 2.5, 1.4), max_m=(2.6, 2.5, 1.75))
     scene = scene_of(plate)
-    direct = tracer(scene).paths(TRANSMITTERS_M[0]).interactions[:, 0] == NO_INTERACTION
+    direct = sionna_tracer(scene).paths(TRANSMITTERS_M[0]).interactions[:, 0] == NO_INTERACTION
     assert not direct.any()
-    cfr = tracer(scene).channel(TRANSMITTERS_M[:1]).cfr[0, 0]
+    cfr = sionna_tracer(scene).channel(TRANSMITTERS_M[:1]).cfr[0, 0]
     assert 0 < np.count_nonzero(cfr) < 16
     assert relative_error(cfr, plain(scene, 1e9, TRANSMITTERS_M[:1])[0]) < PLAIN_TOLERANCE[1e9]
 
@@ -73,9 +72,9 @@ def test_diffraction_is_solved_forward_as_the_plain_way_does() -> None:
     interactions: tuple[Interaction, ...] = ("specular", "refraction", "diffraction")
     scene, tx = scene_of(METAL_BOX, CONCRETE_WALL), np.array([[1.4, 3.6, 0.4]])
     settings = replace(SETTINGS, interactions=interactions, max_depth=2)
-    rays = tracer(scene, [1e9], settings)
+    rays = sionna_tracer(scene, [1e9], settings)
     truth = plain_channel(scene, 1e9, tx, interactions, 2, settings.rays, settings.seed)
-    without = tracer(scene, [1e9], replace(settings, interactions=("specular", "refraction"))).channel(tx)
+    without = sionna_tracer(scene, [1e9], replace(settings, interactions=("specular", "refraction"))).channel(tx)
     cfr = rays.channel(tx).cfr[:, 0]
     assert relative_error(cfr, truth) < 1e-3
     assert relative_error(without.cfr[:, 0], truth) > 0.1  # the transmitter is behind the box

@@ -105,13 +105,3 @@ def mirrored(point_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> ND
     squared = np.einsum("cx,cx->c", normal, normal)
     height = np.einsum("cx,cx->c", normal, point_m - corners_m[:, 0]) / np.where(squared > 0, squared, 1)
     return point_m - 2 * height[:, None] * normal
-
-
-def test_most_chains_are_not_solved() -> None:
-    from xfreqbench.tracing.sionna.tracer import SionnaTracer
-
-    rays = SionnaTracer(load_scene("office"), CARRIERS_HZ, SETTINGS)._rays
-    seen = rays._hits.chains_seen_from(rays.radio_scene, np.array(PLACES["office"][0]))
-    candidates = rays._candidates(np.array(PLACES["office"][:1]))
-    assert 0 in candidates.chain
-    assert len(candidates.chain) < len(seen) / 2

@@ -38,23 +38,10 @@ GROWTHS: tuple[tuple[str, str, tuple[int, ...]], ...] = (  # what is varied, for
 )
 PATH_COLUMNS = ("reflections", "solver", f"paths of {OURS}", "missed", "more", "greatest difference, m")
 TIME_COLUMNS = (
-    "reflections",
-    "solver",
-    "set-up, s",
-    "ms a transmitter",
-    f"time : {OURS}",
-    "paths a second",
-    "dB",
-    "peak MiB",
+    *("reflections", "solver", "set-up, s", "ms a transmitter", f"time : {OURS}", "paths a second", "dB", "peak MiB"),
 )
 GROWTH_COLUMNS = (
-    "varied",
-    "solver",
-    "number",
-    "set-up, s",
-    "ms a transmitter",
-    "ms a transmitter and carrier",
-    "exponent",
+    *("varied", "solver", "number", "set-up, s", "ms a transmitter", "ms a transmitter and carrier", "exponent"),
     "peak MiB",
 )
 

@@ -92,8 +92,7 @@ def _faint_field(kind: PasKind) -> float:
             head.weight[2:4] *= response
             head.bias[2:4] *= response
         map_loss(as_kind(_field_power(field), kind), truth, 0.5, 7).backward()
-        gradients = [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
-        faults += sum(int((~torch.isfinite(gradient.square())).sum()) for gradient in gradients)
+        faults += sum(int((~torch.isfinite(gradient.square())).sum()) for gradient in _gradients(field))
     return float(faults)
 
 
@@ -120,8 +119,7 @@ def _behind_the_horizon() -> float:
         field.gaussians.position_m.copy_(torch.tensor([0.1, 0.1, -3.0]).expand(5, 3))
     power = _field_power(field)
     as_kind(power, "power").sum().backward()
-    gradients = [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
-    return float(power.detach().abs().max()) + sum(float(gradient.abs().sum()) for gradient in gradients)
+    return float(power.detach().abs().max()) + sum(float(gradient.abs().sum()) for gradient in _gradients(field))
 
 
 @TRAINING.case("fields with a Gaussian at the receiver", limit=0, unit="values")
@@ -135,8 +133,7 @@ def _gaussian_at_the_receiver() -> float:
             position_m[0] = 0
         power = _field_power(field)
         power.sum().backward()
-        gradients = [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
-        faults += sum(int((~torch.isfinite(values)).sum()) for values in (power, *gradients))
+        faults += sum(int((~torch.isfinite(values)).sum()) for values in (power, *_gradients(field)))
     return float(faults)
 
 
@@ -146,6 +143,10 @@ def _unseen_carriers() -> float:
     field = _adapted(SplatField(replace(_PAIRWISE, num_gaussians=50), _TINY))
     with torch.no_grad():
         return float((~torch.isfinite(_field_power(field, (1e6, 1e12)))).sum())
+
+
+def _gradients(field: torch.nn.Module) -> list[Tensor]:
+    return [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
 
 
 def _adapted(field: Field) -> Field:
