@@ -15,13 +15,13 @@ from torch.utils.data import DataLoader
 from tests.support.damage import flip
 from tests.support.synthetic import write_dataset
 from xfreqbench.cli.data import generate, info
-from xfreqbench.data import collection as collections
-from xfreqbench.data.collection import FILE, PARTS, Collection, Room, open_collection, room_of
+from xfreqbench.data.collection import FILE, PARTS, Collection, Room, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import drawn_rows, require_origin
 from xfreqbench.data.rooms import generate_rooms
 from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError
 from xfreqbench.scene.families import draw_room, load_family
+from xfreqbench.system.files import json_sha256
 
 NUM_TX = (4, 2, 3)  # of each room, at three carriers
 PERCENT = [64, 84, 62, 57, 30, 43]  # of seeds 0 to 5, on every machine
@@ -37,7 +37,7 @@ def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
     ]
     rooms = [room_of(folder, name, seed, "hall" if seed == 2 else "office") for seed, name in enumerate(names)]
     told = {"name": "tiny", "family": {"type": []}, "options": {"tx": 4}, "held_out_types": ["hall"]}
-    return collections.write_collection(folder, rooms, carrier_hz=datasets[0].header.carrier_hz.tolist(), **told)
+    return write_collection(folder, rooms, carrier_hz=datasets[0].header.carrier_hz.tolist(), **told)
 
 
 def test_a_collection_is_a_sequence_of_data_sets(collection: Collection) -> None:
@@ -143,7 +143,7 @@ def test_a_drawn_collection_holds_rooms_that_can_be_traced_again(drawn: Collecti
         assert data.scene == expected.scene
         np.testing.assert_array_equal(data.tables["tx_position_m"], expected.transmitters(3))
         assert require_origin(data, drawn_rows(data, 2)).difference < 1e-3
-    assert drawn.record.family_sha256 == load_family("rooms").sha256 == collections.json_sha256(drawn.record.family)
+    assert drawn.record.family_sha256 == load_family("rooms").sha256 == json_sha256(drawn.record.family)
 
 
 def test_a_stopped_generation_goes_on_to_the_same_bytes(drawn: Collection, tmp_path: Path) -> None:

@@ -9,20 +9,7 @@ import pytest
 
 from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import (
-    LOFO_TARGETS_HZ,
-    PROTOCOLS,
-    UNSEEN_SHARE,
-    VALIDATIONS,
-    Split,
-    find_split,
-    held_out_tx,
-    lofo,
-    lofo_unseen_tx,
-    make_splits,
-    random_samples,
-    sparse_frequency,
-)
+from xfreqbench.data.splits import LOFO_TARGETS_HZ, PROTOCOLS, UNSEEN_SHARE, VALIDATIONS, Split, find_split, make_splits
 from xfreqbench.errors import ArgumentError, DataError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
@@ -33,7 +20,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def test_lofo_never_trains_on_the_carrier_it_tests(dataset: PasDataset) -> None:
-    for split, target in zip(lofo(dataset), LOFO_TARGETS_HZ, strict=True):
+    for split, target in zip(make_splits(dataset, "lofo"), LOFO_TARGETS_HZ, strict=True):
         assert set(dataset.carrier_hz[split.test]) == {target}
         assert target not in dataset.carrier_hz[split.train]
         assert len(split.train) + len(split.test) == len(dataset)
@@ -58,19 +45,19 @@ def test_every_split_has_a_name_and_a_hash_of_its_own(dataset: PasDataset) -> No
         assert find_split(dataset, split.protocol, split.name).sha256 == split.sha256
         assert not set(split.train.tolist()) & set(split.test.tolist())
     assert len({split.sha256 for split in every}) == len(every)
-    assert lofo(dataset.subset(np.arange(20)))[2].sha256 != lofo(dataset)[2].sha256
+    assert make_splits(dataset.subset(np.arange(20)), "lofo")[2].sha256 != make_splits(dataset, "lofo")[2].sha256
 
 
 def test_sparse_frequency_trains_on_the_carriers_of_the_paper(dataset: PasDataset) -> None:
-    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in sparse_frequency(dataset)]
+    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in make_splits(dataset, "sparse")]
     assert trained == [{10, 37}, {10, 37, 94}, {1, 10, 37, 60, 94}]
-    for split in sparse_frequency(dataset):
+    for split in make_splits(dataset, "sparse"):
         assert set(dataset.carrier_hz[split.test]) == {24.25e9}
 
 
 def test_samples_without_a_path_are_in_neither_part_and_counted(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", silent=((0, 1), (2, 1), (3, 0)))
-    split = lofo(dataset, [10e9])[0]
+    split = make_splits(dataset, "lofo", [10])[0]
     assert split.num_without_path == 2
     np.testing.assert_array_equal(split.test, [4, 10])
     assert 9 not in split.train
@@ -206,23 +193,22 @@ def test_maps_that_are_all_constant_are_not_tested(dataset: PasDataset, shape: d
 
 
 def test_held_out_transmitters_are_tested_at_every_carrier(dataset: PasDataset) -> None:
-    (split,) = held_out_tx(dataset)
+    (split,) = make_splits(dataset, "held-out-tx")
     assert len(split.train) + len(split.test) == len(dataset)
     for rows in (split.train, split.test):
         assert set(dataset.carrier_hz[rows]) == set(dataset.carrier_hz)
 
 
 def test_unseen_transmitters_at_an_unseen_carrier_are_those_held_out(dataset: PasDataset) -> None:
-    (held_out,) = held_out_tx(dataset)
-    for split, target in zip(lofo_unseen_tx(dataset), LOFO_TARGETS_HZ, strict=True):
+    (held_out,) = make_splits(dataset, "held-out-tx")
+    for split, target in zip(make_splits(dataset, "lofo-unseen-tx"), LOFO_TARGETS_HZ, strict=True):
         assert set(dataset.carrier_hz[split.test]) == {target}
         assert target not in dataset.carrier_hz[split.train]
         assert _transmitters(dataset, split)[1] == _transmitters(dataset, held_out)[1]
 
 
 def test_random_samples_test_a_fifth_of_them_and_leak_places_and_carriers(dataset: PasDataset) -> None:
-    (split,), (again,) = random_samples(dataset), make_splits(dataset, "random-samples")
-    assert split.sha256 == again.sha256
+    (split,) = make_splits(dataset, "random-samples")
     assert len(split.test) == round(UNSEEN_SHARE * len(dataset))
     assert len(split.train) + len(split.test) == len(dataset)
     trained, tested = _transmitters(dataset, split)
