@@ -38,7 +38,7 @@ def test_verify_and_reading_name_the_dataset_in_which_one_bit_flipped(tmp_path: 
 def test_a_flipped_bit_anywhere_is_found(tmp_path: Path) -> None:
     good = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0,), maps=False)
     path, content = good.path, good.path.read_bytes()
-    for offset in np.random.default_rng(1).choice(len(content), 300, replace=False):
+    for offset in np.random.default_rng(1).choice(len(content), 150, replace=False):
         flip(path, int(offset))
         with pytest.raises(DataError):
             verify(path)

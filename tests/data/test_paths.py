@@ -173,4 +173,4 @@ def test_no_damage_ends_in_anything_but_a_refusal(tmp_path: Path, whole: Path) -
         except IndexError:  # there are fewer samples
             assert len(dataset) <= 3
 
-    fuzz(80, hdf5_files(whole.read_bytes()), read)
+    fuzz(40, hdf5_files(whole.read_bytes()), read)

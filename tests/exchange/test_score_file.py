@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tests.support.prediction_files import SPLITS, hand_out, killed, noisy_maps, write_predictions
+from tests.support.prediction_files import SPLITS, killed, noisy_maps, write_predictions
 from tests.support.stub_methods import run_job
 from xfreqbench.cli import exchange
 from xfreqbench.data.dataset import PasDataset
@@ -21,7 +21,6 @@ from xfreqbench.exchange.score_file import score_file
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
-from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.runs.predictions import fault_of_maps
 from xfreqbench.runs.records import Job, RunRecord, read
 
@@ -40,8 +39,7 @@ def fitted(name: str, dataset: PasDataset, split):
 def test_predictions_of_a_built_in_method_score_exactly_as_its_run_does(
     dataset: PasDataset, split_file: Path, tmp_path: Path, method: str
 ) -> None:
-    splits = {split.test.tobytes(): split for split in make_splits(dataset, "lofo")}
-    by_carrier = {dataset.carrier_hz[split.test[0]]: split for split in splits.values()}
+    by_carrier = {dataset.carrier_hz[split.test[0]]: split for split in make_splits(dataset, "lofo")}
     path = write_predictions(
         tmp_path / "predictions.h5",
         split_file,
@@ -70,39 +68,21 @@ def test_a_record_says_what_was_declared_and_that_nothing_was_measured(
     assert read(tmp_path / "results" / "records.jsonl").records[0].external == record.external
 
 
-def test_scoring_a_file_again_gives_its_records_and_adds_none(
+def test_scoring_a_file_again_gives_its_records_and_a_changed_one_has_records_of_its_own(
     dataset: PasDataset, split_file: Path, predictions: Path, tmp_path: Path
 ) -> None:
     first = score_file(predictions, dataset.path, tmp_path / "results")
     rewritten = write_predictions(tmp_path / "again.h5", split_file)
     assert score_file(rewritten, dataset.path, tmp_path / "results") == first
     assert stored(tmp_path / "results") == first.records
-
-
-def test_a_changed_file_is_another_row_of_the_leaderboard(
-    dataset: PasDataset, predictions: Path, tmp_path: Path
-) -> None:
-    score_file(predictions, dataset.path, tmp_path / "results")
     with h5py.File(predictions, "r+") as file:
         file["lofo-77GHz/pas"][0, :, :180] = 0
-    score_file(predictions, dataset.path, tmp_path / "results")
-    (board,) = boards(stored(tmp_path / "results"))
-    assert len({row.label for row in board.rows}) == 2
-    assert all(row.label.startswith("mine (external) @ ") and len(row.by_split) == 3 for row in board.rows)
-
-
-def test_files_of_one_method_with_other_seeds_or_splits_are_one_row(
-    dataset: PasDataset, split_file: Path, tmp_path: Path
-) -> None:
-    for seed in range(3):
-        path = write_predictions(tmp_path / f"{seed}.h5", split_file, seed=seed)
-        score_file(path, dataset.path, tmp_path / "results")
-    single = hand_out(dataset, tmp_path / "single.h5", targets=[1])
-    score_file(write_predictions(tmp_path / "one.h5", single), dataset.path, tmp_path / "results")
-    (board,) = boards(stored(tmp_path / "results"))
-    (row,) = board.rows
-    assert row.label == "mine (external)"
-    assert row.num_seeds(SPLITS) == (3, 3) and len(row.by_split) == 4
+        file.attrs["seed"] = 5  # of the root, for groups that say nothing else
+        file["lofo-77GHz"].attrs["seed"] = 6
+    changed = score_file(predictions, dataset.path, tmp_path / "results").records
+    assert [record.job.seed for record in changed] == [5, 5, 6]
+    assert {record.external for record in changed}.isdisjoint(record.external for record in first.records)
+    assert stored(tmp_path / "results") == first.records + changed
 
 
 def test_one_split_may_stand_at_the_root_as_matlab_writes_attributes(
@@ -120,27 +100,6 @@ def test_one_split_may_stand_at_the_root_as_matlab_writes_attributes(
     assert (record.job.split, record.job.method, record.job.seed) == ("lofo-77GHz", "mine", 2)
     assert scored.missing == ("lofo-2.4GHz", "lofo-24.25GHz")
     assert not scored.is_data_known
-
-
-def test_attributes_of_the_root_hold_for_groups_that_say_nothing_else(
-    dataset: PasDataset, predictions: Path, tmp_path: Path
-) -> None:
-    with h5py.File(predictions, "r+") as file:
-        file.attrs["seed"] = 5
-        file["lofo-77GHz"].attrs["seed"] = 6
-    records = score_file(predictions, dataset.path, tmp_path / "results").records
-    assert [record.job.seed for record in records] == [5, 5, 6]
-
-
-def test_predictions_named_as_a_built_in_method_stay_a_row_of_their_own_and_count_as_no_baseline(
-    dataset: PasDataset, predictions: Path, tmp_path: Path
-) -> None:
-    results = tmp_path / "results"
-    score_file(predictions, dataset.path, results, method="nearest")
-    for split in SPLITS:
-        run_job(Job(str(dataset.path), "nearest", "lofo", split), results)
-    (board,) = boards(stored(results))
-    assert {row.label: row.is_trivial for row in board.rows} == {"nearest": True, "nearest (external)": False}
 
 
 def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_adds_the_others(
