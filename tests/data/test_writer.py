@@ -10,7 +10,7 @@ import pytest
 from tests.support.synthetic import append_all, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.errors import DataError, StorageError
+from xfreqbench.errors import DataError
 
 
 def test_equal_content_gives_equal_bytes(tmp_path: Path) -> None:
@@ -58,17 +58,3 @@ def test_an_exception_leaves_the_former_file_and_no_other(tmp_path: Path) -> Non
 def test_an_error_of_the_caller_is_not_taken_for_one_of_the_disk(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), PasWriter(tmp_path / "data.h5", make_header()):
         raise FileNotFoundError("the caller's")
-
-
-def test_a_disk_without_room_is_refused_before_the_first_byte(tmp_path: Path) -> None:
-    header = make_header(num_tx=10**9)
-    with pytest.raises(StorageError, match=r"data\.h5 needs [\d,]+ bytes"), PasWriter(tmp_path / "data.h5", header):
-        pass
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_in_the_place_of_a_folder_or_the_other_way_round_is_a_storage_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for path, told in ((tmp_path / "file" / "data.h5", "cannot be written"), (tmp_path, "is a folder")):
-        with pytest.raises(StorageError, match=told), PasWriter(path, make_header()):
-            pass

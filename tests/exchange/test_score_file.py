@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.support.prediction_files import SPLITS, killed, noisy_maps, write_predictions
@@ -15,7 +15,7 @@ from tests.support.stub_methods import run_job
 from xfreqbench.cli import exchange
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import make_splits
-from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.exchange import score_file as external
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.methods.contract import Budget
@@ -272,26 +272,7 @@ def test_a_file_with_a_fault_is_refused_in_words_before_anything_is_scored(
     assert not list(tmp_path.glob("results/**/*.*"))
 
 
-TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
-VALUES = st.one_of(TEXT, st.binary(min_size=1), st.floats(), st.integers(-(2**63), 2**63 - 1), st.lists(st.floats()))
-
-
-@settings(max_examples=40, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(name=st.sampled_from(list(external.Declaration.model_fields)), value=VALUES)
-def test_whatever_an_attribute_holds_it_is_read_or_refused_in_words(
-    dataset: PasDataset, noise: Path, tmp_path: Path, name: str, value
-) -> None:
-    path = tmp_path / "predictions.h5"
-    path.write_bytes(noise.read_bytes())
-    attribute(name, np.bytes_(value) if isinstance(value, bytes) else value)(path)
-    try:
-        parts = external.read_parts(path, dataset)
-    except XFreqBenchError:
-        return
-    assert [part.split.name for part in parts] == SPLITS
-
-
-@settings(max_examples=40, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, derandomize=True)
 @given(values=st.lists(st.floats(width=32), min_size=1, max_size=20), kind=st.sampled_from(["<f4", "<f8"]))
 @example([-5e-5, 1.00005], "<f4")  # rounding, of a division in single precision
 def test_maps_are_accepted_where_every_value_is_and_never_otherwise(values: list[float], kind: str) -> None:

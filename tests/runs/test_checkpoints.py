@@ -16,9 +16,8 @@ from tests.support.clock import set_clock
 from tests.support.damage import flip
 from tests.support.descent import NUM_STEPS, Descent, DescentConfig, Forgetful, curve, make_job, maps
 from tests.support.stub_methods import run_job, run_jobs
-from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
+from xfreqbench.errors import DataError, DivergenceError, MethodError
 from xfreqbench.methods import fitting
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
@@ -26,11 +25,6 @@ from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.sealed import SEAL, content_sha256
 
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=3)
 
 
 @pytest.fixture(autouse=True)
@@ -287,9 +281,3 @@ def test_a_method_that_comes_back_with_another_configuration_is_refused(folder: 
     assert folder.load(Descent(DescentConfig(0.125))).config == DescentConfig(0.125)
     with pytest.raises(DataError, match=r"has configuration .*0\.125.*but the job has .*0\.5"):
         folder.load(Descent())
-
-
-def test_a_place_without_room_for_checkpoints_is_a_storage_error(tmp_path: Path) -> None:
-    (tmp_path / "checkpoints").write_text("a file")
-    with pytest.raises(StorageError, match="checkpoints/abc"):
-        save(CheckpointFolder(tmp_path / "checkpoints" / "abc", "abc"), 1)
