@@ -154,12 +154,16 @@ def test_the_arrays_are_those_of_sionna_rt(data: PasDataset, tmp_path: Path) -> 
     assert objects[:, 0, 0, 1].tolist() == ["pane, between", "wall"]
 
 
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Three transmitters of 23 dBm at two carriers, each polarization sent and heard."""
+    scene, path = replace(SCENE, transmitters=replace(GRID, power_dbm=23.0)), tmp_path_factory.mktemp("both") / "d.h5"
+    how: Any = {"tx_positions": TX_M, "interactions": ["specular", "refraction"], "max_depth": 2, "paths": True}
+    return generate(scene, path, CARRIERS_GHZ, polarization=["V", "H"], maps=False, **how)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_a_table_has_powers_and_spreads_of_every_link(tmp_path: Path, suffix: str) -> None:
-    """Of three transmitters at two carriers, each polarization sent and heard: pandas reads what Python has."""
-    scene = replace(SCENE, transmitters=replace(GRID, power_dbm=23.0))
-    how: dict[str, Any] = {"tx_positions": TX_M, "interactions": ["specular", "refraction"], "max_depth": 2}
-    both = generate(scene, tmp_path / "d.h5", CARRIERS_GHZ, polarization=["V", "H"], maps=False, paths=True, **how)
+def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path: Path, suffix: str) -> None:
     words = () if suffix == "csv" else ("--power-dbm", "10")
     output = tmp_path / f"links.{suffix}"
     assert xfreqbench("export", both.path, "-o", output, "--to", "table", *words, "-q").code == 0
