@@ -67,10 +67,10 @@ def test_the_standard_runs_every_method_with_three_seeds_on_every_board() -> Non
 
 
 def test_ablations_change_the_setting_that_they_name() -> None:
-    for block in (*PRESETS["standard"].blocks, *PRESETS["ablations"].blocks):
-        for setting in block.settings:
-            changed = build_method(setting.method, setting.overrides).config
-            assert bool(setting.overrides) == (changed != build_method(setting.method).config)
+    blocks = (*PRESETS["standard"].blocks, *PRESETS["ablations"].blocks)
+    for setting in {setting for block in blocks for setting in block.settings}:
+        changed = build_method(setting.method, setting.overrides).config
+        assert bool(setting.overrides) == (changed != build_method(setting.method).config)
 
 
 def test_an_unknown_preset_names_those_there_are(tmp_path: Path) -> None:
