@@ -12,29 +12,31 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.plans import small_plan
-from xfreqbench.data import batches
+from tests.support.damage import flip
+from tests.support.plans import small_plan, unfinished
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import Plan
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.system.files import sole_writer
 
 OURS, OTHER = small_plan(num_transmitters=20), small_plan(num_transmitters=20, pas_kind="amplitude")
 
 
-def unfinished(plan: Plan, path: Path) -> Path:
-    """The folder of batches as a process leaves it that is killed before it writes the data set."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batches, "_remove", lambda folder: None)
-        generate_planned(plan, path).unlink()
-    return batches.batch_folder(path)
-
-
 @pytest.fixture(scope="module")
 def left_by_other(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return unfinished(OTHER, tmp_path_factory.mktemp("other") / "rooms.h5")
+
+
+@pytest.fixture(scope="module")
+def left_by_ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return unfinished(OURS, tmp_path_factory.mktemp("ours") / "rooms.h5")
+
+
+@pytest.fixture
+def folder(left_by_ours: Path, tmp_path: Path) -> Path:
+    """Our unfinished batches, beside `rooms.h5`."""
+    return Path(shutil.copytree(left_by_ours, tmp_path / "rooms.h5.parts"))
 
 
 @pytest.fixture(scope="module")
@@ -104,20 +106,16 @@ def test_batches_of_another_job_are_not_taken_even_with_our_marker(
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
 
 
-def test_a_batch_under_another_ones_number_is_not_taken(tmp_path: Path, whole: bytes) -> None:
-    folder = unfinished(OURS, tmp_path / "rooms.h5")
+def test_a_batch_under_another_ones_number_is_not_taken(tmp_path: Path, folder: Path, whole: bytes) -> None:
     first, second = sorted(folder.glob("*.npz"))
     first.unlink()
     second.rename(folder / second.name.replace("000001", "000000", 1))
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
 
 
-def test_a_damaged_batch_is_traced_again(tmp_path: Path, whole: bytes) -> None:
-    folder = unfinished(OURS, tmp_path / "rooms.h5")
+def test_a_damaged_batch_is_traced_again(tmp_path: Path, folder: Path, whole: bytes) -> None:
     first, second = sorted(folder.glob("*.npz"))
-    content = bytearray(first.read_bytes())
-    content[len(content) // 2] ^= 1
-    first.write_bytes(content)
+    flip(first, first.stat().st_size // 2)
     second.write_bytes(b"cut short")
     sha256 = hashlib.sha256(b"cut short").hexdigest()  # whole by its name, and yet no batch
     second.rename(re.sub(r"[0-9a-f]{64}", sha256, str(second)))
@@ -148,8 +146,7 @@ def test_a_folder_of_somebody_else_is_refused_by_name(tmp_path: Path) -> None:
     assert folder.read_text() == "a file"
 
 
-def test_what_somebody_adds_to_the_folder_stays(tmp_path: Path, whole: bytes) -> None:
-    folder = unfinished(OURS, tmp_path / "rooms.h5")
+def test_what_somebody_adds_to_the_folder_stays(tmp_path: Path, folder: Path, whole: bytes) -> None:
     (folder / "notes.txt").write_text("mine")
     outside = tmp_path / "outside.npz"
     outside.write_text("elsewhere")
@@ -159,8 +156,8 @@ def test_what_somebody_adds_to_the_folder_stays(tmp_path: Path, whole: bytes) ->
     assert outside.read_text() == "elsewhere"
 
 
-def test_a_link_in_the_folders_place_is_not_followed(tmp_path: Path) -> None:
-    elsewhere = unfinished(OURS, tmp_path / "elsewhere.h5")
+def test_a_link_in_the_folders_place_is_not_followed(tmp_path: Path, folder: Path) -> None:
+    elsewhere = folder.rename(tmp_path / "elsewhere.h5.parts")
     names = {path.name for path in elsewhere.iterdir()}
     (tmp_path / "rooms.h5.parts").symlink_to(elsewhere, target_is_directory=True)
     with pytest.raises(OutputExistsError, match="symbolic link, which is not followed"):
@@ -173,21 +170,21 @@ def test_a_link_in_the_folders_place_is_not_followed(tmp_path: Path) -> None:
     assert not (tmp_path / "nowhere").exists()
 
 
+@pytest.mark.usefixtures("folder")
 def test_one_process_at_a_time_writes_an_output(tmp_path: Path, whole: bytes) -> None:
-    unfinished(OURS, tmp_path / "rooms.h5")
     refusal = r"rooms\.h5 is being written by process \d+ on .*, since .*\. Wait"
     with sole_writer(tmp_path / "rooms.h5"), ThreadPoolExecutor(1) as other, pytest.raises(StorageError, match=refusal):
         other.submit(generate_planned, OURS, tmp_path / "rooms.h5").result()
     assert generate_planned(OURS, tmp_path / "rooms.h5").read_bytes() == whole
 
 
-def test_what_a_kill_leaves_of_a_removal_goes_with_the_next_run(tmp_path: Path) -> None:
+def test_what_a_kill_leaves_of_a_removal_goes_with_the_next_run(tmp_path: Path, left_by_ours: Path) -> None:
     path = tmp_path / "rooms[1].h5"
-    folder = unfinished(OURS, path)
-    shutil.copytree(folder, tmp_path / ".rooms[1].h5.parts.killed.removed")
+    for name in ("rooms[1].h5.parts", ".rooms[1].h5.parts.killed.removed"):
+        shutil.copytree(left_by_ours, tmp_path / name)
     generate_planned(OURS, path)
     assert list(tmp_path.iterdir()) == [path]
-    unfinished(OURS, tmp_path / "again.h5").rename(folder)  # killed when the data set already had its name
+    shutil.copytree(left_by_ours, tmp_path / "rooms[1].h5.parts")  # killed when the data set already had its name
     before = path.stat().st_mtime_ns
     generate_planned(OURS, path)
     assert list(tmp_path.iterdir()) == [path]

@@ -22,8 +22,13 @@ from xfreqbench.runs.predictions import write_predictions
 PACKED_STEP = 0.51 / 65280  # half a step of packed maps
 
 
-def test_stored_channels_and_maps_are_those_of_the_plane_waves(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5")
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Four transmitters at three carriers."""
+    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5")
+
+
+def test_stored_channels_and_maps_are_those_of_the_plane_waves(dataset: PasDataset) -> None:
     expected = channel(transmitters(4)[2], 10e9)
     row = 2 * 3 + 1
     np.testing.assert_allclose(dataset.cfr[row], expected, rtol=1e-6)  # complex64
@@ -34,8 +39,7 @@ def test_stored_channels_and_maps_are_those_of_the_plane_waves(tmp_path: Path) -
     np.testing.assert_allclose(dataset.grid.directions, beam.grid.directions, atol=1e-12)
 
 
-def test_rows_run_over_carriers_first(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5")
+def test_rows_run_over_carriers_first(dataset: PasDataset) -> None:
     assert len(dataset) == 12
     np.testing.assert_array_equal(dataset.tx_index, np.repeat(np.arange(4), 3))
     np.testing.assert_array_equal(dataset.carrier_hz, np.tile([1e9, 10e9, 37e9], 4))
@@ -44,25 +48,22 @@ def test_rows_run_over_carriers_first(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.num_paths, np.full(12, 3))
 
 
-def test_a_file_without_maps_derives_the_maps_that_another_stores(tmp_path: Path) -> None:
-    stored = write_dataset(tmp_path / "stored.h5")
+def test_a_file_without_maps_derives_the_maps_that_another_stores(dataset: PasDataset, tmp_path: Path) -> None:
     derived = write_dataset(tmp_path / "derived.h5", maps=False)
-    np.testing.assert_allclose(derived.pas(), stored.pas(), atol=PACKED_STEP)
-    scores = [ssim(dataset.pas()[1:], dataset.pas()[:-1], dataset.grid) for dataset in (derived, stored)]
+    np.testing.assert_allclose(derived.pas(), dataset.pas(), atol=PACKED_STEP)
+    scores = [ssim(data.pas()[1:], data.pas()[:-1], data.grid) for data in (derived, dataset)]
     np.testing.assert_allclose(*scores, rtol=0, atol=4e-6)  # float16 moves it by up to 1.6e-5
-    assert derived.path.stat().st_size < stored.path.stat().st_size / 10
+    assert derived.path.stat().st_size < dataset.path.stat().st_size / 10
 
 
-def test_a_subset_of_a_subset_keeps_its_maps(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5")
+def test_a_subset_of_a_subset_keeps_its_maps(dataset: PasDataset) -> None:
     subset = dataset.subset([1, 5, 9]).subset([2, 0])
     np.testing.assert_array_equal(subset.rows, [9, 1])
     np.testing.assert_array_equal(subset.pas(), dataset.pas([9, 1]))
     np.testing.assert_array_equal(subset.carrier_hz, dataset.carrier_hz[[9, 1]])
 
 
-def test_an_isolated_view_holds_no_channel_of_another_row(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5")
+def test_an_isolated_view_holds_no_channel_of_another_row(dataset: PasDataset) -> None:
     view = dataset.subset([1, 5]).isolated()
     np.testing.assert_array_equal(view.cfr, dataset.cfr[[1, 5]])
     np.testing.assert_array_equal(view.peak_power, dataset.peak_power[[1, 5]])
@@ -103,15 +104,8 @@ def test_maps_that_came_without_channels_are_kept_on_their_grid(tmp_path: Path) 
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(view)).pas(), view.pas())
 
 
-def test_batches_cover_every_row_once(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5").subset(slice(0, 7))
-    batches = list(dataset.batches(3))
-    np.testing.assert_array_equal(np.concatenate([rows for rows, _ in batches]), np.arange(7))
-    np.testing.assert_array_equal(np.concatenate([maps for _, maps in batches]), dataset.pas())
-
-
-def test_a_data_set_pickles_as_path_and_rows(tmp_path: Path) -> None:
-    subset = write_dataset(tmp_path / "data.h5").subset([3, 4])
+def test_a_data_set_pickles_as_path_and_rows(dataset: PasDataset) -> None:
+    subset = dataset.subset([3, 4])
     pickled = pickle.dumps(subset)
     assert len(pickled) < 1000
     np.testing.assert_array_equal(pickle.loads(pickled).pas(), subset.pas())
@@ -132,32 +126,22 @@ def test_a_sample_without_any_path_is_flagged(tmp_path: Path) -> None:
     np.testing.assert_allclose(10 ** (dataset.power_db / 10), np.mean(np.abs(dataset.cfr) ** 2, axis=1), rtol=1e-5)
 
 
-def test_xarray_knows_positions_flags_and_numbers(tmp_path: Path) -> None:
-    written = write_dataset(tmp_path / "data.h5")
-    with xarray.open_dataset(written.path, engine="h5netcdf") as shown:
-        assert shown.attrs["Conventions"] == "CF-1.11"
-        assert shown.attrs["num_tx"] == 4
+def test_xarray_knows_names_coordinates_units_flags_and_numbers(dataset: PasDataset) -> None:
+    with xarray.open_dataset(dataset.path, engine="h5netcdf") as shown:
+        assert (shown.attrs["Conventions"], shown.attrs["num_tx"]) == ("CF-1.11", 4)
+        assert shown.pas.dims == ("tx", "carrier_hz", "elevation_deg", "azimuth_deg")
+        assert (shown.cfr.dims, shown.cfr.values.dtype) == (("tx", "carrier_hz", "element"), np.complex64)
+        assert shown.frame_rotation.dims == ("axis", "receiver_axis")
         assert {"tx_position_m", "line_of_sight"} <= set(shown.coords)
+        np.testing.assert_array_equal(shown.carrier_hz, [1e9, 10e9, 37e9])
+        assert shown.carrier_hz.attrs["units"] == "Hz"
         assert shown.line_of_sight.attrs["flag_meanings"] == "blocked visible"
         assert shown.line_of_sight.attrs["flag_values"].tolist() == [0, 1]
         assert shown.axis.attrs["flag_meanings"] == "x y z"
-        height_m = shown.tx_position_m.sel(axis=2)
-        np.testing.assert_array_equal(height_m, transmitters(4)[:, 2])
+        np.testing.assert_array_equal(shown.tx_position_m.sel(axis=2), transmitters(4)[:, 2])
         in_sight = shown.peak_power.where(shown.peak_power.line_of_sight == 1, drop=True)
         assert in_sight.tx.values.tolist() == [0, 2]
-
-
-def test_xarray_shows_names_coordinates_and_units(tmp_path: Path) -> None:
-    path = write_dataset(tmp_path / "data.h5").path
-    with xarray.open_dataset(path, engine="h5netcdf") as shown:
-        assert shown.pas.dims == ("tx", "carrier_hz", "elevation_deg", "azimuth_deg")
-        assert shown.cfr.dims == ("tx", "carrier_hz", "element")
-        np.testing.assert_array_equal(shown.carrier_hz, [1e9, 10e9, 37e9])
-        assert shown.carrier_hz.attrs["units"] == "Hz"
-        assert shown.cfr.values.dtype == np.complex64
-        peak = shown.pas.isel(tx=0, carrier_hz=0).sel(elevation_deg=slice(0, 89)).max()
-        assert float(peak) == 1
-        assert shown.frame_rotation.dims == ("axis", "receiver_axis")
+        assert float(shown.pas.isel(tx=0, carrier_hz=0).sel(elevation_deg=slice(0, 89)).max()) == 1
 
 
 _READ_BY_NETCDF4 = """
@@ -192,9 +176,8 @@ def test_netcdf4_reads_what_is_stored(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["power", "amplitude"])
-def test_a_map_is_drawn_in_db_below_its_peak(tmp_path: Path, kind: str) -> None:
-    power_maps = write_dataset(tmp_path / "data.h5")
-    dataset = replace(power_maps, header=replace(power_maps.header, pas_kind=kind))
+def test_a_map_is_drawn_in_db_below_its_peak(dataset: PasDataset, tmp_path: Path, kind: str) -> None:
+    dataset = replace(dataset, header=replace(dataset.header, pas_kind=kind))
     figure = dataset.plot(4)
     disc, bar = figure.axes
     assert disc.get_title() == f"10 GHz, transmitter at ({', '.join(f'{m:.2f}' for m in dataset[4].tx_position_m)}) m"

@@ -17,42 +17,28 @@ from xfreqbench.data.dataset import holds_same_job, open_dataset, verify
 from xfreqbench.data.hdf5 import open_foreign
 from xfreqbench.errors import DataError, StorageError
 
-
-def test_verify_accepts_what_was_written(tmp_path: Path) -> None:
-    verify(write_dataset(tmp_path / "data.h5").path)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("carrier_hz", "cfr", "complete", "elevation_deg", "frame_rotation", "line_of_sight", "pas", "rx_position_m"),
-        "tx_position_m",
-    ],
+TABLES = (
+    *("carrier_hz", "cfr", "complete", "elevation_deg", "frame_rotation", "line_of_sight", "pas", "rx_position_m"),
+    "tx_position_m",
 )
-def test_verify_and_reading_name_the_dataset_in_which_one_bit_flipped(tmp_path: Path, name: str) -> None:
-    path = write_dataset(tmp_path / "data.h5", num_tx=2).path
-    flip(path, data_offset(path, name))
-    with pytest.raises(DataError, match=f"dataset '{name}'"):
-        verify(path)
-    if name != "complete":  # it is never read
-        with pytest.raises(DataError, match=f"dataset '{name}'"):
-            open_dataset(path).pas()
 
 
-def test_verify_finds_a_flipped_bit_in_a_header_attribute(tmp_path: Path) -> None:
+def test_verify_and_reading_name_the_dataset_in_which_one_bit_flipped(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "data.h5", num_tx=2).path
+    verify(path)
     content = path.read_bytes()
-    for text in (b"inside an object", b"max_depth", b"synthetic", b"carrier frequency"):
-        flip(path, content.index(text))
-        with pytest.raises(DataError, match="damaged"):
-            verify(path)
+    for name in TABLES:
+        flip(path, data_offset(path, name))
+        for read in (verify, lambda path: open_dataset(path).pas())[: 1 if name == "complete" else 2]:  # never read
+            with pytest.raises(DataError, match=f"dataset '{name}'"):
+                read(path)
         path.write_bytes(content)
 
 
 def test_a_flipped_bit_anywhere_is_found(tmp_path: Path) -> None:
     good = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0,), maps=False)
     path, content = good.path, good.path.read_bytes()
-    for offset in np.random.default_rng(1).choice(len(content), 300, replace=False):
+    for offset in np.random.default_rng(1).choice(len(content), 150, replace=False):
         flip(path, int(offset))
         with pytest.raises(DataError):
             verify(path)
@@ -71,13 +57,13 @@ def test_a_map_that_another_program_changed_is_not_read(tmp_path: Path) -> None:
         open_dataset(path)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "data.h5", num_tx=2).path
     content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * share)])
-    with pytest.raises(DataError):
-        open_dataset(path)
+    for share in (0.99, 0.3, 0.0):
+        path.write_bytes(content[: int(len(content) * share)])
+        with pytest.raises(DataError):
+            open_dataset(path)
 
 
 def test_a_file_that_another_program_has_opened_to_write_is_in_use_not_damaged(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, held_out_block, make_splits
+from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, make_splits
 from xfreqbench.errors import ProtocolError
 
 NUM_TX = 60
@@ -40,7 +40,7 @@ def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(da
 
 
 def test_a_fifth_is_tested_at_every_carrier_and_the_carriers_are_trained_on(dataset: PasDataset) -> None:
-    (split,) = held_out_block(dataset)
+    (split,) = make_splits(dataset, "held-out-block")
     assert len(np.unique(dataset.tx_index[split.test])) == NUM_TX / 5
     for rows in (split.train, split.test):
         assert set(dataset.carrier_hz[rows]) == {1e9, 10e9}
@@ -69,10 +69,10 @@ def test_regions_are_rectangles_of_equally_many_positions() -> None:
 
 def test_of_few_transmitters_each_is_a_region(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", 4, (1.0,))
-    (split,) = held_out_block(dataset)
+    (split,) = make_splits(dataset, "held-out-block")
     assert (len(split.train), len(split.test)) == (3, 1)
     with pytest.raises(ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 3\."):
         make_splits(dataset, "held-out-block", on="validation")
     alone = write_dataset(tmp_path / "alone.h5", 1, (1.0,))
     with pytest.raises(ProtocolError, match="0 samples to train on"):
-        held_out_block(alone)
+        make_splits(alone, "held-out-block")

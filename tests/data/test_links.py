@@ -19,14 +19,7 @@ from xfreqbench.data.dataset import PasDataset, verify
 from xfreqbench.data.schema import variables
 from xfreqbench.data.splits import find_split
 from xfreqbench.data.trace import channel_by
-from xfreqbench.errors import (
-    DataError,
-    MethodError,
-    OutputExistsError,
-    ProtocolError,
-    UnknownNameError,
-    XFreqBenchError,
-)
+from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange.split_file import Handout
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.report.view.describe import describe
@@ -55,7 +48,7 @@ def joint(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 def test_every_link_is_as_in_a_file_of_its_own(joint: PasDataset, tmp_path: Path) -> None:
     solver = joint.trace_settings.solver
-    for receiver, pair in (("first one", "VH"), ("low", "VV"), ("low", "HH")):
+    for receiver, pair in (("low", "HV"), ("first one", "VH"))[: 2 if solver == "image" else 1]:
         path = tmp_path / f"{receiver}{pair}.h5"
         alone = xb.generate(two_receivers(), path, **HOW, solver=solver, receiver=receiver, polarization=pair)
         link = joint.at(receiver, pair)
@@ -79,7 +72,7 @@ def test_the_line_of_sight_does_not_turn_the_field(joint: PasDataset) -> None:
 
 def test_a_file_says_which_links_it_holds_and_shows_one(joint: PasDataset, tmp_path: Path) -> None:
     assert (joint.receivers, joint.polarizations) == (("first one", "low"), ("VV", "VH", "HV", "HH"))
-    assert joint.link_names == ("first one", "VV")
+    assert joint.link_names == ("first one", "VV") and "first one, of first one, low" in repr(joint)
     assert len({link.sha256 for link in joint.links()}) == len({link.recipe for link in joint.links()}) == 8
     link = joint.at("low", "HV")[[3, 1]]
     again = pickle.loads(pickle.dumps(link))
@@ -92,13 +85,11 @@ def test_a_file_says_which_links_it_holds_and_shows_one(joint: PasDataset, tmp_p
         joint.isolated().at("low")
     assert xb.open_dataset(joint.path, "low").link_names == ("low", "VV")
     with h5py.File(joint.path) as file:
-        assert [scale.label for scale in file["cfr"].dims] == [""] * 5
         axes = [dimension[0].name for dimension in file["cfr"].dims]
         assert axes == ["/tx", "/receiver", "/polarization", "/carrier_hz", "/element"]
         assert file["receiver"].attrs["flag_meanings"].decode() == "first_one low"
         assert file["polarization"].attrs["flag_meanings"].decode() == "VV VH HV HH"
         assert file["rx_position_m"].shape == (2, 3) and file["line_of_sight"].shape == (2, 2)
-    assert "first one, of first one, low" in repr(joint)
     with pytest.raises(ValueError, match="'receivers_json': the scene has the receivers"):
         replace(joint.file_header, receivers=("first one", "high")).at()
 
@@ -141,19 +132,16 @@ def test_a_killed_generation_of_several_links_ends_in_the_same_bytes(
 ) -> None:
     whole = few(tmp_path / "whole.h5", paths=True)
     verify(whole.path)
-    written = []
+    write = BatchStore.write
 
     def killed(store: BatchStore, index: int, channel: Channel) -> None:
-        if len(written) == 2:
+        if index == 2:
             raise KeyboardInterrupt
-        written.append(index)
         write(store, index, channel)
 
-    write = BatchStore.write
-    with monkeypatch.context() as patch:
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(BatchStore, "write", killed)
-        with pytest.raises(KeyboardInterrupt):
-            few(tmp_path / "again.h5", paths=True)
+        few(tmp_path / "again.h5", paths=True)
     assert len(list((tmp_path / "again.h5.parts").glob("*.npz"))) == 2
     few(tmp_path / "again.h5", paths=True)
     assert (tmp_path / "again.h5").read_bytes() == whole.path.read_bytes()
@@ -219,6 +207,10 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return xb.generate(scene, tmp_path_factory.mktemp("rooms") / "rooms.h5", receiver="all", **how)
 
 
+def training_part(dataset: PasDataset) -> PasDataset:
+    return xb.make_splits(dataset, "held-out-receiver")[0].training_part(dataset)
+
+
 def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset) -> None:
     (split,) = xb.make_splits(rooms.at("north"), "held-out-receiver")
     assert split.name == "held-out-receiver-north" and len(split.train) == 0
@@ -249,7 +241,7 @@ def test_every_receiver_is_held_out_in_turn(rooms: PasDataset, tmp_path: Path) -
     assert all(record.scores["ssim"].median > 0 for record in records)
     (one,) = xb.run(rooms.path, "nearest", **how, receiver="wall")
     assert one in records
-    with pytest.raises(MethodError, match=r"'xfreq-gs' predicts the receiver.*line-of-sight and nearest"):
+    with pytest.raises(XFreqBenchError, match=r"'xfreq-gs' predicts the receiver.*line-of-sight and nearest"):
         xb.run(rooms.path, "xfreq-gs", **how)
     with pytest.raises(ProtocolError, match="--receiver all"):
         xb.run(write_dataset(tmp_path / "one.h5"), "nearest", **how)
@@ -258,7 +250,7 @@ def test_every_receiver_is_held_out_in_turn(rooms: PasDataset, tmp_path: Path) -
 def test_line_of_sight_knows_where_the_held_out_receiver_is(rooms: PasDataset, tmp_path: Path) -> None:
     wall = rooms.at("wall")
     maps = []
-    for train in (wall.isolated(), make_split(wall).training_part(wall)):
+    for train in (wall.isolated(), training_part(wall)):
         method = LineOfSight()
         list(method.fit(train, xb.Budget(), 0))
         method.save(tmp_path)
@@ -266,13 +258,9 @@ def test_line_of_sight_knows_where_the_held_out_receiver_is(rooms: PasDataset, t
     np.testing.assert_array_equal(*maps)
 
 
-def make_split(dataset: PasDataset) -> xb.Split:
-    return xb.make_splits(dataset, "held-out-receiver")[0]
-
-
 def test_a_map_of_another_receiver_is_turned_into_the_frame_of_the_one_that_is_asked_for(rooms: PasDataset) -> None:
     wall = rooms.at("wall")
-    (train,) = [data for data in make_split(wall).training_part(wall).other_receivers if data.link_names[0] == "north"]
+    (train,) = [data for data in training_part(wall).other_receivers if data.link_names[0] == "north"]
     north = TrainingTransmitters(train, wall)
     world = np.array([1.0, 0.2, -1.0]) / np.linalg.norm([1.0, 0.2, -1.0])  # in front of both
 

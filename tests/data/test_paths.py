@@ -12,9 +12,8 @@ import pytest
 
 from tests.support.fuzzing.common import fuzz
 from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_file
-from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
+from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan, unfinished
 from tests.support.sionna_scenes import moved
-from xfreqbench.data import batches
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
@@ -91,6 +90,8 @@ def test_without_paths_a_file_is_what_it_was(tmp_path: Path, whole: Path) -> Non
     path = generate_planned(plan, tmp_path / "rooms.h5")
     with h5py.File(path) as plain, h5py.File(whole) as full:
         assert set(full) - set(plain) == {"paths"}
+        gain = full["paths/gain"]
+        assert (gain.compression, gain.shuffle, gain.fletcher32) == ("gzip", True, True)
         for name in plain:
             np.testing.assert_array_equal(plain[name][...], full[name][...])
             assert plain[name].attrs["sha256"] == full[name].attrs["sha256"]
@@ -98,26 +99,10 @@ def test_without_paths_a_file_is_what_it_was(tmp_path: Path, whole: Path) -> Non
         open_dataset(path).paths(0)
 
 
-def test_paths_are_compressed_and_hashed(whole: Path, tmp_path: Path) -> None:
-    with h5py.File(whole) as file:
-        gain = file["paths/gain"]
-        assert (gain.compression, gain.shuffle, gain.fletcher32) == ("gzip", True, True)
-        assert len(gain.attrs["sha256"]) == 64
-        place = gain.id.get_chunk_info(0).byte_offset + 100
-    content = bytearray(whole.read_bytes())
-    content[place] ^= 1
-    (tmp_path / "damaged.h5").write_bytes(content)
-    with pytest.raises(DataError, match="damaged"):
-        verify(tmp_path / "damaged.h5")
-
-
-@pytest.mark.parametrize("lost", [0, 1])
-def test_a_generation_that_goes_on_ends_in_the_same_bytes(tmp_path: Path, whole: Path, lost: int) -> None:
+def test_a_generation_that_goes_on_ends_in_the_same_bytes(tmp_path: Path, whole: Path) -> None:
     path = tmp_path / "rooms.h5"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batches, "_remove", lambda folder: None)
-        generate_planned(plan_with_paths(), path).unlink()
-    sorted(batches.batch_folder(path).glob("*.npz"))[lost].unlink()
+    first, _ = sorted(unfinished(plan_with_paths(), path).glob("*.npz"))
+    first.unlink()
     assert generate_planned(plan_with_paths(), path).read_bytes() == whole.read_bytes()
 
 
@@ -188,4 +173,4 @@ def test_no_damage_ends_in_anything_but_a_refusal(tmp_path: Path, whole: Path) -
         except IndexError:  # there are fewer samples
             assert len(dataset) <= 3
 
-    fuzz(80, hdf5_files(whole.read_bytes()), read)
+    fuzz(40, hdf5_files(whole.read_bytes()), read)

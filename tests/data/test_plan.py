@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -54,21 +53,12 @@ def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> 
 def test_meshes_and_mirrors_are_found_once_where_a_scene_is_planned_and_traced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls: Counter[str] = Counter()
-
-    def counted(module: Any, name: str) -> None:
-        original = getattr(module, name)
-
-        def call(*arguments: Any) -> Any:
-            calls[name] += 1
-            return original(*arguments)
-
+    counted = [(prepared, "surface_meshes"), (facets, "mirror_patches")]
+    calls = [Mock(wraps=getattr(module, name)) for module, name in counted]
+    for (module, name), call in zip(counted, calls, strict=True):
         monkeypatch.setattr(module, name, call)
-
-    counted(prepared, "surface_meshes")
-    counted(facets, "mirror_patches")
     generate_planned(small_plan(num_transmitters=2), tmp_path / "rooms.h5")
-    assert calls == {"surface_meshes": 1, "mirror_patches": 1}
+    assert [call.call_count for call in calls] == [1, 1]
 
 
 def test_planning_a_scene_of_many_triangles_does_not_loop_over_them_in_python(tmp_path: Path) -> None:
@@ -107,12 +97,8 @@ def test_a_worker_that_finds_other_meshes_or_software_leaves_the_work_to_others(
     forget_rays()
     with pytest.raises(UnfitWorkerError, match=r"other software: numpy .* \(here 1\.0\)"):
         traced_alike(told, {**plan.header.software, "numpy": "1.0"}, batch)
-    original = prepared.surface_meshes
-
-    def meshes_without_the_last(scene: Scene) -> list[Any]:
-        return original(scene)[:-1]
-
-    monkeypatch.setattr(prepared, "surface_meshes", meshes_without_the_last)
+    meshes = prepared.surface_meshes
+    monkeypatch.setattr(prepared, "surface_meshes", lambda scene: meshes(scene)[:-1])
     with pytest.raises(UnfitWorkerError, match="finds other meshes of scene 'two_rooms'"):
         traced_alike(told, plan.header.software, batch)
 

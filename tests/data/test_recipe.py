@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
+from tests.support.plans import wall_moved
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
@@ -57,16 +58,6 @@ def with_grid(**changes: Any) -> Scene:
     return replace(ROOMS, transmitters=replace(ROOMS.transmitters, **changes))
 
 
-def wall_moved(shift_m: float) -> Scene:
-    """The rooms with their wall north, the one at the greatest y, moved along y."""
-    number = max(range(len(ROOMS.surface)), key=lambda index: ROOMS.surface[index].min_m[1])
-    ends = {
-        end: (x, y + shift_m, z)
-        for end, (x, y, z) in ((end, getattr(ROOMS.surface[number], end)) for end in ("min_m", "max_m"))
-    }
-    return with_surface(number, **ends)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -98,7 +89,7 @@ def test_versions_of_software_and_references_are_in_no_recipe(usual: Recipe) -> 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"scene": wall_moved(1e-3)},
+        {"scene": wall_moved(ROOMS, 1e-3)},
         {"scene": with_surface(0, thickness_m=0.21)},
         {"scene": with_surface(0, material="wood")},
         {"scene": replace(ROOMS, receiver=replace(ROOMS.receiver, polarization="H"))},
@@ -148,12 +139,11 @@ def test_the_next_physics_is_another_recipe_and_its_version_is_told(usual: Recip
     assert "physics" not in replace(plan.header, physics="1").attributes()  # files of version 1 do not tell it
 
 
-def test_extrapolated_materials_are_in_the_recipe() -> None:
-    brick = with_surface(0, material="brick")  # of P.2040 from 1 to 40 GHz
-    inside, outside = (
-        recipe_of(planned(brick, [1e9, high_hz], materials="extrapolate")) for high_hz in (24.25e9, 60e9)
-    )
-    assert inside.physics_sha256 != outside.physics_sha256
+def test_extrapolated_materials_are_in_the_recipe_and_in_the_header() -> None:
+    brick, stated = with_surface(0, material="brick"), "extrapolated_materials"  # P.2040 has it from 1 to 40 GHz
+    inside, outside = (planned(brick, [1e9, high_hz], materials="extrapolate") for high_hz in (24.25e9, 60e9))
+    assert recipe_of(inside).physics_sha256 != recipe_of(outside).physics_sha256
+    assert (inside.header.settings[stated], outside.header.settings[stated]) == ([], ["brick"])
 
 
 def test_diffuse_reflection_is_drawn_so_that_its_seed_is_in_the_recipe() -> None:

@@ -9,36 +9,31 @@ import numpy as np
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
-from tests.support.plans import SETTINGS, small_plan
+from tests.support.plans import SETTINGS, rewritten, small_plan
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data import retrace
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.retrace import drawn_rows, require_origin, traced_scene
-from xfreqbench.data.writer import PasWriter, SampleBlock
+from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import load_scene, shipped_folder
 from xfreqbench.tracing.tracer import Channel
 
 
-@pytest.fixture(scope="module", params=["image", "sionna"])
-def traced(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> PasDataset:
-    plan = small_plan(num_transmitters=20, settings=replace(SETTINGS, solver=request.param))
-    return open_dataset(generate_planned(plan, tmp_path_factory.mktemp("traced") / "rooms.h5"))
+@pytest.fixture(scope="module")
+def traced(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    path = tmp_path_factory.mktemp("traced") / "rooms.h5"
+    return open_dataset(generate_planned(small_plan(num_transmitters=20), path))
 
 
-def rewritten(dataset: PasDataset, path: Path, cfr: object = None, tx_position_m: object = None) -> PasDataset:
-    """A data set with valid hashes and the same header, but other channels, maps or positions."""
-    header, tables = dataset.header, dataset.tables
-    stored = tables["cfr"] if cfr is None else np.asarray(cfr)
-    samples = SampleBlock.of_channels(stored, tables["num_paths"], dataset.beam, header.pas_kind)
-    with PasWriter(path, header) as writer:
-        positions = tables["tx_position_m"] if tx_position_m is None else np.asarray(tx_position_m)
-        writer.append(positions, tables["line_of_sight"].astype(bool), samples)
-    verify(path)
-    return open_dataset(path)
+@pytest.mark.sionna
+def test_what_solver_sionna_traced_is_found_again(tmp_path: Path) -> None:
+    plan = small_plan(num_transmitters=4, settings=replace(SETTINGS, solver="sionna"))
+    traced = open_dataset(generate_planned(plan, tmp_path / "rooms.h5"))
+    assert require_origin(traced, drawn_rows(traced, 8)).difference < 3e-4
 
 
 def test_what_was_traced_is_found_again(traced: PasDataset) -> None:
@@ -61,7 +56,9 @@ def test_other_channels_maps_and_positions_are_found_out(traced: PasDataset, tmp
     }.items():
         with pytest.raises(DataError, match=refusal):
             require_origin(rewritten(traced, tmp_path / f"{name}.h5", **changes), rows)
-    require_origin(rewritten(traced, tmp_path / "same.h5"), rows)
+    same = rewritten(traced, tmp_path / "same.h5")
+    verify(same.path)
+    require_origin(same, rows)
 
 
 def test_a_sample_that_is_traced_to_no_number_is_found_out(traced: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:

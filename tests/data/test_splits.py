@@ -2,27 +2,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import (
-    LOFO_TARGETS_HZ,
-    PROTOCOLS,
-    UNSEEN_SHARE,
-    VALIDATIONS,
-    Split,
-    find_split,
-    held_out_tx,
-    lofo,
-    lofo_unseen_tx,
-    make_splits,
-    random_samples,
-    sparse_frequency,
-)
+from xfreqbench.data.splits import LOFO_TARGETS_HZ, PROTOCOLS, UNSEEN_SHARE, VALIDATIONS, Split, find_split, make_splits
 from xfreqbench.errors import ArgumentError, DataError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
@@ -33,7 +20,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 
 def test_lofo_never_trains_on_the_carrier_it_tests(dataset: PasDataset) -> None:
-    for split, target in zip(lofo(dataset), LOFO_TARGETS_HZ, strict=True):
+    for split, target in zip(make_splits(dataset, "lofo"), LOFO_TARGETS_HZ, strict=True):
         assert set(dataset.carrier_hz[split.test]) == {target}
         assert target not in dataset.carrier_hz[split.train]
         assert len(split.train) + len(split.test) == len(dataset)
@@ -44,24 +31,33 @@ def test_lofo_all_holds_out_every_carrier_once(dataset: PasDataset) -> None:
     splits = make_splits(dataset, "lofo", "all")
     tested = np.concatenate([split.test for split in splits])
     np.testing.assert_array_equal(np.sort(tested), np.arange(len(dataset)))
-    assert len(splits) == 10
+    assert len(splits) == len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10
+    (once,), (twice,) = (make_splits(dataset, "lofo", targets) for targets in ([2.4], [2.4, 2.4]))
+    assert once.sha256 == twice.sha256
+
+
+def test_every_split_has_a_name_and_a_hash_of_its_own(dataset: PasDataset) -> None:
+    names = [split.name for protocol in ("lofo", "sparse") for split in make_splits(dataset, protocol)]
+    assert names[:3] == ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
+    assert names[4] == "sparse-24.25GHz-from-10-37-94GHz"
+    every = [split for protocol in PROTOCOLS for split in make_splits(dataset, protocol)]
+    for split in every:
+        assert find_split(dataset, split.protocol, split.name).sha256 == split.sha256
+        assert not set(split.train.tolist()) & set(split.test.tolist())
+    assert len({split.sha256 for split in every}) == len(every)
+    assert make_splits(dataset.subset(np.arange(20)), "lofo")[2].sha256 != make_splits(dataset, "lofo")[2].sha256
 
 
 def test_sparse_frequency_trains_on_the_carriers_of_the_paper(dataset: PasDataset) -> None:
-    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in sparse_frequency(dataset)]
+    trained = [set(dataset.carrier_hz[split.train] / 1e9) for split in make_splits(dataset, "sparse")]
     assert trained == [{10, 37}, {10, 37, 94}, {1, 10, 37, 60, 94}]
-    for split in sparse_frequency(dataset):
+    for split in make_splits(dataset, "sparse"):
         assert set(dataset.carrier_hz[split.test]) == {24.25e9}
-
-
-def test_split_names_say_target_and_training_carriers(dataset: PasDataset) -> None:
-    assert [split.name for split in lofo(dataset)] == ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
-    assert sparse_frequency(dataset)[1].name == "sparse-24.25GHz-from-10-37-94GHz"
 
 
 def test_samples_without_a_path_are_in_neither_part_and_counted(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", silent=((0, 1), (2, 1), (3, 0)))
-    split = lofo(dataset, [10e9])[0]
+    split = make_splits(dataset, "lofo", [10])[0]
     assert split.num_without_path == 2
     np.testing.assert_array_equal(split.test, [4, 10])
     assert 9 not in split.train
@@ -96,21 +92,32 @@ def test_a_carrier_without_paths_does_not_block_the_others(tmp_path: Path) -> No
     assert find_split(dataset, "lofo", "lofo-37GHz").name == "lofo-37GHz"
 
 
-def test_missing_carriers_are_named(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5")
-    with pytest.raises(ProtocolError, match=r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"):
-        make_splits(dataset, "lofo")
-    with pytest.raises(
-        ProtocolError, match=r"tests 24.25 GHz and trains on 10, 37 GHz; or .*carriers 10,24.25,37 \(in"
-    ):
-        make_splits(dataset, "sparse")
-
-
 def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0, 24.25, 37.0))
     assert [split.name for split in make_splits(dataset, "sparse")] == ["sparse-24.25GHz-from-10-37GHz"]
     with pytest.raises(ProtocolError, match=r"trains on 10, 37, 94 GHz; or .*carriers 10,24.25,37,94 \(in GHz\)"):
         make_splits(dataset, "sparse", on="validation")
+
+
+@pytest.mark.parametrize(
+    ("held", "asked", "told"),
+    [
+        ({}, ("lofo",), r"needs 2.4, 24.25, 77 GHz, but the data set has 1, 10, 37 GHz"),
+        ({}, ("sparse",), r"tests 24.25 GHz and trains on 10, 37 GHz; or .*carriers 10,24.25,37 \(in"),
+        ({"carriers_ghz": (10.0,)}, ("lofo", "all"), "two carriers"),
+        ({"num_tx": 1, "silent": ((0, 1),)}, ("lofo", [10]), "0 to test on"),
+        ({"num_tx": 1}, ("held-out-tx",), "0 samples to train on"),
+        ({}, ("held-out-tx", [10]), "'held-out-tx' chooses what it tests"),
+        ({"num_tx": 12}, ("lofo", [10], "validation"), r"'lofo-validation-10GHz' .* 3 or more, but they are 1, 37 GHz"),
+        ({"num_tx": 11}, ("held-out-tx", None, "validation"), r"transmitters, .* be 10 or more, but there are 9\. G"),
+    ],
+)
+def test_what_cannot_be_split_is_refused_with_what_there_is(
+    tmp_path: Path, held: dict[str, Any], asked: tuple[Any, ...], told: str
+) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", **held)
+    with pytest.raises(ProtocolError, match=told):
+        make_splits(dataset, *asked)
 
 
 def test_a_target_outside_of_the_trained_band_is_extrapolated(dataset: PasDataset) -> None:
@@ -126,25 +133,8 @@ def test_a_protocol_by_the_name_that_others_give_it_is_told(dataset: PasDataset,
         make_splits(dataset, said)
     with pytest.raises(UnknownNameError, match="Did you mean 'lofo-77GHz'"):
         find_split(dataset, "lofo", "lofo-78GHz")
-
-
-def test_one_carrier_alone_cannot_be_left_out(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0,))
-    with pytest.raises(ProtocolError, match="two carriers"):
-        make_splits(dataset, "lofo", "all")
-
-
-def test_a_target_that_no_path_reaches_is_refused(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5", num_tx=1, silent=((0, 1),))
-    with pytest.raises(ProtocolError, match="0 to test on"):
-        lofo(dataset, [10e9])
-
-
-def test_the_hash_of_a_split_follows_its_rows(dataset: PasDataset) -> None:
-    assert find_split(dataset, "lofo", "lofo-77GHz").sha256 == lofo(dataset)[2].sha256
-    assert len({split.sha256 for split in [*make_splits(dataset, "lofo", "all"), *sparse_frequency(dataset)]}) == 13
-    fewer = dataset.subset(np.arange(20))
-    assert lofo(fewer)[2].sha256 != lofo(dataset)[2].sha256
+    with pytest.raises(ArgumentError, match="'test' or 'validation'"):
+        make_splits(dataset, "lofo", on="tests")  # type: ignore[arg-type]
 
 
 def _transmitters(dataset: PasDataset, split: Split) -> tuple[set[int], set[int]]:
@@ -152,14 +142,20 @@ def _transmitters(dataset: PasDataset, split: Split) -> tuple[set[int], set[int]
     return trained, tested
 
 
-@pytest.mark.parametrize("protocol", ["held-out-tx", "lofo-unseen-tx"])
-def test_leak_free_protocols_share_no_transmitter_between_training_and_test(dataset: PasDataset, protocol: str) -> None:
+@pytest.mark.parametrize("protocol", ["lofo", "sparse", "held-out-tx", "lofo-unseen-tx"])
+def test_a_protocol_says_whether_tested_transmitters_are_trained_on_and_how_near_they_are(
+    dataset: PasDataset, protocol: str
+) -> None:
     for split in make_splits(dataset, protocol):
         trained, tested = _transmitters(dataset, split)
-        assert not trained & tested
-        assert len(tested) == round(UNSEEN_SHARE * len(trained | tested))
-        assert not split.shares_transmitters
-        assert split.nearest_trained_m > 0
+        assert split.shares_transmitters == (protocol in {"lofo", "sparse"})
+        if split.shares_transmitters:
+            assert tested <= trained
+        else:
+            assert not trained & tested and len(tested) == round(UNSEEN_SHARE * len(trained | tested))
+        tested_m, trained_m = (dataset.tx_position_m[rows] for rows in (split.test, split.train))
+        nearest_m = np.linalg.norm(tested_m[:, None] - trained_m[None], axis=2).min(axis=1)
+        assert split.nearest_trained_m == pytest.approx(np.median(nearest_m), rel=1e-12)
 
 
 @pytest.mark.parametrize("on", ["test", "validation"])
@@ -169,14 +165,8 @@ def test_a_sample_that_is_given_twice_is_in_one_part(dataset: PasDataset, on: Li
     header = replace(dataset.header, carrier_hz=carrier_hz)
     twice = replace(dataset, header=header, tables={**dataset.tables, "tx_position_m": position_m})
     (split,) = make_splits(twice, "random-samples", on=on)
-    parts = (
-        {
-            (place, round(carrier_hz, -2))
-            for place, carrier_hz in zip(twice.place_index[rows].tolist(), twice.carrier_hz[rows].tolist(), strict=True)
-        }
-        for rows in (split.train, split.test)
-    )
-    assert not set.intersection(*parts)
+    sample = np.stack([twice.place_index, twice.carrier_hz.round(-2)], axis=1)
+    assert not set.intersection(*({*map(tuple, sample[rows].tolist())} for rows in (split.train, split.test)))
 
 
 @pytest.mark.parametrize("on", ["test", "validation"])
@@ -202,33 +192,23 @@ def test_maps_that_are_all_constant_are_not_tested(dataset: PasDataset, shape: d
             make_splits(constant, protocol)
 
 
-@pytest.mark.parametrize("protocol", ["lofo", "sparse"])
-def test_protocols_that_share_transmitters_say_so(dataset: PasDataset, protocol: str) -> None:
-    for split in make_splits(dataset, protocol):
-        trained, tested = _transmitters(dataset, split)
-        assert tested <= trained
-        assert split.shares_transmitters
-        assert split.nearest_trained_m == 0
-
-
 def test_held_out_transmitters_are_tested_at_every_carrier(dataset: PasDataset) -> None:
-    (split,) = held_out_tx(dataset)
+    (split,) = make_splits(dataset, "held-out-tx")
     assert len(split.train) + len(split.test) == len(dataset)
     for rows in (split.train, split.test):
         assert set(dataset.carrier_hz[rows]) == set(dataset.carrier_hz)
 
 
 def test_unseen_transmitters_at_an_unseen_carrier_are_those_held_out(dataset: PasDataset) -> None:
-    (held_out,) = held_out_tx(dataset)
-    for split, target in zip(lofo_unseen_tx(dataset), LOFO_TARGETS_HZ, strict=True):
+    (held_out,) = make_splits(dataset, "held-out-tx")
+    for split, target in zip(make_splits(dataset, "lofo-unseen-tx"), LOFO_TARGETS_HZ, strict=True):
         assert set(dataset.carrier_hz[split.test]) == {target}
         assert target not in dataset.carrier_hz[split.train]
         assert _transmitters(dataset, split)[1] == _transmitters(dataset, held_out)[1]
 
 
 def test_random_samples_test_a_fifth_of_them_and_leak_places_and_carriers(dataset: PasDataset) -> None:
-    (split,), (again,) = random_samples(dataset), make_splits(dataset, "random-samples")
-    assert split.sha256 == again.sha256
+    (split,) = make_splits(dataset, "random-samples")
     assert len(split.test) == round(UNSEEN_SHARE * len(dataset))
     assert len(split.train) + len(split.test) == len(dataset)
     trained, tested = _transmitters(dataset, split)
@@ -240,38 +220,6 @@ def test_a_validation_of_random_samples_is_a_tenth_of_the_training_samples(datas
     (split,), (validation,) = (make_splits(dataset, "random-samples", on=on) for on in ("test", "validation"))
     assert len(validation.test) == round(len(split.train) / 10)
     assert sorted([*validation.train, *validation.test]) == split.train.tolist()
-
-
-def test_the_nearest_trained_transmitter_is_as_far_as_it_is(dataset: PasDataset) -> None:
-    (split,) = held_out_tx(dataset)
-    tested, trained = (dataset.tx_position_m[rows] for rows in (split.test, split.train))
-    distance_m = np.linalg.norm(tested[:, None] - trained[None], axis=2).min(axis=1)
-    assert split.nearest_trained_m == pytest.approx(np.median(distance_m), rel=1e-12)
-
-
-def test_every_split_is_found_by_its_name(dataset: PasDataset) -> None:
-    for protocol in PROTOCOLS:
-        for split in make_splits(dataset, protocol):
-            assert find_split(dataset, protocol, split.name).sha256 == split.sha256
-            assert not set(split.train.tolist()) & set(split.test.tolist())
-
-
-def test_one_transmitter_alone_cannot_be_held_out(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5", num_tx=1)
-    with pytest.raises(ProtocolError, match="0 samples to train on"):
-        make_splits(dataset, "held-out-tx")
-
-
-def test_a_target_named_twice_is_one(dataset: PasDataset) -> None:
-    (once,) = make_splits(dataset, "lofo", [2.4])
-    (twice,) = make_splits(dataset, "lofo", [2.4, 2.4])
-    assert once.sha256 == twice.sha256
-
-
-def test_only_protocols_with_targets_take_them(dataset: PasDataset) -> None:
-    with pytest.raises(ProtocolError, match="'held-out-tx' chooses what it tests"):
-        make_splits(dataset, "held-out-tx", [10])
-    assert len(make_splits(dataset, "lofo-unseen-tx", "all")) == 10
 
 
 @pytest.fixture(scope="module")
@@ -289,13 +237,17 @@ def _with_validation(dataset: PasDataset, protocol: str) -> list[tuple[Split, Sp
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_validation_rows_are_training_rows_and_nothing_that_is_tested_is_seen_in_them(
+def test_validation_rows_are_training_rows_as_unseen_as_the_tested_ones_which_are_not_seen_in_them(
     of_many_transmitters: PasDataset, protocol: str
 ) -> None:
     dataset = of_many_transmitters
     pairs = _with_validation(dataset, protocol)
     assert pairs
     for split, validation in pairs:
+        assert validation.shares_transmitters == split.shares_transmitters
+        for values in (dataset.carrier_hz, dataset.tx_index):
+            seen_in = [np.isin(values[part.test], values[part.train]).any() for part in (split, validation)]
+            assert seen_in[0] == seen_in[1]
         trained, validated = set(validation.train.tolist()), set(validation.test.tolist())
         assert trained and validated and not trained & validated
         assert trained | validated <= set(split.train.tolist())
@@ -304,18 +256,6 @@ def test_validation_rows_are_training_rows_and_nothing_that_is_tested_is_seen_in
             assert not np.isin(dataset.carrier_hz[seen], dataset.carrier_hz[split.test]).any()
         if protocol in {"held-out-tx", "held-out-block", "lofo-unseen-tx"}:
             assert not np.isin(dataset.tx_index[seen], dataset.tx_index[split.test]).any()
-
-
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_validation_rows_are_as_unseen_as_the_tested_ones(of_many_transmitters: PasDataset, protocol: str) -> None:
-    dataset = of_many_transmitters
-    for split, validation in _with_validation(dataset, protocol):
-        for values in (dataset.carrier_hz, dataset.tx_index):
-            unseen, unseen_there = (
-                not np.isin(values[part.test], values[part.train]).any() for part in (split, validation)
-            )
-            assert unseen == unseen_there
-        assert validation.shares_transmitters == split.shares_transmitters
 
 
 def test_the_validated_carrier_is_the_nearest_to_the_target_that_has_trained_ones_on_both_sides(
@@ -368,18 +308,3 @@ def test_every_validation_split_is_found_by_its_name_and_is_no_split_of_a_test(
             with pytest.raises(UnknownNameError):
                 find_split(of_many_transmitters, validation.protocol, split.name)
     assert len(hashes) == 2 * (3 + 2 + 1 + 3 + 1 + 1)
-
-
-def test_too_few_carriers_or_transmitters_to_validate_are_refused_with_their_number(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data.h5", 12)
-    with pytest.raises(ProtocolError, match=r"'lofo-validation-10GHz' .* must be 3 or more, but they are 1, 37 GHz"):
-        make_splits(dataset, "lofo", [10], on="validation")
-    few = write_dataset(tmp_path / "few.h5", 11)
-    with pytest.raises(ProtocolError, match=r"training transmitters, .* must be 10 or more, but there are 9\. Gen"):
-        make_splits(few, "held-out-tx", on="validation")
-    assert len(make_splits(dataset, "held-out-tx", on="validation")) == 1
-
-
-def test_what_is_scored_is_the_test_or_the_validation(dataset: PasDataset) -> None:
-    with pytest.raises(ArgumentError, match="'test' or 'validation'"):
-        make_splits(dataset, "lofo", on="tests")  # type: ignore[arg-type]

@@ -52,18 +52,16 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 def test_two_paths_have_the_spreads_and_k_of_their_closed_forms() -> None:
     share = np.array([0.8, 0.2])
-    found = of_paths(
-        ragged(
-            [2],
-            [0.8e-6, 0.2e-6],
-            delay_s=np.array([10e-9, 40e-9]),
-            arrival_azimuth_rad=np.array([3.1, -3.1], np.float32),  # across the end of the range
-            departure_elevation_rad=np.array([0.2, 1.2], np.float32),
-            num_interactions=np.array([0, 1]),
-            interaction=[SPECULAR],
-        ),
-        0,
+    paths = ragged(
+        [2],
+        [0.8e-6, 0.2e-6],
+        delay_s=np.array([10e-9, 40e-9]),
+        arrival_azimuth_rad=np.array([3.1, -3.1], np.float32),  # across the end of the range
+        departure_elevation_rad=np.array([0.2, 1.2], np.float32),
+        num_interactions=np.array([0, 1]),
+        interaction=[SPECULAR],
     )
+    found = of_paths(paths, 0)
     assert found["path_loss_db"][0] == pytest.approx(60)
     assert found["delay_spread_s"][0] == pytest.approx(30e-9 * np.sqrt(share.prod()), rel=1e-6)
     for name, apart_rad in (("arrival_azimuth", 2 * np.pi - 6.2), ("departure_zenith", 1.0)):
@@ -93,14 +91,8 @@ def test_diffuse_paths_count_together_however_many_they_are() -> None:
         delay_s = np.array([10e-9, *[30.2e-9] * number, 60e-9])
         power = [1.0, *[10**-1.8 / number] * number, 10**-2.7]
         num_interactions = np.array([0] + [1] * (number + 1))
-        paths = ragged(
-            [number + 2],
-            power,
-            delay_s=delay_s,
-            num_interactions=num_interactions,
-            interaction=[DIFFUSE] * (number + 1),
-        )
-        return of_paths(paths, 0)
+        met = {"num_interactions": num_interactions, "interaction": [DIFFUSE] * (number + 1)}
+        return of_paths(ragged([number + 2], power, delay_s=delay_s, **met), 0)
 
     one, many = statistics(1), statistics(100)
     assert one["delay_spread_s"][0] == pytest.approx(20.2e-9 * np.sqrt(10**-1.8) / (1 + 10**-1.8), rel=1e-3)
@@ -110,13 +102,8 @@ def test_diffuse_paths_count_together_however_many_they_are() -> None:
 
 def test_a_path_has_one_mechanism_and_their_shares_sum_to_one() -> None:
     met = [[], [SPECULAR], [SPECULAR, REFRACTION], [REFRACTION, DIFFRACTION], [DIFFRACTION, DIFFUSE]]
-    power = [5.0, 4.0, 3.0, 2.0, 1.0]
-    paths = ragged(
-        [5],
-        power,
-        num_interactions=np.array([len(codes) for codes in met]),
-        interaction=[code for codes in met for code in codes],
-    )
+    power, counts = [5.0, 4.0, 3.0, 2.0, 1.0], np.array([*map(len, met)])
+    paths = ragged([5], power, num_interactions=counts, interaction=[code for codes in met for code in codes])
     share = of_paths(paths, 0)["power_share"][0]
     np.testing.assert_allclose(share, np.array(power) / 15, rtol=1e-6)
     assert len(share) == len(MECHANISMS)
@@ -219,9 +206,9 @@ def test_metal_takes_no_diffuse_power_and_air_all_of_it() -> None:
     assert slab_absorption(Slab(ConstantMaterial("air", 1, 0), 0.1), 10e9) == pytest.approx(1)
     thick = slab_absorption(Slab(ConstantMaterial("lossy", 4, 1), 1.0), 10e9)  # a half-space, by Fresnel alone
     cosine = (np.arange(4000) + 0.5) / 4000
-    inside = np.sqrt(4 - 1j / (2 * np.pi * 10e9 * 8.8541878128e-12) - 1 + cosine**2)
-    te = (cosine - inside) / (cosine + inside)
     eta = 4 - 1j / (2 * np.pi * 10e9 * 8.8541878128e-12)
+    inside = np.sqrt(eta - 1 + cosine**2)
+    te = (cosine - inside) / (cosine + inside)
     tm = (eta * cosine - inside) / (eta * cosine + inside)
     assert thick == pytest.approx(1 - np.mean((abs(te) ** 2 + abs(tm) ** 2) * cosine), abs=1e-5)
 

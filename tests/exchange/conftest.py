@@ -11,17 +11,17 @@ from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=5)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def split_file(dataset: PasDataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return hand_out(dataset, tmp_path_factory.mktemp("split") / "split.h5")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def noise(split_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A valid file of predictions, for tests to spoil a copy of."""
     return write_predictions(tmp_path_factory.mktemp("noise") / "predictions.h5", split_file)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
-import subprocess
-import sys
 import tarfile
 import tempfile
 from dataclasses import replace
@@ -20,8 +19,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.support.damage import data_offset, flip
-from tests.support.forked import command_line
+from tests.support.fuzzing.common import xfreqbench
 from tests.support.places import PUBLISHED
+from tests.support.prediction_files import killed
 from tests.support.synthetic import RECEIVER, make_header, transmitters, write_dataset
 from xfreqbench.data.collection import room_of, write_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -95,9 +95,7 @@ def test_what_was_imported_is_exported_without_loss(
         source = read_png_folder(path / "second", convention)
         for (transmitter, carrier), number in np.ndenumerate(source.sample):
             sample = tuple(source.tx_position_m[transmitter].tolist()), source.carrier_hz[carrier]
-            published = next(
-                each for (position, ghz), each in maps.items() if (position, float(round(ghz * 1e9))) == sample
-            )
+            published = next(each for (place, ghz), each in maps.items() if (place, float(round(ghz * 1e9))) == sample)
             np.testing.assert_array_equal(levels_of(path / "second", number), published)
         np.testing.assert_array_equal(second.tx_position_m, first.tx_position_m)
         np.testing.assert_array_equal(second.carrier_hz, first.carrier_hz)
@@ -113,11 +111,9 @@ def test_the_published_example_comes_back_byte_for_byte(tmp_path: Path) -> None:
     imported(PUBLISHED, tmp_path / "example1.h5", convention)
     export_png_folder(tmp_path / "example1.h5", tmp_path / "out", convention)
     published = sorted((PUBLISHED / "spectrum").iterdir())
-    assert [path.name for path in sorted((tmp_path / "out" / "spectrum").iterdir())] == [
-        path.name for path in published
-    ]
-    for path in published:
-        assert (tmp_path / "out" / "spectrum" / path.name).read_bytes() == path.read_bytes()
+    exported = sorted((tmp_path / "out" / "spectrum").iterdir())
+    for path, ours in zip(published, exported, strict=True):
+        assert (ours.name, ours.read_bytes()) == (path.name, path.read_bytes())
     assert (tmp_path / "out" / "freq.txt").read_text().split() == (PUBLISHED / "freq.txt").read_text().split()
     tables = [read_positions(folder / "tx_pos.csv") for folder in (PUBLISHED, tmp_path / "out")]
     np.testing.assert_array_equal(*tables)
@@ -128,12 +124,8 @@ def literal_maps(dataset: PasDataset, convention: Convention) -> np.ndarray:
     degrees = np.linspace(convention.first_row_deg, convention.last_row_deg, convention.num_rows)
     elevation = np.radians(90 - degrees if convention.rows == "polar" else degrees)[:, None]
     azimuth = np.radians(np.linspace(convention.first_column_deg, convention.last_column_deg, convention.num_columns))
-    looks = np.stack(
-        np.broadcast_arrays(
-            np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
-        ),
-        -1,
-    )
+    axes = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
+    looks = np.stack(np.broadcast_arrays(*axes), -1)
     steering = np.exp(2j * np.pi * looks @ RECEIVER.element_position_wavelengths.T)
     cfr = dataset.cfr.astype(complex)
     if convention.values == "phase-only-amplitude":
@@ -253,42 +245,15 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_an_empty_folder_is_filled(tmp_path: Path) -> None:
-    path = maps_alone(tmp_path)
-    (tmp_path / "out").mkdir()
-    export_png_folder(path, tmp_path / "out", CONVENTIONS["wideband3dgs"])
-    assert len(list((tmp_path / "out" / "spectrum").iterdir())) == 4
-
-
-def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    path = maps_alone(tmp_path)
-
-    def interrupt(done: int, total: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        export_png_folder(path, tmp_path / "out", CONVENTIONS["wideband3dgs"], interrupt)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["first", "first.h5"]
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from xfreqbench.exchange.conventions import CONVENTIONS
-from xfreqbench.exchange.png_dataset import export_png_folder
-kill = lambda done, total: os.kill(os.getpid(), signal.SIGKILL)
-export_png_folder(Path(sys.argv[1]), Path(sys.argv[2]), CONVENTIONS["wideband3dgs"], kill)
-"""
-
-
 def test_a_killed_export_leaves_no_folder_that_looks_whole_and_the_next_one_clears_up(tmp_path: Path) -> None:
-    path, output = maps_alone(tmp_path), tmp_path / "out"
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(path), str(output)])
-    assert killed.returncode == -signal.SIGKILL
-    assert not output.exists()
+    path, output, convention = maps_alone(tmp_path), tmp_path / "out", CONVENTIONS["wideband3dgs"]
+    output.mkdir()  # an empty folder may be filled
+    killed(lambda: export_png_folder(path, output, convention, lambda *_: os.kill(os.getpid(), signal.SIGKILL)))
+    assert not list(output.iterdir())
     assert [entry.name for entry in tmp_path.iterdir() if entry.name.endswith(".partial")]
-    export_png_folder(path, output, CONVENTIONS["wideband3dgs"])
+    export_png_folder(path, output, convention)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["first", "first.h5", "out"]
+    assert len(list((output / "spectrum").iterdir())) == 4
 
 
 def test_one_carrier_is_told_where_no_file_tells_it(tmp_path: Path) -> None:
@@ -303,47 +268,32 @@ def test_one_carrier_is_told_where_no_file_tells_it(tmp_path: Path) -> None:
             read_png_folder(tmp_path / "one", CONVENTIONS["nerf2"], carrier_ghz=wrong)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("gsrf", "0\n5\n", None),
-        ("gsrf", "0\n6\n", r"train_index\.txt, line 2, is '6'; 6 samples are numbered 0 to 5"),
-        ("nerf2", "00001\n00006\n", None),
-        ("nerf2", "0\n1\n", r"train_index\.txt, line 1, is '0'; 6 samples are numbered 1 to 6"),
-    ],
-)
-def test_index_files_are_checked_by_the_publisher_s_numbering(
-    tmp_path: Path, name: str, text: str, message: str | None
-) -> None:
-    folder = tmp_path / "small"
-    write_random_folder(folder, 3, 3, 2, (0.0, 0.0, 0.0, 1.0))
-    (folder / "train_index.txt").write_text(text)
-    if message is None:
-        assert read_png_folder(folder, CONVENTIONS[name]).ignored == ["train_index.txt"]
-    else:
-        with pytest.raises(DataError, match=message):
-            read_png_folder(folder, CONVENTIONS[name])
+def test_index_files_are_checked_by_the_publisher_s_numbering(tmp_path: Path) -> None:
+    write_random_folder(tmp_path / "small", 3, 3, 2, (0.0, 0.0, 0.0, 1.0))
+    index = tmp_path / "small" / "train_index.txt"
+    index.write_text("0\n5\n")
+    assert read_png_folder(tmp_path / "small", CONVENTIONS["gsrf"]).ignored == ["train_index.txt"]
+    for name, text, told in (
+        ("gsrf", "0\n6\n", "line 2, is '6'; 6 samples are numbered 0 to 5"),
+        ("nerf2", "0\n1\n", "line 1, is '0'; 6 samples are numbered 1 to 6"),
+    ):
+        index.write_text(text)
+        with pytest.raises(DataError, match=rf"train_index\.txt, {told}"):
+            read_png_folder(tmp_path / "small", CONVENTIONS[name])
 
 
 def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
     write_random_folder(tmp_path / "first", 4, 2, 1, (0.1, 0.2, 0.3, 0.9))
     (tmp_path / "first" / "freq.txt").unlink()
     stated = ["--convention", "nerf2", "--set", "index=zero-based"]
-    data, output = str(tmp_path / "data.h5"), str(tmp_path / "out")
-    commands = [
-        ["import", str(tmp_path / "first"), "-o", data, *stated, "--freq", "0.915"],
-        ["export", data, "-o", output, *stated],
-        ["export", data, "-o", output, *stated],
-        ["import", "--conventions"],
-    ]
-    brought_in, out, again, table = (
-        subprocess.run([command_line(), *command], capture_output=True, text=True) for command in commands
-    )
+    export = ["export", tmp_path / "data.h5", "-o", tmp_path / "out", *stated]
+    brought_in = xfreqbench("import", tmp_path / "first", "-o", tmp_path / "data.h5", *stated, "--freq", "0.915")
     assert "wrote" in brought_in.stdout
-    assert "(2 maps)" in out.stdout
-    assert again.returncode == 2
-    assert "no empty folder" in again.stderr
-    assert all(name in table.stdout for name in [*CONVENTIONS, "spacing_wavelengths"])
+    assert "(2 maps)" in xfreqbench(*export).stdout
+    again = xfreqbench(*export)
+    assert again.code == 2 and "no empty folder" in again.stderr
+    table = xfreqbench("import", "--conventions").stdout
+    assert all(name in table for name in [*CONVENTIONS, "spacing_wavelengths"])
     np.testing.assert_array_equal(levels_of(tmp_path / "out", 2), levels_of(tmp_path / "first", 2))
     assert (tmp_path / "out" / "freq.txt").read_text() == "0.915\n0.915\n"
 

@@ -29,18 +29,16 @@ SCENE = replace(simple_scenes(ONE_ELEMENT)["a wall and a pane between"], name="W
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    how: Any = {"interactions": ["specular", "refraction"], "rays": 50_000, "max_depth": 3, "paths": True}
     path = tmp_path_factory.mktemp("paths") / "data.h5"
-    return generate(
-        SCENE,
-        path,
-        CARRIERS_GHZ,
-        tx_positions=TX_M,
-        interactions=["specular", "refraction"],
-        rays=50_000,
-        max_depth=3,
-        maps=False,
-        paths=True,
-    )
+    return generate(SCENE, path, CARRIERS_GHZ, tx_positions=TX_M, maps=False, **how)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """One transmitter, without paths."""
+    path = tmp_path_factory.mktemp("plain") / "plain.h5"
+    return generate(SCENE, path, [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False)
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +94,7 @@ def test_deepmimo_gets_the_scene_and_its_materials_at_the_carrier(scenarios: Pat
 
 @pytest.fixture
 def deepmimo(scenarios: Path) -> Iterator[Any]:
-    package = pytest.importorskip(
-        "deepmimo", reason="the package deepmimo is not here: pip install 'xfreqbench[deepmimo]'"
-    )
+    package = pytest.importorskip("deepmimo", reason="deepmimo is not here: pip install 'xfreqbench[deepmimo]'")
     package.config.set("scenarios_folder", str(scenarios))
     yield package
     package.config.reset()
@@ -158,12 +154,16 @@ def test_the_arrays_are_those_of_sionna_rt(data: PasDataset, tmp_path: Path) -> 
     assert objects[:, 0, 0, 1].tolist() == ["pane, between", "wall"]
 
 
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
+    """Three transmitters of 23 dBm at two carriers, each polarization sent and heard."""
+    scene, path = replace(SCENE, transmitters=replace(GRID, power_dbm=23.0)), tmp_path_factory.mktemp("both") / "d.h5"
+    how: Any = {"tx_positions": TX_M, "interactions": ["specular", "refraction"], "max_depth": 2, "paths": True}
+    return generate(scene, path, CARRIERS_GHZ, polarization=["V", "H"], maps=False, **how)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_a_table_has_powers_and_spreads_of_every_link(tmp_path: Path, suffix: str) -> None:
-    """Of three transmitters at two carriers, each polarization sent and heard: pandas reads what Python has."""
-    scene = replace(SCENE, transmitters=replace(GRID, power_dbm=23.0))
-    how: dict[str, Any] = {"tx_positions": TX_M, "interactions": ["specular", "refraction"], "max_depth": 2}
-    both = generate(scene, tmp_path / "d.h5", CARRIERS_GHZ, polarization=["V", "H"], maps=False, paths=True, **how)
+def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path: Path, suffix: str) -> None:
     words = () if suffix == "csv" else ("--power-dbm", "10")
     output = tmp_path / f"links.{suffix}"
     assert xfreqbench("export", both.path, "-o", output, "--to", "table", *words, "-q").code == 0
@@ -193,30 +193,20 @@ def test_a_table_has_powers_and_spreads_of_every_link(tmp_path: Path, suffix: st
         np.testing.assert_array_equal(by_numpy["gain_db"], table.gain_db)
 
 
-def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, tmp_path: Path) -> None:
-    plain = generate(SCENE, tmp_path / "plain.h5", [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False)
+def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, plain: PasDataset, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"states no transmit power\. Give it, as in received_power_dbm"):
         plain.received_power_dbm()
     told = xfreqbench("export", plain.path, "-o", tmp_path / "t.csv", "--to", "table")
     assert told.code == 0 and "holds no paths, of which local means" in told.stdout
     table = pandas.read_csv(tmp_path / "t.csv")
-    assert table.columns[table.isna().all()].tolist() == [
-        "receiver",
-        "received_power_dbm",
-        "local_mean_db",
-        "num_paths",
-        "k_factor_db",
-        "delay_spread_ns",
-        "arrival_azimuth_spread_deg",
-        "arrival_zenith_spread_deg",
-        "departure_azimuth_spread_deg",
-        "departure_zenith_spread_deg",
-    ]
+    spreads = [f"{end}_{angle}_spread_deg" for end in ("arrival", "departure") for angle in ("azimuth", "zenith")]
+    known = ["receiver", "received_power_dbm", "local_mean_db", "num_paths", "k_factor_db", "delay_spread_ns"]
+    assert table.columns[table.isna().all()].tolist() == [*known, *spreads]
     again = xfreqbench("export", data.path, "-o", tmp_path / "t.csv", "--to", "table")
     assert again.code == 2 and "t.csv exists and is not written over" in again.stderr
 
 
-def test_the_command_says_what_it_needs(data: PasDataset, tmp_path: Path) -> None:
+def test_the_command_says_what_it_needs(data: PasDataset, plain: PasDataset, tmp_path: Path) -> None:
     told = xfreqbench("export", data.path, "-o", tmp_path / "out", "--to", "deepmimo", "-q")
     assert told.code == 0
     for words, refusal in (
@@ -228,7 +218,6 @@ def test_the_command_says_what_it_needs(data: PasDataset, tmp_path: Path) -> Non
         outcome = xfreqbench("export", data.path, "-o", tmp_path / "other", *words)
         assert (outcome.code, (tmp_path / "other").exists()) == (2, False)
         assert refusal in outcome.stderr
-    plain = generate(SCENE, tmp_path / "plain.h5", [2.4], tx_positions=TX_M[:1], rays=1000, max_depth=1, maps=False)
     outcome = xfreqbench("export", plain.path, "-o", tmp_path / "other", "--to", "deepmimo")
     assert "plain.h5 holds no paths. Generate it with --paths." in outcome.stderr
     outcome = xfreqbench("export", data.path, "-o", tmp_path / "out", "--to", "sionna-npz")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,20 +13,11 @@ from pydantic_core import from_json
 
 from tests.support import descent
 from tests.support.clock import set_clock
-from tests.support.descent import (
-    NUM_STEPS,
-    Descent,
-    DescentConfig,
-    Forgetful,
-    curve,
-    killed_after_three_checkpoints,
-    make_job,
-    maps,
-)
+from tests.support.damage import flip
+from tests.support.descent import NUM_STEPS, Descent, DescentConfig, Forgetful, curve, make_job, maps
 from tests.support.stub_methods import run_job, run_jobs
-from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
+from xfreqbench.errors import DataError, DivergenceError, MethodError
 from xfreqbench.methods import fitting
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
@@ -33,11 +25,6 @@ from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.sealed import SEAL, content_sha256
 
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return paper_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=3)
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +51,7 @@ def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(dataset
     results = tmp_path / "killed"
     code = f"from tests.support import descent; descent.fit_half({str(dataset.path)!r}, {str(results)!r})"
     folder = CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id)
-    saved = killed_after_three_checkpoints(code, folder)
+    saved = descent.killed_after_three_checkpoints(code, folder)
     assert not (results / "records.jsonl").exists()
 
     Descent.num_steps_done = 0
@@ -133,9 +120,7 @@ def test_a_short_fit_leaves_no_trace_of_checkpoints(dataset: PasDataset, tmp_pat
 def test_a_damaged_checkpoint_is_told_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
     interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
     (damaged,) = tmp_path.glob("checkpoints/*/*/method/maps.npz")
-    content = bytearray(damaged.read_bytes())
-    content[-1000] ^= 1
-    damaged.write_bytes(content)
+    flip(damaged, damaged.stat().st_size - 1000)
     jobs = [make_job(dataset, max_steps=4), make_job(dataset, max_steps=10)]
     with pytest.raises(DataError, match=r"checkpoints/\w+ is damaged: maps\.npz .*Delete that folder"):
         run_jobs(jobs, tmp_path)
@@ -157,13 +142,13 @@ def test_a_fit_that_diverges_names_its_job_and_its_last_good_checkpoint(
     assert "--set learning_rate=" in str(raised.value)
 
 
-def save(folder: CheckpointFolder, step: int, method: Descent | None = None) -> None:
-    folder.write(method or Descent(), Fit(step, math.nan, 2.5, 0.25, {"gaussians": 3.0}), ())
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> CheckpointFolder:
     return CheckpointFolder(tmp_path / "checkpoints" / "abc", "abc")
+
+
+def save(folder: CheckpointFolder, step: int, method: Descent | None = None) -> None:
+    folder.write(method or Descent(), Fit(step, math.nan, 2.5, 0.25, {"gaussians": 3.0}), ())
 
 
 def names(folder: CheckpointFolder) -> list[str]:
@@ -172,19 +157,14 @@ def names(folder: CheckpointFolder) -> list[str]:
 
 def test_a_checkpoint_comes_back_as_it_was_written(folder: CheckpointFolder) -> None:
     assert folder.read() is None
-    save(folder, 7)
+    for step in (1, 2, 7):
+        save(folder, step)
+    assert names(folder) == ["3"]  # the newest is kept alone
     checkpoint = folder.read()
     assert math.isnan(checkpoint.loss)
     assert (checkpoint.fit.step, checkpoint.fit.seconds, checkpoint.fit.share) == (7, 2.5, 0.25)
     assert checkpoint.fit.counts == {"gaussians": 3}
     assert sorted(checkpoint.sha256) == ["maps.npz", "state.json"]
-
-
-def test_only_the_newest_checkpoint_is_kept(folder: CheckpointFolder) -> None:
-    for step in range(1, 12):
-        save(folder, step)
-    assert names(folder) == ["11"]
-    assert folder.read().step == 11
 
 
 def test_a_fit_that_goes_on_while_its_checkpoint_is_read_is_not_called_damaged(
@@ -255,38 +235,36 @@ def test_a_link_in_a_checkpoints_place_is_not_followed(folder: CheckpointFolder,
     assert (somebodys / "1" / "thesis.tex").exists() and not folder.path.is_symlink()
 
 
-def test_a_checkpoint_of_another_job_is_refused(folder: CheckpointFolder) -> None:
-    save(folder, 1)
-    with pytest.raises(DataError, match=r"checkpoints/abc belongs to job abc, not to xyz\. Delete"):
-        CheckpointFolder(folder.path, "xyz").read()
+def sealed(name: str, value: object) -> Callable[[str], str]:
+    """A change of one number of a state, which then has the hash of what it says."""
+
+    def change(text: str) -> str:
+        content = from_json(json.dumps({**json.loads(text), name: value}))
+        del content[SEAL]
+        return json.dumps(content | {SEAL: content_sha256(content)})
+
+    return change
 
 
-def test_a_checkpoint_without_its_state_is_refused(folder: CheckpointFolder) -> None:
-    save(folder, 1)
-    (folder.path / "1" / "checkpoint.json").write_text("{}")
-    with pytest.raises(DataError, match="cannot be read"):
-        folder.read()
-
-
-def test_a_checkpoint_whose_state_was_changed_is_refused(folder: CheckpointFolder) -> None:
-    save(folder, 7)
-    state = folder.path / "1" / "checkpoint.json"
-    state.write_text(state.read_text().replace('"step":7', '"step":8'))
-    with pytest.raises(DataError, match=r"it was changed after it was written.*Delete that folder"):
-        folder.read()
-
-
-@pytest.mark.parametrize(("name", "value"), [("seconds", -1.0), ("seconds", "NaN"), ("step", 10**400)])
-def test_a_checkpoint_with_a_time_or_step_that_no_fit_has_is_refused(
-    folder: CheckpointFolder, name: str, value: object
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda text: "{}", "cannot be read"),
+        (lambda text: text.replace('"step":7', '"step":8'), "it was changed after it was written.*Delete that folder"),
+        (sealed("seconds", -1.0), "cannot be read: seconds: "),
+        (sealed("seconds", "NaN"), "cannot be read: seconds: "),
+        (sealed("step", 10**400), "cannot be read: step: "),
+    ],
+)
+def test_a_checkpoint_of_another_job_or_with_another_state_is_refused(
+    folder: CheckpointFolder, change: Callable[[str], str], told: str
 ) -> None:
     save(folder, 7)
+    with pytest.raises(DataError, match=r"checkpoints/abc belongs to job abc, not to xyz\. Delete"):
+        CheckpointFolder(folder.path, "xyz").read()
     state = folder.path / "1" / "checkpoint.json"
-    content = json.loads(state.read_text())
-    del content[SEAL]
-    content = from_json(json.dumps(content | {name: value}))
-    state.write_text(json.dumps(content | {SEAL: content_sha256(content)}))
-    with pytest.raises(DataError, match=f"cannot be read: {name}: "):
+    state.write_text(change(state.read_text()))
+    with pytest.raises(DataError, match=told):
         folder.read()
 
 
@@ -303,9 +281,3 @@ def test_a_method_that_comes_back_with_another_configuration_is_refused(folder: 
     assert folder.load(Descent(DescentConfig(0.125))).config == DescentConfig(0.125)
     with pytest.raises(DataError, match=r"has configuration .*0\.125.*but the job has .*0\.5"):
         folder.load(Descent())
-
-
-def test_a_place_without_room_for_checkpoints_is_a_storage_error(tmp_path: Path) -> None:
-    (tmp_path / "checkpoints").write_text("a file")
-    with pytest.raises(StorageError, match="checkpoints/abc"):
-        save(CheckpointFolder(tmp_path / "checkpoints" / "abc", "abc"), 1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.stored_records import make_record
-from xfreqbench.errors import ClusterError, DataError, StorageError
+from xfreqbench.errors import ClusterError, DataError
 from xfreqbench.runs import folder as folder_module
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.predictions import write_predictions
@@ -88,9 +88,3 @@ def test_predictions_that_are_absent_or_of_another_split_are_refused(tmp_path: P
     store_predictions(folder, record, "c" * 64)
     with pytest.raises(DataError, match="another split"):
         folder.predictions(record)
-
-
-def test_a_place_where_no_folder_can_be_is_a_storage_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="file"):
-        ResultsFolder(tmp_path / "file").require_writable()

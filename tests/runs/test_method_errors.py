@@ -11,18 +11,14 @@ import numpy as np
 import pytest
 from xfreqbench.baselines.nearest import Nearest
 
-from tests.support.stub_methods import lofo_job, run_job, run_jobs
+from tests.support.fuzzing.common import xfreqbench
+from tests.support.stub_methods import lofo_job, run_job
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
-from xfreqbench.errors import DataError, MethodError, RunsFailedError
+from xfreqbench.errors import DataError, MethodError
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import checkpoints, records
-
-
-class FailsInPredict(Nearest):
-    def predict(self, tx_position_m, carrier_hz):
-        return {}["map"]
 
 
 class Leaving(Nearest):
@@ -73,37 +69,13 @@ class Faint(Nearest):
         return maps
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        (
-            "tests.support.stub_methods:FailsInFit",
-            r"failed in fit on split 'lofo-24\.25GHz': RuntimeError: no memory left \(.*stub_methods\.py",
-        ),
-        (
-            f"{__name__}:FailsInPredict",
-            r"failed in predict on split 'lofo-24\.25GHz': KeyError: 'map' \(.*test_method_errors\.py",
-        ),
-    ],
-)
-def test_a_method_that_fails_is_named_and_stops_no_other_job(
-    dataset: PasDataset, tmp_path: Path, name: str, words: str
-) -> None:
-    jobs = [lofo_job(dataset), lofo_job(dataset, name), lofo_job(dataset, "line-of-sight")]
-    with pytest.raises(RunsFailedError, match=rf"1 of 3 runs failed; .*\n{name} on lofo-24\.25GHz, seed 0: .*{words}"):
-        run_jobs(jobs, tmp_path)
-    kept = [record.job.method for record in records.read(tmp_path / "records.jsonl").records]
-    assert kept == ["nearest", "line-of-sight"]
-
-
 PARTS = ("fit", "predict", "save", "findings")
+ERRORS = (GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
 
 
-ERRORS = (SystemExit(0), GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
-
-
-@pytest.mark.parametrize("part", PARTS)
-@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize(
+    ("part", "error"), [*((part, SystemExit(0)) for part in PARTS), *(("fit", error) for error in ERRORS)], ids=repr
+)
 def test_whatever_a_method_raises_names_the_method_and_the_part(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, error: BaseException
 ) -> None:
@@ -150,36 +122,41 @@ import os
 from xfreqbench.baselines.nearest import Nearest
 
 class Forking(Nearest):
+    fails = False
+
     def fit(self, train, budget, seed):
         self.child = os.fork()
         yield from super().fit(train, budget, seed)
         if self.child:
             os.waitpid(self.child, 0)
-        elif FAILS:
+        elif self.fails:
             raise RuntimeError("in the child")
+
+class Failing(Forking):
+    fails = True
 """
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path, fails: bool) -> None:
-    (tmp_path / "forking.py").write_text(FORKING.replace("FAILS", str(fails)))
-    options = f"run --data {dataset.path} --results results --targets 77 --quiet --method forking:Forking"
-    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
+def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path) -> None:
+    (tmp_path / "forking.py").write_text(FORKING)
+    options = f"--data {dataset.path} --results results --targets 77 --quiet --methods forking:Forking,forking:Failing"
+    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split()]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    # once before the clock starts, and once in the fit
-    assert done.stderr.count("it forked the process; the child ends here") == 2
-    assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 1
+    # each once before the clock starts, and once in the fit
+    assert done.stderr.count("it forked the process; the child ends here") == 4
+    assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 2
 
 
-def test_a_method_that_exits_does_not_look_like_success(dataset: PasDataset, tmp_path: Path) -> None:
+def test_a_method_that_exits_does_not_look_like_success(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "leaving.py").write_text("import sys\n\nsys.exit(0)\n")
-    options = f"run --data {dataset.path} --results results --targets 77 --method leaving:Method"
-    command = [sys.executable, "-m", "xfreqbench.cli", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 2
+    monkeypatch.syspath_prepend(tmp_path)
+    words = f"run --data {dataset.path} --results {tmp_path / 'results'} --targets 77 --method leaving:Method"
+    done = xfreqbench(*words.split())
+    assert done.code == 2
     assert "Method 'leaving:Method' cannot be imported: SystemExit: 0" in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("peak", [0.0, 1.0, 1e-7, 0.5])

@@ -1,8 +1,18 @@
-"""Small plans of a generation."""
+"""Small plans of a generation, what a killed one leaves, and scenes and data sets that are slightly changed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xfreqbench.data import batches
+from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -14,3 +24,27 @@ def small_plan(scene: str | Scene = "two_rooms", num_transmitters: int | None = 
     arguments = {"settings": SETTINGS, "num_transmitters": num_transmitters, **changes}
     loaded = load_scene(scene) if isinstance(scene, str) else scene
     return plan_generation(loaded, CARRIERS_HZ, **arguments)  # type: ignore[arg-type]
+
+
+def unfinished(plan: Plan, path: Path) -> Path:
+    """The folder of batches as a process leaves it that is killed before it writes the data set."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batches, "_remove", lambda folder: None)
+        generate_planned(plan, path).unlink()
+    return batches.batch_folder(path)
+
+
+def wall_moved(scene: Scene, shift_m: float) -> Scene:
+    """The scene with the wall at the greatest y moved along y."""
+    north = max(scene.surface, key=lambda surface: surface.min_m[1])
+    ends = {end: (x, y + shift_m, z) for end in ("min_m", "max_m") for x, y, z in [getattr(north, end)]}
+    return replace(scene, surface=tuple(replace(wall, **ends) if wall is north else wall for wall in scene.surface))
+
+
+def rewritten(dataset: PasDataset, path: Path, **tables: object) -> PasDataset:
+    """A data set with valid hashes and the same header, but other channels (`cfr`) or positions (`tx_position_m`)."""
+    held = {name: np.asarray(table) for name, table in {**dataset.tables, **tables}.items()}
+    samples = SampleBlock.of_channels(held["cfr"], held["num_paths"], dataset.beam, dataset.header.pas_kind)
+    with PasWriter(path, dataset.header) as writer:
+        writer.append(held["tx_position_m"], held["line_of_sight"].astype(bool), samples)
+    return open_dataset(path)

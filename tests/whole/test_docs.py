@@ -26,7 +26,7 @@ from tests.support.synthetic import write_dataset
 from tests.whole.test_tutorial import COMMANDS, FILES
 from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.splits import lofo
+from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
 from xfreqbench.report.leaderboard.shown_maps import ShownMaps
@@ -251,7 +251,7 @@ def test_the_table_of_attributes_is_that_of_the_files(tmp_path: Path) -> None:
 
 def test_the_table_of_split_files_names_every_variable(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", num_tx=2)
-    splits = lofo(dataset, [10e9])
+    splits = make_splits(dataset, "lofo", [10])
     write_handout(Handout(dataset, splits, maps=True), tmp_path / "split.h5")
     with h5py.File(tmp_path / "split.h5") as file:
         found = sorted(file[splits[0].name])

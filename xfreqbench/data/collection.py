@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from importlib.metadata import entry_points
 from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, overload
@@ -17,11 +15,11 @@ from jaxtyping import Int
 from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as record
 
-from xfreqbench.data.dataset import TENSORS, PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset, tensors_of, verify
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.errors import ArgumentError, DataError, UnknownNameError
 from xfreqbench.system.arguments import FilePath, Texts, checked
-from xfreqbench.system.files import read_bytes, write_text
+from xfreqbench.system.files import json_sha256, read_bytes, write_text
 from xfreqbench.system.remote import RemotePath, located
 from xfreqbench.types import IntArray
 from xfreqbench.units import format_ghz_list
@@ -119,13 +117,11 @@ class Collection:
     def __repr__(self) -> str:
         counts = ", ".join(f"{sum(room.type == name for room in self.rooms)} {name}" for name in self.types)
         subset = "" if len(self) == len(self.record.rooms) else f" of {len(self.record.rooms)}"
-        return "\n".join(
-            (
-                f"Collection {str(self.path)!r}",
-                f"family    {self.record.name}, sha256 {self.record.family_sha256[:12]}",
-                f"rooms     {len(self)}{subset}: {counts or 'none'}",
-                f"samples   {self.num_samples:,}, at {format_ghz_list(self.record.carrier_hz)}",
-            )
+        return (
+            f"Collection {str(self.path)!r}\n"
+            f"family    {self.record.name}, sha256 {self.record.family_sha256[:12]}\n"
+            f"rooms     {len(self)}{subset}: {counts or 'none'}\n"
+            f"samples   {self.num_samples:,}, at {format_ghz_list(self.record.carrier_hz)}"
         )
 
     @property
@@ -201,9 +197,7 @@ class Collection:
 
         Each is (map, tx_position_m, carrier_hz, cfr, room), as tensors; `room` is the room's number in this collection.
         """
-        for offered in entry_points(group=TENSORS, name="torch-rooms"):
-            return offered.load()(self)
-        raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
+        return tensors_of(self, "torch-rooms")
 
     def verify(self) -> None:
         """Read every byte of all data sets; raises `DataError` that names those that are missing, damaged or others."""
@@ -277,11 +271,6 @@ def room_of(folder: Path, file: str, seed: int, kind: str) -> Room:
     """The entry of a room whose data set is stored in a file of the folder; raises as `open_dataset` does."""
     dataset = open_dataset(folder / file)
     return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)
-
-
-def json_sha256(content: Mapping[str, Any]) -> str:
-    """Hash of what JSON can hold."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 @lru_cache(maxsize=_MAX_OPEN)

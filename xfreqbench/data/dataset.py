@@ -6,8 +6,6 @@ published as maps alone has no channels, and is read in the same way.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -35,7 +33,7 @@ from xfreqbench.data.paths import (
     stored_offsets,
     stored_totals,
 )
-from xfreqbench.data.recipe import Recipe, job_of
+from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import (
     AXIS,
@@ -57,7 +55,7 @@ from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.patches import components
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.cluster import differences
-from xfreqbench.system.files import require_own
+from xfreqbench.system.files import json_sha256, require_own
 from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
@@ -187,17 +185,14 @@ class PasDataset:
     def link_names(self) -> tuple[str | None, str | None]:
         """The receiver and the pair of polarizations that are shown; None where the file holds one alone."""
         receiver, pair = self.link
-        return (
-            self.receivers[receiver] if self.receivers else None,
-            self.polarizations[pair] if self.polarizations else None,
-        )
+        return (*self.receivers, None)[receiver], (*self.polarizations, None)[pair]
 
     @cached_property
     def sha256(self) -> str:
         """Hash of the file's content; in a file of several links, of that and of which one is shown."""
         if not self.file_header.link_axes:
             return self.file_sha256
-        return hashlib.sha256(json.dumps([self.file_sha256, *self.link]).encode()).hexdigest()
+        return json_sha256([self.file_sha256, *self.link])
 
     @property
     def grid(self) -> AngularGrid:
@@ -213,9 +208,8 @@ class PasDataset:
         """
         try:
             scene = TypeAdapter(Scene).validate_json(self.header.scene_json)
-            stated = {
-                name: self.header.settings[name] for name in scene.mirror_settings if name in self.header.settings
-            }
+            settings = self.header.settings
+            stated = {name: settings[name] for name in scene.mirror_settings if name in settings}
             return replace(scene, **(stated or {"mirrors": "facets"})) if scene.scene else scene
         except ValidationError as error:
             raise DataError(
@@ -239,7 +233,7 @@ class PasDataset:
             how = self.scene, self.trace_settings
         except DataError:
             with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "hashes"):
-                return Recipe.of_content(self.header.scene_name, hdf5.values_sha256(file))
+                return Recipe(self.header.scene_name, OF_CONTENT, hdf5.values_sha256(file))
         return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
     @property
@@ -371,21 +365,10 @@ class PasDataset:
         dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
         of_file = {variable.name: variable for variable in variables(self.header, self.grid)}
         where = {TX: self.tx_index, CARRIER: self.carrier_hz, "tx_position_m": self.tx_position_m}
-        of_samples = where | {
-            "line_of_sight": self.line_of_sight,
-            "peak_power": self.peak_power,
-            "num_paths": self.num_paths,
-            **({"cfr": self.cfr} if self.header.channels else {}),
-            "pas": self.pas(),
-        }
-        arrays = {
-            name: (
-                dims.get(name, "sample"),
-                values,
-                {"units": of_file[name].units, "long_name": of_file[name].long_name},
-            )
-            for name, values in of_samples.items()
-        }
+        names = ("line_of_sight", "peak_power", "num_paths", *(["cfr"] if self.header.channels else []))
+        of_samples = where | {name: getattr(self, name) for name in names} | {"pas": self.pas()}
+        about = {name: {"units": of_file[name].units, "long_name": of_file[name].long_name} for name in of_samples}
+        arrays = {name: (dims.get(name, "sample"), values, about[name]) for name, values in of_samples.items()}
         angles = {ELEVATION: np.degrees(self.grid.elevation_rad), AZIMUTH: np.degrees(self.grid.azimuth_rad)}
         axes = {name: (name, values, {"units": of_file[name].units}) for name, values in angles.items()}
         title = {"scene": self.header.scene_name, "recipe": self.recipe.name, "source": str(self.path)}
@@ -431,11 +414,8 @@ class PasDataset:
 
     def _require_paths(self) -> None:
         if OFFSET not in self.tables:
-            raise DataError(
-                f"{self.path} is shown to methods without its paths."
-                if self.header.paths
-                else f"{self.path} holds no paths. Generate it with --paths."
-            )
+            hidden, absent = "is shown to methods without its paths.", "holds no paths. Generate it with --paths."
+            raise DataError(f"{self.path} {hidden if self.header.paths else absent}")
 
     @checked
     def statistics(self, num_tx: PositiveInt = 200, seed: int = 0) -> Any:
@@ -475,9 +455,7 @@ class PasDataset:
         spawned ones may read too. It is `TensorSamples` of `xfreqbench.methods.learning.samples`, found by its entry
         point: this floor knows no PyTorch. Raises `DataError` where the installation lacks the entry point.
         """
-        for offered in entry_points(group=TENSORS, name="torch"):
-            return offered.load()(self)
-        raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
+        return tensors_of(self, "torch")
 
     def subset(self, rows: Rows | int) -> PasDataset:
         """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
@@ -557,6 +535,13 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
             raise ValueError(f"dataset {name!r} holds angles that do not ascend")
     if (np.abs(tables["tx_position_m"]) > FAR_M).any():
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
+
+
+def tensors_of(data: object, name: str) -> Any:
+    """Samples for a loader of another library, by the entry point of that name; raises `DataError` without one."""
+    for offered in entry_points(group=TENSORS, name=name):
+        return offered.load()(data)
+    raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
 
 
 def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:

@@ -52,10 +52,8 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
     """
     scene = traced_scene(dataset, folder)
     if scene.scene is None or scene.least_patch is None:
-        raise DataError(
-            f"{dataset.path} leaves no mirror out: "
-            + ("its scene has no meshes." if scene.scene is None else "its scene says mirrors = 'facets'.")
-        )
+        why = "has no meshes" if scene.scene is None else "says mirrors = 'facets'"
+        raise DataError(f"{dataset.path} leaves no mirror out: its scene {why}.")
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
     both, tx_m = (scene, replace(scene, mirrors="facets")), positions_m[np.sort(rows)]

@@ -23,7 +23,7 @@ import numpy as np
 
 from xfreqbench.errors import DataError, StorageError, XFreqBenchError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
-from xfreqbench.system.files import atomic_path, storage_errors
+from xfreqbench.system.files import atomic_path, json_sha256, storage_errors
 from xfreqbench.system.remote import RemotePath
 from xfreqbench.types import NDArray
 
@@ -301,8 +301,7 @@ def sealed_sha256(file: Any) -> str:
 
 def values_sha256(file: Any) -> str:
     """A hash over the stored hashes of all data: names, types, shapes, units and values, but no header."""
-    hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
-    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+    return json_sha256({name: _text(file[name], "sha256") for name in _dataset_names(file)})
 
 
 def text_attributes(file: Any) -> dict[str, str]:
@@ -405,8 +404,7 @@ def _seal_of(file: Any) -> str:
     hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
     groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
     header = {name: text for name, text in text_attributes(file).items() if name not in _NOT_SEALED}
-    content = [hashes, header, *([groups] if groups else [])]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return json_sha256([hashes, header, *([groups] if groups else [])])
 
 
 def _dataset_names(file: Any) -> list[str]:

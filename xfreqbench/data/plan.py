@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,6 +35,7 @@ from xfreqbench.scene.polygons import extents_m
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
+from xfreqbench.system.files import json_sha256
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.system.source import package_sha256
 from xfreqbench.tracing.solvers import resolve_solver
@@ -174,7 +173,7 @@ class Plan:
     @cached_property
     def sha256(self) -> str:
         """Hash of `job`: plans of the same hash give the same bytes."""
-        return hashlib.sha256(json.dumps(self.job, sort_keys=True).encode()).hexdigest()
+        return json_sha256(self.job)
 
     @property
     def batches(self) -> list[slice]:

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import Scene
+from xfreqbench.system.files import json_sha256
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 
@@ -57,7 +58,7 @@ class Recipe:
     ) -> Recipe:
         """The recipe of channels that were traced in a scene; the header tells the rest."""
         drawn = "image" if settings.solver == "image" else settings.rays
-        physics = _sha256(
+        physics = json_sha256(
             {
                 "version": header.physics,
                 "scene": _scene_content(scene, header),
@@ -74,12 +75,7 @@ class Recipe:
             "directions_deg": [np.degrees(a).round(6).tolist() for a in (grid.elevation_rad, grid.azimuth_rad)],
             "pas_kind": header.pas_kind,
         }
-        return cls(header.scene_name, header.physics, _sha256(samples), physics)
-
-    @classmethod
-    def of_content(cls, scene_name: str, content_sha256: str) -> Recipe:
-        """The recipe of data that do not say how they were made: the hash of their content."""
-        return cls(scene_name, OF_CONTENT, content_sha256)
+        return cls(header.scene_name, header.physics, json_sha256(samples), physics)
 
     @property
     def id(self) -> str:
@@ -144,7 +140,3 @@ def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
         del surface["name"]
     meshes = {"meshes": header.scene_sha256, **scene.mirror_settings} if scene.scene else {}
     return content | meshes | scene.antenna_settings
-
-
-def _sha256(content: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

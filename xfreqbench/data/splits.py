@@ -40,8 +40,6 @@ rows and test on those. Their protocol is called `lofo-validation`, and so on.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -63,6 +61,7 @@ from xfreqbench.data.validation import (
 )
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.system.arguments import CarriersGhz, checked
+from xfreqbench.system.files import json_sha256
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import band_text, format_ghz, format_ghz_list, ghz_to_hz
 
@@ -149,8 +148,7 @@ class Split:
         """Hash of the name, the protocol, its version, and the numbers of all samples."""
         rows = [self.train.tolist(), self.test.tolist()]
         others = [self.receivers] if self.receivers else []
-        content = json.dumps([self.name, self.protocol, self.version, *rows, *others])
-        return hashlib.sha256(content.encode()).hexdigest()
+        return json_sha256([self.name, self.protocol, self.version, *rows, *others])
 
     def training_part(self, dataset: PasDataset) -> PasDataset:
         """What a method is given to train on, of the data set that the split was made of."""
@@ -167,65 +165,33 @@ def _require_directions(dataset: PasDataset) -> None:
         )
 
 
-def lofo(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
-    """A split for each carrier in `targets_hz`; raises `ProtocolError` where the data lack it, or have no other."""
-    return _lofo_splits(dataset, "lofo", targets_hz, np.ones(len(dataset), bool), np.zeros(len(dataset), bool))
-
-
-def sparse_frequency(dataset: PasDataset, test_hz: float = SPARSE_TEST_HZ) -> list[Split]:
+def _sparse_splits(dataset: PasDataset) -> list[Split]:
     """The splits of which the data have all carriers; raises `ProtocolError` where there is none."""
     trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ]
-    served = [training_hz for training_hz in trainings if np.isin([test_hz, *training_hz], dataset.carrier_hz).all()]
+    present_hz = {*np.unique(dataset.carrier_hz).tolist()}
+    served = [training_hz for training_hz in trainings if present_hz >= {SPARSE_TEST_HZ, *training_hz}]
     if not served:
-        raise _sparse_error(dataset, test_hz, trainings)
-    splits = []
+        raise _sparse_error(dataset, trainings)
+    splits, tested = [], format_ghz(SPARSE_TEST_HZ)
     for training_hz in served:
-        name = f"sparse-{format_ghz(test_hz)}-from-{format_ghz_list(training_hz).replace(', ', '-')}".replace(" ", "")
+        name = f"sparse-{tested}-from-{format_ghz_list(training_hz).replace(', ', '-')}".replace(" ", "")
         trained = np.isin(dataset.carrier_hz, training_hz)
-        splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == test_hz))
+        splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == SPARSE_TEST_HZ))
     return splits
 
 
-def _sparse_error(dataset: PasDataset, test_hz: float, trainings: Sequence[Sequence[float]]) -> ProtocolError:
+def _sparse_error(dataset: PasDataset, trainings: Sequence[Sequence[float]]) -> ProtocolError:
     """What to generate for at least one split that tests at a carrier and trains at some of several sets of them."""
     trained = "; or ".join(map(format_ghz_list, trainings))
-    asked = ",".join(f"{carrier / 1e9:g}" for carrier in sorted([test_hz, *trainings[0]]))
+    asked = ",".join(f"{carrier / 1e9:g}" for carrier in sorted([SPARSE_TEST_HZ, *trainings[0]]))
     return ProtocolError(
-        f"Protocol 'sparse' tests {format_ghz(test_hz)} and trains on {trained}, but the data set has "
+        f"Protocol 'sparse' tests {format_ghz(SPARSE_TEST_HZ)} and trains on {trained}, but the data set has "
         f"{format_ghz_list(np.unique(dataset.carrier_hz))}. Generate data with the carriers {asked} (in GHz) or more, "
         "or run protocol 'lofo' with targets that the data set has."
     )
 
 
-def held_out_tx(dataset: PasDataset) -> list[Split]:
-    """One split, its fifth the same at every call; raises `ProtocolError` for fewer than two transmitters."""
-    unseen = _is_unseen(dataset)
-    return [Split.of(dataset, "held-out-tx", "held-out-tx", ~unseen, unseen)]
-
-
-def lofo_unseen_tx(dataset: PasDataset, targets_hz: Sequence[float] = LOFO_TARGETS_HZ) -> list[Split]:
-    """A split for each carrier in `targets_hz`, of the transmitters of `held_out_tx`; raises as both."""
-    unseen = _is_unseen(dataset)
-    return _lofo_splits(dataset, "lofo-unseen-tx", targets_hz, unseen, unseen)
-
-
-def held_out_block(dataset: PasDataset) -> list[Split]:
-    """One split, the same at every call; raises `ProtocolError` where no transmitter is left to train on.
-
-    The floor is halved again and again across its longer side into ten regions of equally many transmitters. Of fewer
-    than ten transmitters each is a region.
-    """
-    masks = _block_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
-    return [Split.of(dataset, "held-out-block", "held-out-block", *masks)]
-
-
-def random_samples(dataset: PasDataset) -> list[Split]:
-    """One split, its fifth the same at every call; raises `ProtocolError` where no sample is left for a part."""
-    masks = _sample_masks(dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
-    return [Split.of(dataset, "random-samples", "random-samples", *masks)]
-
-
-def held_out_receiver(dataset: PasDataset) -> list[Split]:
+def _held_out_receiver_splits(dataset: PasDataset) -> list[Split]:
     """One split, of the receiver that is shown; raises `ProtocolError` for a file of one, or where nothing is heard."""
     held_out = dataset.link_names[0]
     if held_out is None:
@@ -244,17 +210,10 @@ def held_out_receiver(dataset: PasDataset) -> list[Split]:
     return [Split(name, HELD_OUT_RECEIVER, PROTOCOL_VERSION, nothing, test, num_without_path, True, 0.0, trained)]
 
 
-_BY_TARGET = {"lofo": lofo, "lofo-unseen-tx": lofo_unseen_tx}
-_WHOLE = {
-    "sparse": sparse_frequency,
-    "held-out-tx": held_out_tx,
-    "held-out-block": held_out_block,
-    "random-samples": random_samples,
-    "held-out-receiver": held_out_receiver,
-}
 PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")  # of any file
 HELD_OUT_RECEIVER = "held-out-receiver"  # of a file with several
 VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
+_BY_TARGET = ("lofo", "lofo-unseen-tx")
 _AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
 
 
@@ -283,11 +242,16 @@ def make_splits(
             targets_hz = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
         else:
             targets_hz = list(map(ghz_to_hz, targets_ghz or LOFO_TARGETS_GHZ))
-        splits = _BY_TARGET[protocol](dataset, list(dict.fromkeys(targets_hz)))
+        splits = _lofo_splits(dataset, protocol, list(dict.fromkeys(targets_hz)))
     elif targets_ghz is not None:
         raise ProtocolError(f"Protocol {protocol!r} chooses what it tests; leave the targets out.")
+    elif protocol == "sparse":
+        splits = _sparse_splits(dataset)
+    elif protocol == HELD_OUT_RECEIVER:
+        splits = _held_out_receiver_splits(dataset)
     else:
-        splits = _WHOLE[protocol](dataset)
+        masks = _MASKS[protocol](dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
+        splits = [Split.of(dataset, protocol, protocol, *masks)]
     if on == "test":
         return splits
     if protocol == HELD_OUT_RECEIVER:
@@ -296,7 +260,7 @@ def make_splits(
         inner = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
         if not inner:
             trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ[1:]]
-            raise _sparse_error(dataset, SPARSE_TEST_HZ, trainings)
+            raise _sparse_error(dataset, trainings)
         splits = inner
     return [_validation_split(dataset, split) for split in splits]
 
@@ -308,7 +272,7 @@ def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
         return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
     if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
         targets = {_target_name(dataset, protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()}
-        return _BY_TARGET[protocol](dataset, [_named(targets, protocol, name)])[0]
+        return _lofo_splits(dataset, protocol, [_named(targets, protocol, name)])[0]
     return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
 
 
@@ -329,10 +293,13 @@ def _is_alike(carrier_hz: Float[FloatArray, "n"], target_hz: float) -> Bool[NDAr
     return np.isclose(carrier_hz, target_hz, rtol=SAME_CARRIER, atol=0)
 
 
-def _lofo_splits(
-    dataset: PasDataset, protocol: str, targets_hz: Sequence[float], tested: Mask, never_trained: Mask
-) -> list[Split]:
-    """A split for each target: some samples are tested there, and some are trained on nowhere."""
+def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]) -> list[Split]:
+    """A split for each target: all samples, or those of the held-out transmitters, are tested there.
+
+    Raises `ProtocolError` where the data lack a target, or have no other carrier.
+    """
+    every = np.ones(len(dataset), bool)
+    trained, tested = (every, every) if protocol == "lofo" else _tx_masks(dataset, every, UNSEEN_SHARE)
     present_hz = np.unique(dataset.carrier_hz)
     if missing_hz := [carrier for carrier in targets_hz if carrier not in present_hz]:
         raise ProtocolError(
@@ -348,14 +315,15 @@ def _lofo_splits(
                 "Generate more."
             )
         is_tested, name = (dataset.carrier_hz == target_hz) & tested, _target_name(dataset, protocol, target_hz)
-        splits.append(Split.of(dataset, name, protocol, is_left & ~never_trained, is_tested))
+        splits.append(Split.of(dataset, name, protocol, is_left & trained, is_tested))
     return splits
 
 
-def _is_unseen(dataset: PasDataset) -> Mask:
-    """Whether each sample is of a held-out transmitter."""
-    number = max(1, round(UNSEEN_SHARE * len(np.unique(dataset.place_index))))
-    return np.isin(dataset.place_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+def _tx_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
+    """Which of the offered samples are trained on, and which are tested: those of a share of the transmitters."""
+    number = max(1, round(share * len(np.unique(dataset.place_index))))
+    unseen = np.isin(dataset.place_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+    return is_offered & ~unseen, is_offered & unseen
 
 
 def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
@@ -375,7 +343,11 @@ def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[
 
 
 def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
-    """Which samples are trained on, and which are tested: a share of the offered transmitters, whole regions."""
+    """Which samples are trained on, and which are tested: a share of the offered transmitters, whole regions.
+
+    The floor is halved again and again across its longer side into ten regions of equally many transmitters. Of fewer
+    than ten transmitters each is a region.
+    """
     places, first = np.unique(dataset.place_index[is_offered], return_index=True)
     position_m = dataset.tx_position_m[is_offered][first]
     num_blocks = min(NUM_BLOCKS, len(places))
@@ -385,6 +357,9 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
     trained, tested = places[~is_tested & ~is_near], places[is_tested]
     return np.isin(dataset.place_index, trained), np.isin(dataset.place_index, tested)
+
+
+_MASKS = {"held-out-tx": _tx_masks, "held-out-block": _block_masks, "random-samples": _sample_masks}
 
 
 def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:

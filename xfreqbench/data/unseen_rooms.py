@@ -28,6 +28,7 @@ from xfreqbench.data.collection import Collection, Part
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError
 from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.system.files import json_sha256
 from xfreqbench.types import IntArray
 from xfreqbench.units import format_ghz_list, ghz_to_hz
 
@@ -74,7 +75,7 @@ class RoomSplit:
         """Hash of the protocol, its version, the rooms that are trained on, and those that are tested."""
         told = [self.protocol, ROOM_PROTOCOL_VERSION, self.name]
         rooms = [[room.sha256 for room in part.rooms] for part in (self.collection.part("train"), self.rooms)]
-        return hashlib.sha256(json.dumps([*told, *rooms]).encode()).hexdigest()
+        return json_sha256([*told, *rooms])
 
     def questions(self) -> Iterator[RoomQuestion]:
         """What is heard and what is asked in each room, in turn."""

@@ -98,26 +98,19 @@ def _tables(paths: RaggedPaths, carrier: int, carrier_hz: float) -> dict[str, An
 
 def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
     settings = dataset.trace_settings
-    allowed = {
-        name: settings.max_depth if name in settings.named_interactions else 0 for name in ("specular", "refraction")
-    }
+    named = settings.named_interactions
     return {
         "raytracer_name": f"xfreqbench, solver {settings.solver}",
         "raytracer_version": metadata.version("xfreqbench"),
         "frequency": carrier_hz,
         "max_path_depth": settings.max_depth,
-        "max_reflections": allowed["specular"],
-        "max_transmissions": allowed["refraction"],
-        "max_diffractions": int("diffraction" in settings.named_interactions),
+        "max_reflections": settings.max_depth if "specular" in named else 0,
+        "max_transmissions": settings.max_depth if "refraction" in named else 0,
+        "max_diffractions": int("diffraction" in named),
         "max_scattering": 0,
-        "diffuse_reflections": 0,
-        "diffuse_diffractions": 0,
-        "diffuse_transmissions": 0,
-        "diffuse_final_interaction_only": False,
-        "diffuse_random_phases": False,
-        "terrain_reflection": False,
-        "terrain_diffraction": False,
-        "terrain_scattering": False,
+        **dict.fromkeys(("diffuse_reflections", "diffuse_diffractions", "diffuse_transmissions"), 0),
+        **dict.fromkeys(("diffuse_final_interaction_only", "diffuse_random_phases"), False),
+        **dict.fromkeys(("terrain_reflection", "terrain_diffraction", "terrain_scattering"), False),
         "num_rays": settings.rays,
         "ray_casting_method": "uniform",
         "ray_casting_range_az": 360.0,

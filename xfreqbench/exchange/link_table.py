@@ -102,11 +102,14 @@ def _cells(values: NDArray[Any]) -> list[Any]:
 
 
 def _write_parquet(path: Path, columns: dict[str, NDArray[Any]]) -> None:
+    arrow = pyarrow_here()
+    arrow.parquet.write_table(arrow.table({name: arrow.array(each) for name, each in columns.items()}), path)
+
+
+def pyarrow_here() -> Any:
+    """The library pyarrow, which writes Parquet; raises `XFreqBenchError` where it is not installed."""
     try:
-        import pyarrow
-        from pyarrow import parquet
+        import pyarrow.parquet
     except ImportError as error:
-        raise XFreqBenchError(
-            'Parquet files need pyarrow. Run: pip install "xfreqbench[parquet]", or write CSV, to a name in .csv.'
-        ) from error
-    parquet.write_table(pyarrow.table({name: pyarrow.array(each) for name, each in columns.items()}), path)
+        raise XFreqBenchError('Parquet needs pyarrow. Run: pip install "xfreqbench[parquet]"') from error
+    return pyarrow

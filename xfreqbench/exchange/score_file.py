@@ -23,7 +23,6 @@ They are recorded as they are given, for nothing of them can be measured here. O
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -43,7 +42,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
 from xfreqbench.runs.records import External, Job, RunRecord
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
-from xfreqbench.system.files import exclusive, require_space, require_text
+from xfreqbench.system.files import exclusive, json_sha256, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
 Result = TypeVar("Result")
@@ -151,7 +150,7 @@ def score_file(
         [part.split.sha256, part.declared.model_dump_json(), maps]
         for part, maps in zip(parts, maps_sha256, strict=True)
     ]
-    sha256 = _json_sha256(sorted(content))  # the order of the parts does not matter
+    sha256 = json_sha256(sorted(content))  # the order of the parts does not matter
     scored = _each(parts, lambda part: _scored(part, dataset, data_name, sha256, folder), scoring)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
     given = {part.split.name for part in parts}
@@ -185,7 +184,7 @@ def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
 def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder: ResultsFolder) -> RunRecord:
     """The record of a part: the one in `folder` if it is there, else a new one, which is stored."""
     split, declared = part.split, part.declared
-    record_id = _json_sha256(["external", dataset.sha256, file_sha256, split.sha256, METRICS_VERSION])[:16]
+    record_id = json_sha256(["external", dataset.sha256, file_sha256, split.sha256, METRICS_VERSION])[:16]
     with exclusive(folder.run_lock_path(record_id)):
         record = folder.finished(record_id)
         if record is None:
@@ -209,10 +208,6 @@ def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder
             record = scored_record(record_id, job, dataset, split, path, outcome)
             folder.append(record)
     return record
-
-
-def _json_sha256(content: list[Any]) -> str:
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> list[Part]:

@@ -14,6 +14,7 @@ import numpy as np
 from xfreqbench.data.collection import PARTS, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.exchange.link_table import pyarrow_here
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
@@ -59,7 +60,10 @@ def export_shards(
     `XFreqBenchError` where pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
     """
     require_empty(folder)
-    write = _write_tar if to == "webdataset" else _parquet_writer()
+    write = _write_tar
+    if to == "datasets":
+        pyarrow_here()
+        write = _write_parquet
     splits = _splits(path)
     total, done = sum(map(_num_maps, splits.values())), 0
     with atomic_folder(folder) as temporary, storage_errors(folder):
@@ -127,23 +131,13 @@ def _write_tar(path: Path, columns: Columns, first: int) -> None:
                 tar.addfile(member, io.BytesIO(content))
 
 
-def _parquet_writer() -> Any:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise XFreqBenchError('Parquet needs the extra "parquet". Run: pip install "xfreqbench[parquet]"') from error
-
-    def write(path: Path, columns: Columns, first: int) -> None:
-        """A row a sample; a map is a list of fixed length, row by row."""
-        arrays = {}
-        for name, values in columns.items():
-            flat = pyarrow.array(np.ascontiguousarray(values).ravel())
-            size = values[0].size
-            arrays[name] = flat if values.ndim == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, size)
-        pyarrow.parquet.write_table(pyarrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
-
-    return write
+def _write_parquet(path: Path, columns: Columns, first: int) -> None:
+    """A row a sample; a map is a list of fixed length, row by row."""
+    arrow, arrays = pyarrow_here(), {}
+    for name, values in columns.items():
+        flat = arrow.array(np.ascontiguousarray(values).ravel())
+        arrays[name] = flat if values.ndim == 1 else arrow.FixedSizeListArray.from_arrays(flat, values[0].size)
+    arrow.parquet.write_table(arrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
 
 
 def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) -> str:

@@ -15,8 +15,6 @@ data set and split. `xfreqbench.exchange.score_file` says which of them a file o
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +27,7 @@ from xfreqbench.data.hdf5 import SealedWriter, Variable, create_sealed, open_sea
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError, ProtocolError
 from xfreqbench.runs.scoring import BATCH_SIZE
-from xfreqbench.system.files import require_own
+from xfreqbench.system.files import json_sha256, require_own
 from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
 
 SCHEMA = "xfreqbench/split/1"
@@ -56,8 +54,7 @@ class Handout:
     @property
     def sha256(self) -> str:
         """Hash of everything that determines the file's content."""
-        content = [SCHEMA, self.dataset.sha256, [split.sha256 for split in self.splits], self.maps]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return json_sha256([SCHEMA, self.dataset.sha256, [split.sha256 for split in self.splits], self.maps])
 
     @property
     def num_maps(self) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import codecs
 import errno
 import glob
+import hashlib
+import json
 import os
 import platform
 import re
@@ -15,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -320,3 +323,8 @@ def read_text(path: Path) -> str:
 def read_bytes(path: Path) -> bytes:
     """The bytes in a file; raises as `require_regular`."""
     return require_regular(path).read_bytes()
+
+
+def json_sha256(content: Any) -> str:
+    """Hash of what JSON can hold, whatever the order of keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
