@@ -106,11 +106,13 @@ def test_a_method_with_a_seed_less_on_one_split_is_not_ranked_over_both() -> Non
     assert comparison.ranks(row["ours"]) is None
 
 
-def test_records_without_samples_are_neither_ranked_nor_given_an_interval() -> None:
+def test_without_samples_or_trivial_predictors_intervals_are_unknown() -> None:
     comparison, row = compared(make_record("nearest"), make_record("ours"))
     assert comparison.ranks(row["nearest"]) is None
     for interval in (comparison.interval(row["ours"]), comparison.skill_interval(row["ours"])):
         assert np.isnan(interval).all()
+    comparison, row = compared(*seeds_of("ours", 0.0, 10))
+    assert np.isnan(comparison.skill_interval(row["ours"])).all()
 
 
 def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() -> None:
@@ -120,11 +122,6 @@ def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() ->
     assert comparison.rows[1].is_trivial
     assert low < 0 == high
     assert comparison.skill_interval(row["ours"])[0] > 0.2  # a third of the 0.15 left open is closed
-
-
-def test_without_a_trivial_predictor_skill_has_no_interval() -> None:
-    comparison, row = compared(*seeds_of("ours", 0.0, 10))
-    assert np.isnan(comparison.skill_interval(row["ours"])).all()
 
 
 def _literally(ssim_by_tx):

@@ -9,7 +9,6 @@ import pytest
 
 from tests.support.leaderboard_records import make_bench, make_followed, make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import make_record
-from xfreqbench.errors import OutputExistsError
 from xfreqbench.methods.contract import LANES
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.page import write_page
@@ -122,14 +121,3 @@ def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp
         "utf-8"
     )
     assert got_worse(earlier, earlier) == []
-
-
-def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:
-    page = tmp_path / "all" / "office.md"
-    page.parent.mkdir()
-    page.write_text("my notes on the office", encoding="utf-8")
-    with pytest.raises(OutputExistsError, match=r"office\.md"):
-        write_report(results, tmp_path / "B.md", tmp_path / "all")
-    assert page.read_text("utf-8") == "my notes on the office"
-    assert not (tmp_path / "B.md").exists()
-    assert [path.name for path in (tmp_path / "all").iterdir()] == ["office.md"]

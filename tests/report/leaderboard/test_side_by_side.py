@@ -43,13 +43,8 @@ def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None
     assert difference == pytest.approx(float(row["B"]) - float(row["A"]), abs=2e-4)
     assert (row["splits"], row["seeds"], row["B is"]) == ("24.25GHz", "3 and 3", "better")
     assert first_row(compare_results(b, a), "ours")["B is"] == "worse"
-
-
-def test_what_is_compared_with_itself_is_equal(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
-    tables = compare_results(a, a)
-    assert first_row(tables, "ours")["B is"] == "="
-    assert "Only in" not in tables
+    same = compare_results(a, a)
+    assert first_row(same, "ours")["B is"] == "=" and "Only in" not in same
 
 
 def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
@@ -70,28 +65,29 @@ def test_averages_are_over_the_splits_of_both(tmp_path: Path) -> None:
     assert numbers(row["B − A, 95 % interval"]) == [0.2]
 
 
-def test_rows_without_a_partner_are_named(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record(name) for name in ("line-of-sight", "log-frequency", "nearest")])
-    b = stored(tmp_path / "b", [make_record("nearest"), make_record("theirs", 0.8), make_record("more", 0.7)])
-    tables = compare_results(a, b)
-    assert "Only in A: line-of-sight, log-frequency." in tables
-    assert "Only in B: theirs, more." in tables
+@pytest.mark.parametrize(
+    ("of_a", "of_b", "paired", "alone"),
+    [
+        (("line-of-sight", "log-frequency", "nearest"), ("nearest", "theirs", "more"), ["nearest"], True),
+        (("ours", "nearest"), ("ours (width=8)", "nearest"), ["ours and ours (width=8)", "nearest"], False),
+        (("ours",), ("theirs",), ["ours and theirs"], False),
+    ],
+)
+def test_rows_are_paired_by_label_then_by_method_and_at_last_the_only_ones(
+    tmp_path: Path, of_a: tuple[str, ...], of_b: tuple[str, ...], paired: list[str], alone: bool
+) -> None:
+    folders = [
+        stored(tmp_path / name, [labelled(label, 0.9 - nth / 10) for nth, label in enumerate(labels)])
+        for name, labels in (("a", of_a), ("b", of_b))
+    ]
+    tables = compare_results(*folders)
+    assert all(rows_of(tables, label) for label in paired)
+    assert ("Only in A: line-of-sight, log-frequency." in tables) == ("Only in B: theirs, more." in tables) == alone
 
 
-def test_changed_options_are_paired_where_a_method_has_one_row_in_either(tmp_path: Path) -> None:
-    changed = with_job(make_record("ours", 0.8), overrides=("width=8",))
-    a = stored(tmp_path / "a", [make_record("ours"), make_record("nearest")])
-    b = stored(tmp_path / "b", [changed, make_record("nearest")])
-    tables = compare_results(a, b)
-    assert rows_of(tables, "ours and ours (width=8)")
-    assert rows_of(tables, "nearest")
-    assert "Only in" not in tables
-
-
-def test_the_only_rows_of_both_are_compared_whatever_they_are(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours")])
-    b = stored(tmp_path / "b", [make_record("theirs", 0.8)])
-    assert rows_of(compare_results(a, b), "ours and theirs")
+def labelled(label: str, ssim: float) -> RunRecord:
+    method, _, option = label.rstrip(")").partition(" (")
+    return with_job(make_record(method, ssim), overrides=(option,) if option else ())
 
 
 def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:

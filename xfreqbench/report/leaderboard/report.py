@@ -15,7 +15,7 @@ from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import comparisons_of
-from xfreqbench.report.leaderboard.figures import bench_figure, draw_bench, draw_time, require_own_figures, time_link
+from xfreqbench.report.leaderboard.figures import bench_figure, figures_of, time_link
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
 from xfreqbench.report.leaderboard.paper import (
@@ -87,7 +87,7 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
 class _Page:
     """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it.
 
-    `drawn` has what draws further figures, by the links to them. Tables of CSV lie beside it, see `tables`.
+    `drawn` has what draws further figures, by the links to them.
     """
 
     path: Path
@@ -96,6 +96,12 @@ class _Page:
     boards: Sequence[Board] = ()
     benches: Sequence[BenchRecord] = ()
     drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+
+    @cached_property
+    def figures(self) -> dict[Path, Callable[[Path], None]]:
+        """What draws the figures of the page, by their files."""
+        drawn = figures_of(self.boards, self.benches) | dict(self.drawn)
+        return {self.path.parent / link: draw for link, draw in drawn.items()}
 
     @cached_property
     def tables(self) -> dict[Path, list[CsvRow]]:
@@ -119,12 +125,14 @@ def write_report(
 ) -> WrittenReport:
     """Write a Markdown report, its figures and tables from `results`: results folders or files of records.
 
-    With a folder `details` the report is a short one, and a page for each scene, one of the paper's claims, one of
+    With a folder `details` the report is a short one, and a page for each scene, one of the paper's tables, one of
     unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
     In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there are
     no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
     `StorageError`.
     """
+    from xfreqbench.report.drawing.figures import require_own_figure
+
     found = read_results(results)
     worse = _worse(found, since)
     if details is None:
@@ -135,20 +143,17 @@ def write_report(
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
-        require_own_figures(page.boards, page.benches, page.drawn, page.path.parent)
+        for path in page.figures:
+            require_own_figure(path)
         for path in page.tables:
             require_own_csv(path)
-    beside = []
     for page, (before, after) in zip(pages, kept, strict=True):
-        beside += [path for board in page.boards for path in draw_time(board, page.path.parent)]
-        beside += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
-        for link, draw in page.drawn.items():
-            draw(page.path.parent / link)
-            beside.append(page.path.parent / link)
+        for path, draw in page.figures.items():
+            draw(path)
         for path, rows in page.tables.items():
             write_csv(rows, path)
-            beside.append(path)
         write_text(page.path, f"{before}{BEGIN}\n\n{page.text}\n{END}{after}")
+    beside = [path for page in pages for path in (*page.figures, *page.tables)]
     return WrittenReport((*(page.path for page in pages), *beside), found.num_truncated)
 
 
@@ -191,8 +196,8 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
         grids = paper_maps(of_main, found)
         drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
         text = paper_markdown(of_main, grids)
-        pages.append(_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn))
-        links["the paper's claims"] = f"{folder}/{_PAPER_PAGE}"
+        pages.append(_Page(details / _PAPER_PAGE, "The paper's tables", text, drawn=drawn))
+        links["the paper's tables"] = f"{folder}/{_PAPER_PAGE}"
         claimed = claims_table(of_main)
         claims = [f"## The paper's claims\n\n{CLAIMS_CAPTION}\n\n{claimed}"] if claimed else []
     if of_rooms:
