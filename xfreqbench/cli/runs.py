@@ -308,11 +308,11 @@ def report(
         several are ranked together.
     """
     from xfreqbench.report.leaderboard.report import write_report
-    from xfreqbench.report.leaderboard.results import results_at
+    from xfreqbench.report.leaderboard.results import read_results, results_at
 
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
-    found = list(map(results_at, results))
+    found = read_results([*map(results_at, results)])
     earlier = None if since is None else results_at(since)
     written = write_report(found, output, details, earlier)
     for path in written.paths:

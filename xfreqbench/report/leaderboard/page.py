@@ -21,7 +21,7 @@ from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
 from xfreqbench.runs.records import RunRecord
@@ -34,8 +34,8 @@ _DIGITS = 4
 _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 
-def write_page(results: Path | Sequence[Path], output_html: Path, since: Path | None = None) -> Path:
-    """Write the page of `results`, results folders or files of records, and return the file written.
+def write_page(results: Results, output_html: Path, since: Path | None = None) -> Path:
+    """Write the page of `results`, read ones, results folders or files of records, and return the file written.
 
     With earlier results `since` it says what got worse.
 

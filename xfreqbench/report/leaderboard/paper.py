@@ -25,7 +25,7 @@ from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
 from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.published import published_content, stands_for
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
 from xfreqbench.runs.folder import ResultsFolder
@@ -270,7 +270,7 @@ class MapGrid:
     columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]]
 
 
-def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
+def ship_maps(results: Results, path: Path) -> Path:
     """Write the maps of a dozen samples of every board of the main scene to a file, and return it.
 
     They are the maps that the page shows, of all rows but ablations, and those of the paper's method at further

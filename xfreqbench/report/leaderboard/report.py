@@ -27,7 +27,7 @@ from xfreqbench.report.leaderboard.paper import (
     paper_maps,
     paper_markdown,
 )
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
 from xfreqbench.report.leaderboard.tables import (
     CsvRow,
@@ -121,9 +121,9 @@ class _Page:
 
 
 def write_report(
-    results: Path | Sequence[Path], output_md: Path, details: Path | None = None, since: Path | None = None
+    results: Results, output_md: Path, details: Path | None = None, since: Path | None = None
 ) -> WrittenReport:
-    """Write a Markdown report, its figures and tables from `results`: results folders or files of records.
+    """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
     With a folder `details` the report is a short one, and a page for each scene, one of the paper's tables, one of
     unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
