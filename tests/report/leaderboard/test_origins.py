@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.leaderboard_records import leaderboard_markdown, rows_of, with_job
 from tests.support.places import ROOT
-from tests.support.stored_records import SPLITS, make_record
+from tests.support.stored_records import SPLITS, make_record, store
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
@@ -18,7 +18,7 @@ from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
 from xfreqbench.runs.benchmark import Benchmark, plan_benchmark
-from xfreqbench.runs.records import append, read
+from xfreqbench.runs.records import read
 
 RECIPE = "1-" + "3f9c2ab1" * 8
 OTHER = {
@@ -71,35 +71,26 @@ def test_records_that_test_other_samples_are_refused_and_named() -> None:
         boards([ours(), fewer])
 
 
-def stored(folder: Path, *records) -> Path:
-    folder.mkdir()
-    for record in records:
-        append(folder / "records.jsonl", record)
-    return folder
-
-
 def test_where_results_are_given_side_by_side_a_row_says_in_which_it_lies(tmp_path: Path) -> None:
-    a, b = stored(tmp_path / "reference", ours()), stored(tmp_path / "alice", theirs("third"))
+    a, b = store(tmp_path / "reference", ours()), store(tmp_path / "alice", theirs("third"))
     (board,) = read_results([a, b]).boards
     assert [origin.source for origin in board.origins] == ["reference", "alice"]
     assert [*board.origins][1].place == "Intel Xeon, 16 cores, data cccccccc, from alice"
-    (alone,) = read_results(stored(tmp_path / "both", ours(), theirs("third"))).boards
+    (alone,) = read_results(store(tmp_path / "both", ours(), theirs("third"))).boards
     assert all("from" not in origin.place for origin in alone.origins)
-    same = stored(tmp_path / "elsewhere", ours(), theirs("third"))
+    same = store(tmp_path / "elsewhere", ours(), theirs("third"))
     named = read_results([same, b, a]).boards[0].origins
     assert all("from" not in origin.place for origin in named)  # all of them lie in the first
 
 
 def test_results_of_the_same_name_are_named_by_their_paths(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-    paths = stored(tmp_path / "a" / "results", ours()), stored(tmp_path / "b" / "results", theirs("third"))
+    paths = store(tmp_path / "a" / "results", ours()), store(tmp_path / "b" / "results", theirs("third"))
     (board,) = read_results(paths).boards
     assert [origin.source for origin in board.origins] == [path.as_posix() for path in paths]
 
 
 def test_results_of_two_machines_are_compared_side_by_side(tmp_path: Path) -> None:
-    a, b = stored(tmp_path / "a", ours(ssim=0.9)), stored(tmp_path / "b", theirs(ssim=0.8))
+    a, b = store(tmp_path / "a", ours(ssim=0.9)), store(tmp_path / "b", theirs(ssim=0.8))
     assert "| 0.9000 | 0.8000 | -0.1000 |" in " ".join(compare_results(a, b).split())
 
 

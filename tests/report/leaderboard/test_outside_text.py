@@ -11,10 +11,10 @@ import pytest
 from markdown_it import MarkdownIt
 
 from tests.support.leaderboard_records import leaderboard_markdown, make_bench, make_followed, make_records, with_job
-from tests.support.stored_records import external, make_record
+from tests.support.stored_records import external, make_record, store
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
-from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord, append
+from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord
 
 PARSER = MarkdownIt("commonmark").enable(["table", "strikethrough"])
 HOSTILE = (
@@ -86,8 +86,7 @@ def test_no_text_of_a_record_is_markdown(text: str) -> None:
 @pytest.mark.parametrize("text", HOSTILE[1:3])
 def test_report_figures_and_page_are_made_of_any_text(tmp_path: Path, text: str) -> None:
     folder, (runs, benches) = tmp_path / "hostile", records_of(text)
-    for record in (*runs, *benches):
-        append(folder / "records.jsonl", record)
+    store(folder, *runs, *benches)
     before, after = "# Ours\n\n", "\n\nOur own end.\n"
     (folder / "BENCHMARK.md").write_text(f"{before}{BEGIN}\n{END}{after}", encoding="utf-8")
     for _ in range(2):  # a report is written over as well
@@ -98,8 +97,8 @@ def test_report_figures_and_page_are_made_of_any_text(tmp_path: Path, text: str)
     for figure in (folder / "figures").iterdir():
         assert "\x00" not in figure.read_text(encoding="utf-8")
     page = write_page(folder, folder / "page.html").read_text(encoding="utf-8")
-    for record in (*PLAIN[0], *PLAIN[1]):
-        append(folder / "plain" / "records.jsonl", record)
-    expected = write_page(folder / "plain", folder / "plain.html").read_text(encoding="utf-8")
+    expected = write_page(store(folder / "plain", *PLAIN[0], *PLAIN[1]), folder / "plain.html").read_text(
+        encoding="utf-8"
+    )
     assert _Tags(page).found == _Tags(expected).found
     json.loads(page.partition('id="content">')[2].partition("</script>")[0])

@@ -16,7 +16,7 @@ from PIL import Image
 import xfreqbench as xb
 from tests.support.leaderboard_records import make_bench
 from tests.support.page_results import HOSTILE, METHODS, SPLITS, store_results, stored
-from tests.support.stored_records import make_record
+from tests.support.stored_records import make_record, store
 from tests.support.web import served
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.errors import DataError
@@ -27,7 +27,6 @@ from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.results import VERSIONS, results_at
 from xfreqbench.report.leaderboard.rows import median_ssim
-from xfreqbench.runs.records import append
 
 CONTENT = re.compile(r'<script type="application/json" id="content">(.*?)</script>', re.DOTALL)
 
@@ -95,18 +94,17 @@ def test_the_page_loads_nothing_and_links_the_papers_of_others(html: str, tmp_pa
     sources = [told[key] for _, told in Page(html).tags for key in ("src", "href") if told.get(key)]
     assert sources and all(str(source).startswith("#board=") for source in sources)
     assert "default-src 'none'" in html and "@import" not in html and "url(" not in html
-    append(tmp_path / "records.jsonl", make_record("gsrf"))
-    page = Page(write_page(tmp_path, tmp_path / "page.html").read_text("utf-8"))
+    page = Page(write_page(store(tmp_path, make_record("gsrf")), tmp_path / "page.html").read_text("utf-8"))
     addressed = {(tag, value) for tag, told in page.tags for value in told.values() if "://" in str(value)}
     assert {tag for tag, _ in addressed} == {"a"} and ("a", "https://github.com/nesl/GSRF") in addressed
 
 
 def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    append(tmp_path / "records.jsonl", make_record("theirs"))
+    store(tmp_path, make_record("theirs"))
     with served((tmp_path / "records.jsonl").read_bytes()) as server:
         assert "theirs" in str(xb.leaderboard(server.url))
-        append(tmp_path / "records.jsonl", make_record("later"))
+        store(tmp_path, make_record("later"))
         server.content = (tmp_path / "records.jsonl").read_bytes()
         assert "later" in str(xb.leaderboard(server.url))  # a board grows: it is asked for anew
     frozen = results_at("v1")
@@ -121,7 +119,7 @@ def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatc
 def test_what_is_not_finite_is_null_and_sorts_as_infinity(tmp_path: Path) -> None:
     perfect = make_record("perfect", 0.9)
     infinite = perfect.scores["psnr"].model_copy(update={"median": np.inf, "quantiles": [np.inf] * 101})
-    append(tmp_path / "records.jsonl", perfect.model_copy(update={"scores": perfect.scores | {"psnr": infinite}}))
+    store(tmp_path, perfect.model_copy(update={"scores": perfect.scores | {"psnr": infinite}}))
     html = write_page(tmp_path, tmp_path / "page.html").read_text()
     assert "inf" in Page(html).values["perfect"]
     assert content_of(html)["boards"][0]["rows"]["perfect"]["splits"]["lofo-24.25GHz"]["cdf"]["psnr"] == [None] * 101
@@ -155,6 +153,6 @@ def test_a_picture_is_small_and_a_palette_of_its_colours() -> None:
 
 
 def test_a_page_of_measurements_alone_is_refused(tmp_path: Path) -> None:
-    append(tmp_path / "records.jsonl", make_bench())
+    store(tmp_path, make_bench())
     with pytest.raises(DataError, match="holds no runs"):
         write_page(tmp_path, tmp_path / "page.html")

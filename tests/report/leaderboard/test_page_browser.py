@@ -19,12 +19,11 @@ from PIL import Image
 from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from tests.support.leaderboard_records import with_job
 from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
-from tests.support.stored_records import external, make_record
+from tests.support.stored_records import external, make_record, store
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.figures import save_figure
 from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.runs.records import append
 
 pytestmark = needs_chromium
 
@@ -159,11 +158,11 @@ def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser,
     here, there = {"processor": "here", "cores": "1"}, {"processor": "there", "cores": "1"}
     for split in ("lofo-2.4GHz", "lofo-24.25GHz"):
         for method, ssim in {**dict.fromkeys(EVERY_TRIVIAL, 0.8), "nearest": 0.82, "mean-spectrum": 0.1}.items():
-            append(tmp_path / "records.jsonl", make_record(method, ssim, split, id=method + split, hardware=here))
+            store(tmp_path, make_record(method, ssim, split, id=method + split, hardware=here))
     for method, ssim in (("ours", 0.9), ("theirs", 0.85), ("ours (a=1)", 0.95)):
         record = make_record(method.partition(" ")[0], ssim, "lofo-24.25GHz", id=method, hardware=there)
         overrides = ("a=1",) if "(" in method else ()
-        append(tmp_path / "records.jsonl", with_job(record, overrides=overrides))
+        store(tmp_path, with_job(record, overrides=overrides))
     with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
         page.wait_for_load_state()
         assert page.evaluate("scrollY") == 0 and "#" not in page.url
@@ -201,8 +200,7 @@ def test_on_paper_and_without_a_script_every_board_has_its_whole_table_and_no_co
 
 
 def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(browser, tmp_path: Path) -> None:
-    for record in (make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0)):
-        append(tmp_path / "records.jsonl", record)
+    store(tmp_path, make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0))
     with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
         assert shown_labels(page) == ["theirs (external)", "nearest"]
         assert page.locator("#pareto .point").count() == 2

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from tests.support.stored_records import SPLITS, make_record
+from tests.support.stored_records import SPLITS, external, make_record, store
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
 from xfreqbench.report.leaderboard.paper import claims_table, paper_figures, paper_markdown
+from xfreqbench.report.leaderboard.published import published_content, sources_of, stands_for
 from xfreqbench.report.leaderboard.report import write_report
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import RunRecord
 
 CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
 TOLD = {"sees_carrier": True, "footprint": "projected"}
@@ -96,9 +97,23 @@ def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> Non
 
 def test_only_reports_with_methods_of_the_paper_have_the_page(tmp_path: Path) -> None:
     for name, records in (("ours", make_records()), ("theirs", [*make_records(), *fitted("xfreq-gs", 0.0)])):
-        for record in records:
-            append(tmp_path / name / "records.jsonl", record)
-        written = write_report(tmp_path / name, tmp_path / name / "B.md", tmp_path / name / "all").paths
+        folder = store(tmp_path / name, *records)
+        written = write_report(folder, folder / "B.md", folder / "all").paths
         pages = [path.name for path in written if path.suffix == ".md"]
         assert ("paper.md" in pages) == (name == "theirs")
-        assert ("all/paper.md" in (tmp_path / name / "B.md").read_text("utf-8")) == (name == "theirs")
+        assert ("all/paper.md" in (folder / "B.md").read_text("utf-8")) == (name == "theirs")
+
+
+def test_every_method_that_is_named_after_a_system_says_whose_it_is() -> None:
+    methods = ("gsrf", "wrf-gs-plus", "wideband-3dgs", "swift-wrf", "xfreq-gs", "nearest")
+    (board,) = boards([make_record(method) for method in methods])
+    sources = sources_of(board.rows)
+    assert {method for source in sources for method in source["methods"]} >= set(methods[:-1])
+    assert all(source[kind].startswith("https://") for source in sources for kind in ("paper", "program"))
+    assert not sources_of([row for row in board.rows if row.job.method == "nearest"])
+
+
+def test_an_external_row_has_no_published_counterpart() -> None:
+    (counterpart,) = [each for each in published_content()["counterpart"] if each["name"] == "GSRF"]
+    rows = boards([external(method="gsrf"), make_record("gsrf")])[0].rows
+    assert {row.is_external: stands_for(counterpart, row) for row in rows} == {True: False, False: True}

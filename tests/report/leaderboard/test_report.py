@@ -5,20 +5,14 @@ from pathlib import Path
 import pytest
 
 from tests.support.leaderboard_records import make_bench, make_followed, make_records
-from tests.support.stored_records import make_record
+from tests.support.stored_records import make_record, store
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
-from xfreqbench.runs.records import append
-
-
-def store(folder: Path, *records: object) -> Path:
-    for record in (*make_records(), *records):
-        append(folder / "records.jsonl", record)  # type: ignore[arg-type]
-    return folder
 
 
 def test_the_same_records_give_the_same_bytes_of_files_that_the_report_links(tmp_path: Path) -> None:
-    results = store(tmp_path / "results", make_followed(), make_bench(), make_bench("render", "Splatting", figure=None))
+    benches = make_bench(), make_bench("render", "Splatting", figure=None)
+    results = store(tmp_path / "results", *make_records(), make_followed(), *benches)
     written = [write_report(results, tmp_path / name / "B.md").paths for name in "ab"]
     output, *beside = written[0]
     assert [path.name for path in beside] == [
@@ -37,7 +31,7 @@ def test_the_same_records_give_the_same_bytes_of_files_that_the_report_links(tmp
 
 def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_path: Path) -> None:
     output = tmp_path / "B.md"
-    assert write_report(store(tmp_path), output).num_truncated == 0
+    assert write_report(store(tmp_path, *make_records()), output).num_truncated == 0
     whole = output.read_bytes()
     with (tmp_path / "records.jsonl").open("a") as file:
         file.write('{"id": "cut o')
@@ -46,7 +40,7 @@ def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_p
 
 
 def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: Path) -> None:
-    lines = (store(tmp_path / "all") / "records.jsonl").read_text().splitlines(keepends=True)
+    lines = (store(tmp_path / "all", *make_records()) / "records.jsonl").read_text().splitlines(keepends=True)
     for name, part in (("one", lines[:8]), ("other", lines[5:])):  # some runs are in both
         (tmp_path / name).mkdir()
         (tmp_path / name / "records.jsonl").write_text("".join(part))
@@ -61,16 +55,15 @@ def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: 
 
 @pytest.mark.parametrize("scene", ["measurements", "b"])
 def test_two_pages_are_never_one_file(tmp_path: Path, scene: str) -> None:
-    append(tmp_path / "records.jsonl", make_record(scene=scene))
     with pytest.raises(OutputExistsError, match="Two pages of the report"):
-        write_report(tmp_path, tmp_path / "pages" / "b.md", tmp_path / "pages")
+        write_report(store(tmp_path, make_record(scene=scene)), tmp_path / "pages" / "b.md", tmp_path / "pages")
     assert not (tmp_path / "pages").exists()
 
 
 def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
     output = tmp_path / "B.md"
     output.write_text(f"# Ours\n\nRead this.\n\n{BEGIN}\nold\n{END}\n\nAnd that.\n")
-    write_report(store(tmp_path), output)
+    write_report(store(tmp_path, *make_records()), output)
     text = output.read_text()
     assert text.startswith(f"# Ours\n\nRead this.\n\n{BEGIN}")
     assert text.endswith(f"{END}\n\nAnd that.\n")
@@ -89,7 +82,7 @@ def test_text_outside_the_markers_is_kept(tmp_path: Path) -> None:
 def test_a_file_of_somebody_else_is_left_and_named_and_nothing_is_written(
     tmp_path: Path, name: str, content: bytes, words: str
 ) -> None:
-    results, theirs = store(tmp_path / "results", make_followed()), tmp_path / "out" / name
+    results, theirs = store(tmp_path / "results", *make_records(), make_followed()), tmp_path / "out" / name
     theirs.parent.mkdir(parents=True)
     theirs.write_bytes(content)
     with pytest.raises(OutputExistsError, match=f"{theirs.name} exists and {words}"):
@@ -100,5 +93,5 @@ def test_a_file_of_somebody_else_is_left_and_named_and_nothing_is_written(
 
 def test_a_folder_is_no_place_for_a_report(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="is a folder"):
-        write_report(store(tmp_path, make_followed()), tmp_path)
+        write_report(store(tmp_path, *make_records(), make_followed()), tmp_path)
     assert not (tmp_path / "figures").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from pathlib import Path
 
@@ -11,10 +12,13 @@ import pytest
 import xfreqbench as xb
 from tests.support.leaderboard_records import with_job
 from tests.support.page_results import METHODS
-from tests.support.stored_records import make_record
+from tests.support.stored_records import make_record, store
 from tests.support.synthetic import paper_dataset
+from xfreqbench.cli.main import app
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.gallery import gallery, open_data
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import write_report
@@ -120,8 +124,7 @@ def test_the_papers_maps_are_drawn_alike_from_predictions_and_from_the_file_besi
 
 
 def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(results: Path, tmp_path: Path) -> None:
-    for record in ResultsFolder(results).records:
-        append(tmp_path / "records.jsonl", with_job(record, dataset="elsewhere.h5"))
+    store(tmp_path, *(with_job(record, dataset="elsewhere.h5") for record in ResultsFolder(results).records))
     with pytest.raises(DataError, match="No predictions of a data set"):
         ship_maps(tmp_path, tmp_path / "maps.jsonl")
     write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
@@ -162,3 +165,26 @@ def test_a_record_of_another_run_has_no_shipped_maps(shipped: Path, tmp_path: Pa
         append(copied, RunRecord.model_validate({**dict(record), "id": record.id[::-1] + "0"}))
     gallery = gallery_of(write_page(copied, tmp_path / "page.html"))
     assert not gallery["cases"] and "No pictures" in gallery["missing"]
+
+
+@pytest.mark.parametrize("on", ["test", "validation"])
+def test_the_command_that_stores_missing_predictions_makes_the_same_records(tmp_path: Path, on: str) -> None:
+    data = paper_dataset(tmp_path / "data.h5")
+    asked = {"results": tmp_path / "results", "targets_ghz": [24.25], "on": on}
+    (record,) = xb.run(data, "nearest", **asked)  # type: ignore[arg-type]
+    (board,) = boards([record])
+    command = gallery(board, []).missing.split("`")[1].split()
+    assert command[:1] == ["xfreqbench"]
+    _, given, _ = app.parse_args(command[1:], exit_on_error=False, print_error=False, help_on_error=False)
+    again = {"protocol": "lofo", "on": "test"} | given.arguments
+    (split,) = xb.make_splits(data, again["protocol"], [24.25], again["on"])
+    assert split.sha256 == record.split_sha256
+
+
+def test_data_that_another_program_holds_open_are_passed_over(tmp_path: Path) -> None:
+    data = paper_dataset(tmp_path / "data.h5")
+    (board,) = boards(xb.run(data, "nearest", results=tmp_path / "results", targets_ghz=[24.25]))
+    assert open_data(board) is not None
+    with data.path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5 does to write
+        assert open_data(board) is None

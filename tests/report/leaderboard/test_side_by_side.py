@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from tests.support.stored_records import SPLITS, make_record
+from tests.support.stored_records import SPLITS, make_record, store
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.side_by_side import compare_results, records_at
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import RunRecord
 
 SHIFT = 0.05
-
-
-def stored(folder: Path, records: Iterable[RunRecord]) -> Path:
-    folder.mkdir(exist_ok=True)
-    for record in records:
-        append(folder / "records.jsonl", record)
-    return folder
 
 
 def numbers(cell: str) -> list[float]:
@@ -33,8 +25,8 @@ def first_row(tables: str, method: str) -> dict[str, str]:
 
 
 def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
-    b = stored(tmp_path / "b", of_three_seeds("ours", SHIFT, 11))
+    a = store(tmp_path / "a", *of_three_seeds("ours", 0.0, 1))
+    b = store(tmp_path / "b", *of_three_seeds("ours", SHIFT, 11))
     row = first_row(compare_results(a, b), "ours")
     difference, low, high = numbers(row["B − A, 95 % interval"])
     assert low < SHIFT < high
@@ -48,8 +40,8 @@ def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None
 
 
 def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours", 0.9, fit_seconds=2.0)])
-    b = stored(tmp_path / "b", [make_record("ours", 0.8, fit_seconds=4.0)])
+    a = store(tmp_path / "a", make_record("ours", 0.9, fit_seconds=2.0))
+    b = store(tmp_path / "b", make_record("ours", 0.8, fit_seconds=4.0))
     scores, costs = rows_of(compare_results(a, b), "ours")
     assert scores["B − A, 95 % interval"] == "-0.1000"  # without samples there is no interval
     assert scores["B is"] == "–"
@@ -58,8 +50,8 @@ def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
 
 
 def test_averages_are_over_the_splits_of_both(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours", 0.5, split) for split in SPLITS])
-    b = stored(tmp_path / "b", [make_record("ours", 0.7, split) for split in SPLITS[1:]])
+    a = store(tmp_path / "a", *(make_record("ours", 0.5, split) for split in SPLITS))
+    b = store(tmp_path / "b", *(make_record("ours", 0.7, split) for split in SPLITS[1:]))
     row = first_row(compare_results(a, b), "ours")
     assert row["splits"] == "24.25GHz, 77GHz"
     assert numbers(row["B − A, 95 % interval"]) == [0.2]
@@ -77,7 +69,7 @@ def test_rows_are_paired_by_label_then_by_method_and_at_last_the_only_ones(
     tmp_path: Path, of_a: tuple[str, ...], of_b: tuple[str, ...], paired: list[str], alone: bool
 ) -> None:
     folders = [
-        stored(tmp_path / name, [labelled(label, 0.9 - nth / 10) for nth, label in enumerate(labels)])
+        store(tmp_path / name, *(labelled(label, 0.9 - nth / 10) for nth, label in enumerate(labels)))
         for name, labels in (("a", of_a), ("b", of_b))
     ]
     tables = compare_results(*folders)
@@ -92,7 +84,7 @@ def labelled(label: str, ssim: float) -> RunRecord:
 
 def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
     trivial = [record for record in make_records() if record.job.method != "ours"]
-    folder = stored(tmp_path / "a", [*of_three_seeds("ours", SHIFT, 1), *trivial])
+    folder = store(tmp_path / "a", *of_three_seeds("ours", SHIFT, 1), *trivial)
     tables = compare_results(folder / "ours", folder)
     for method in ("nearest", "log-frequency"):
         assert first_row(tables, f"ours and {method}")["B is"] in ("better", "worse", "=", "–")
@@ -101,7 +93,7 @@ def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
 
 
 def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
-    folder = stored(tmp_path / "results", make_records())
+    folder = store(tmp_path / "results", *make_records())
     assert {record.job.method for record in records_at(folder / "ours")} == {"ours"}
     tables = compare_results(folder / "nearest", folder / "ours")
     assert first_row(tables, "nearest and ours")["splits"].count("GHz") == 3
@@ -111,7 +103,7 @@ def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: 
 
 
 def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: Path) -> None:
-    folder = stored(tmp_path / "results", make_records())
+    folder = store(tmp_path / "results", *make_records())
     (record,) = records_at(folder / "ours-lofo-77")
     assert (record.job.method, record.job.split) == ("ours", "lofo-77GHz")
     tables = compare_results(folder / "nearest-lofo-77", folder / "ours-lofo-77")
@@ -123,11 +115,11 @@ def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: P
 
 
 def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours")])
-    b = stored(tmp_path / "b", [make_record("ours", dataset_sha256="c" * 64)])
+    a = store(tmp_path / "a", make_record("ours"))
+    b = store(tmp_path / "b", make_record("ours", dataset_sha256="c" * 64))
     with pytest.raises(DataError, match=r"data office@1-a{8}, versions 1 and 1 .*\(ours\).* data office@1-c{8}"):
         compare_results(a, b)
-    later = stored(tmp_path / "later", [make_record("ours", metrics_version="9")])
+    later = store(tmp_path / "later", make_record("ours", metrics_version="9"))
     with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):
         compare_results(a, later)
     with pytest.raises(DataError, match="holds no records"):
@@ -136,8 +128,8 @@ def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
 
 def test_other_samples_of_one_recipe_are_not_paired(tmp_path: Path) -> None:
     of_recipe = {"recipe": "1-" + "d" * 64}
-    a = stored(tmp_path / "a", [make_record("ours", **of_recipe)])
+    a = store(tmp_path / "a", make_record("ours", **of_recipe))
     others = {"dataset_sha256": "c" * 64, "split_sha256": "e" * 64}
-    b = stored(tmp_path / "b", [make_record("ours", **of_recipe, **others)])
+    b = store(tmp_path / "b", make_record("ours", **of_recipe, **others))
     with pytest.raises(DataError, match="test other samples on the split"):
         compare_results(a, b)

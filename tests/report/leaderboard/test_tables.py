@@ -14,7 +14,7 @@ from tests.support.leaderboard_records import (
     rows_of,
     with_job,
 )
-from tests.support.stored_records import SPLITS, make_record, make_summary
+from tests.support.stored_records import SPLITS, make_record, make_summary, store
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget
@@ -22,7 +22,6 @@ from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.report import leaderboard_summary, write_report
 from xfreqbench.report.leaderboard.results import ranked_beside
 from xfreqbench.report.leaderboard.tables import csv_tables
-from xfreqbench.runs.records import append
 
 
 def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
@@ -47,17 +46,23 @@ def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
     assert order == sorted(order)
 
 
-def test_a_row_that_loses_to_a_trivial_predictor_stands_with_its_negative_skill() -> None:
-    markdown = leaderboard_markdown([*make_records()[:4], make_record("worse", 0.7, SPLITS[0])])
-    assert rows_of(markdown, "worse")[0]["skill"] == "-2.000"
+TRIVIAL, OURS = make_records()[:4], make_record("ours", 0.95, SPLITS[0])
+TUNED = with_job(make_record("mean-over-frequency", 0.99, SPLITS[0]), overrides=("num_nearest=3",))
 
 
-def test_unless_all_trivial_predictors_were_run_there_is_no_skill() -> None:
-    *trivial, ours = make_records()[:5]
-    for one in trivial:
-        others = [record for record in (*trivial, ours) if record is not one]
-        markdown = leaderboard_markdown(others)
-        assert {rows_of(markdown, record.job.method)[0]["skill"] for record in others} == {"–"}
+@pytest.mark.parametrize(
+    ("records", "skills"),
+    [
+        ([*TRIVIAL, make_record("worse", 0.7, SPLITS[0])], {"worse": "-2.000"}),
+        ([*TRIVIAL, TUNED, OURS], {"ours": "0.500", "mean-over-frequency (num_nearest=3)": "0.900"}),
+        ([with_job(each, budget=Budget(max_seconds=300), seed=3) for each in (*TRIVIAL, OURS)], {"ours": "0.500"}),
+        *(([*TRIVIAL[:left_out], *TRIVIAL[left_out + 1 :], OURS], {"ours": "–"}) for left_out in range(4)),
+    ],
+    ids=["negative", "a trivial predictor with options sets none", "any budget and seed", *["one was not run"] * 4],
+)
+def test_skill_is_against_the_best_trivial_predictor_without_options(records: list, skills: dict[str, str]) -> None:
+    markdown = leaderboard_markdown(records)
+    assert {name: rows_of(markdown, name)[0]["skill"] for name in skills} == skills
 
 
 def test_averages_are_over_the_same_splits_in_every_row_of_a_table() -> None:
@@ -89,25 +94,10 @@ def test_records_of_different_versions_are_not_ranked_together(field: str) -> No
         boards([make_record("ours", 0.9), make_record("nearest", 0.9, **{field: "2"})])
 
 
-def test_skill_stands_whatever_budget_and_seed_were_given() -> None:
-    records = [with_job(record, budget=Budget(max_seconds=300), seed=3) for record in make_records()]
-    markdown = leaderboard_markdown(records)
-    assert rows_of(markdown, "ours")[0]["skill"] == "0.500"
-    assert rows_of(markdown, "nearest")  # budget and seed change nothing in it
-
-
-def test_a_trivial_predictor_with_other_options_sets_no_skill() -> None:
-    tuned = with_job(make_record("mean-over-frequency", 0.99, SPLITS[0]), overrides=("num_nearest=3",))
-    markdown = leaderboard_markdown([*make_records()[:4], tuned, make_record("ours", 0.95, SPLITS[0])])
-    assert rows_of(markdown, "ours")[0]["skill"] == "0.500"
-    assert rows_of(markdown, "mean-over-frequency (num_nearest=3)")[0]["skill"] == "0.900"
-
-
 def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
     others = [make_record(dataset_sha256="c" * 64), make_record("old", protocol_version="0")]
-    for record in [*make_records(), *others]:
-        append(tmp_path / "records.jsonl", record)
-    summary = leaderboard_summary(ranked_beside(tmp_path, [make_records()[-1]]))
+    results = store(tmp_path, *make_records(), *others)
+    summary = leaderboard_summary(ranked_beside(results, [make_records()[-1]]))
     assert rows_of(summary, "ours")[0]["skill"] == "0.500"
     assert rows_of(summary, "nearest") and not rows_of(summary, "old")
     assert summary.count("| method") == 1
@@ -151,7 +141,7 @@ def test_every_split_stands_in_the_table_of_scores_with_its_carriers() -> None:
 
 @pytest.mark.parametrize("num_rows", [12, 13])
 def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Path, num_rows: int) -> None:
-    append(tmp_path / "records.jsonl", make_bench(columns=("ms", "ms"), rows=[(f"{n}", "x") for n in range(num_rows)]))
+    store(tmp_path, make_bench(columns=("ms", "ms"), rows=[(f"{n}", "x") for n in range(num_rows)]))
     for _ in range(2):  # the second time over files of its own
         page, *_ = write_report(tmp_path, tmp_path / "B.md").paths
     whole = tmp_path / "bench-generate-error-against-run-time.csv"

@@ -9,14 +9,13 @@ import pytest
 
 import xfreqbench as xb
 from tests.support.leaderboard_records import make_records, of_three_seeds
-from tests.support.stored_records import SPLITS
+from tests.support.stored_records import SPLITS, store
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.columns import TABLE, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.text import Leaderboard
-from xfreqbench.runs.records import append
 
 
 def of(*records: object) -> Leaderboard:
@@ -24,9 +23,7 @@ def of(*records: object) -> Leaderboard:
 
 
 def test_it_reads_a_folder_and_prints_as_the_command_does(tmp_path: Path) -> None:
-    for record in make_records():
-        append(tmp_path / "records.jsonl", record)
-    shown = xb.leaderboard(tmp_path)
+    shown = xb.leaderboard(store(tmp_path, *make_records()))
     assert repr(shown) == str(shown) == shown._repr_markdown_() == leaderboard_summary(make_records())
     assert repr(xb.leaderboard(tmp_path / "records.jsonl")) == repr(shown)
     with pytest.raises(DataError, match="no records"):

@@ -19,6 +19,7 @@ from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
+from xfreqbench.report.view.figures import plot_carriers
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.summary import similarity, summarize
@@ -80,6 +81,11 @@ def test_of_one_carrier_nothing_is_compared(tmp_path: Path) -> None:
     write_view(plan_view(str(alone.path)), tmp_path / "out")
     assert "SSIM" not in (tmp_path / "out" / "carriers.svg").read_text()
     assert "needs two carriers or more" in page_text(tmp_path / "out")
+    unknown = replace(summarize(alone), peak_db=None, num_paths=None)  # as of imported maps: there is nothing to draw
+    plot_carriers(unknown, tmp_path / "carriers.svg")
+    assert not (tmp_path / "carriers.svg").exists()
+    pictures = {name: Picture(name, "", b"") for name in ("scene.png", "pas.png")}
+    assert "From carrier to carrier" in view_page(plan_view(str(alone.path)), unknown, pictures, "scene.glb")
 
 
 def test_imported_maps_show_places_alone_and_say_why(imported: PasDataset, tmp_path: Path) -> None:

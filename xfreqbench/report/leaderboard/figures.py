@@ -31,8 +31,9 @@ def bench_figure(record: BenchRecord) -> str:
 
 def figures_of(boards: Iterable[Board], benches: Iterable[BenchRecord]) -> dict[str, Callable[[Path], None]]:
     """Functions that draw the figures of a report to a path, by their links; they raise `StorageError`."""
-    of_boards = {link: partial(_draw_time, board) for board in boards if (link := time_link(board))}
-    return of_boards | {bench_figure(record): partial(_draw_bench, record) for record in benches if record.figure}
+    figures: dict[str, Callable[[Path], None]] = {}
+    figures |= {link: partial(_draw_time, board) for board in boards if (link := time_link(board))}
+    return figures | {bench_figure(record): partial(_draw_bench, record) for record in benches if record.figure}
 
 
 def _draw_bench(record: BenchRecord, path: Path) -> None:

@@ -120,7 +120,7 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
         by_series[point.series].append(point)
     for index, (series, points) in enumerate(by_series.items()):
         at = [point.x for point in points], [point.y for point in points]
-        marker = {"marker": _MARKERS[index % len(_MARKERS)], "markersize": 5}
+        marker: dict[str, Any] = {"marker": _MARKERS[index % len(_MARKERS)], "markersize": 5}
         axis.plot(*at, label=shown(series), **_style(index, 1.2), **marker)
     if figure.x_is_cost:
         front = pareto_front(drawn, cost=lambda point: point.x, score=lambda point: point.y)

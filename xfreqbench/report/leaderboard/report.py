@@ -45,6 +45,7 @@ from xfreqbench.system.files import require_own, require_space, write_text
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
 _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
+    _WHAT_WAS_RUN: _WHAT_WAS_RUN_TITLE,
     "unseen-rooms": "Unseen rooms",
     "generate": "Generator",
     "peers": "Generator",
@@ -207,7 +208,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
     short = overview_markdown(
         found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}", claims=claims, worse=worse
     )
-    measured = "\n\n".join([*_what_was_run(others), *_bench_sections(others)]) + "\n"
+    measured = "\n\n".join(_bench_sections(others)) + "\n"
     return [
         _Page(output_md, "Benchmark", short),
         *(
@@ -228,13 +229,10 @@ def _draw_maps(grid: MapGrid, path: Path) -> None:
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = ()) -> str:
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
-    sections = [_what_was_run(benches), map(_board_section, ranked), worse, _bench_sections(benches), [legend()]]
+    own = [bench for bench in benches if bench.bench == _WHAT_WAS_RUN]
+    others = [bench for bench in benches if bench.bench != _WHAT_WAS_RUN]
+    sections = [_bench_sections(own), map(_board_section, ranked), worse, _bench_sections(others), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
-
-
-def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
-    """The section of the benchmark's own records, which say which runs there were."""
-    return _bench_section(_WHAT_WAS_RUN_TITLE, [bench for bench in benches if bench.bench == _WHAT_WAS_RUN])
 
 
 def _board_section(board: Board) -> str:
@@ -251,13 +249,8 @@ def _board_section(board: Board) -> str:
 def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
     by_title: dict[str, list[BenchRecord]] = {title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)}
     for record in benches:
-        if record.bench != _WHAT_WAS_RUN:
-            by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
-    return [section for title, found in by_title.items() for section in _bench_section(title, found)]
-
-
-def _bench_section(title: str, benches: Sequence[BenchRecord]) -> list[str]:
-    return [f"## {title}", *map(_bench, benches)] if benches else []
+        by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
+    return [part for title, found in by_title.items() if found for part in (f"## {title}", *map(_bench, found))]
 
 
 def _bench(record: BenchRecord) -> str:

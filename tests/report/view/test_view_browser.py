@@ -1,21 +1,23 @@
-"""The orbit viewer of a view's page in headless Chromium, which draws in 3D on the processor, without a network."""
+"""The page of `xfreqbench view` in headless Chromium, with its viewer, drawn on the processor, and without."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.chromium import canvas_pixels, launched, needs_chromium, opened, set_screen
+from tests.support.chromium import WIDTHS, canvas_pixels, check_screen, launched, needs_chromium, opened, set_screen
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.drawing.templates import Picture
 from xfreqbench.report.view.figures import ray_colour
 from xfreqbench.report.view.page import view_page
-from xfreqbench.report.view.plan import ViewPlan
+from xfreqbench.report.view.plan import ViewPlan, plan_view
 from xfreqbench.report.view.room import RAY_RANGE_DB
+from xfreqbench.report.view.write import write_view
 
 pytestmark = needs_chromium
 
@@ -25,8 +27,8 @@ SMOOTHED = 40  # levels by which a pixel at a line's rim may differ from the lin
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    with launched(webgl=True) as browser:
+def browser(request: pytest.FixtureRequest) -> Iterator[object]:
+    with launched(webgl=getattr(request, "param", True)) as browser:
         yield browser
 
 
@@ -83,3 +85,26 @@ def test_a_strong_ray_is_drawn_over_a_weak_one(browser, view: ViewPlan, tmp_path
         with opened(browser, drawn) as page:
             found.append([num_near(canvas_pixels(page), ray_colour(ray.level_db)) for ray in (strong, weak)])
     assert found[0][0] > 100 and found[0][1] < 0.1 * found[1][1]
+
+
+@pytest.mark.parametrize("browser", [False], indirect=True, ids=[""])
+@pytest.mark.parametrize("is_imported", [False, True])
+def test_nothing_is_wider_than_the_screen_and_all_is_there_without_webgl(
+    browser, folder: Path, imported: PasDataset, tmp_path: Path, is_imported: bool
+) -> None:
+    file = write_view(plan_view(str(imported.path)), tmp_path)[0] if is_imported else folder / "index.html"
+    with opened(browser, file) as page:
+        for device, scheme in product(WIDTHS, ("light", "dark")):
+            set_screen(page, device, scheme)
+            check_screen(page, device, scheme)
+        decode = "async image => { await image.decode(); return [image.naturalWidth, image.alt.length]; }"
+        pictures = [picture.evaluate(decode) for picture in page.locator("img").all()]
+        assert len(pictures) == 3
+        assert all(width > 400 and letters > 20 for width, letters in pictures)
+        assert page.locator("#orbit").count() == 1 and not page.locator("#orbit").is_visible()
+        link = page.locator("a").evaluate("link => link.href")
+        assert Path(link.removeprefix("file://")).read_bytes()[:4] == b"glTF"
+        page.set_viewport_size({"width": 703, "height": 1000})  # A4 upright, without its margins
+        page.emulate_media(media="print")
+        widest = "elements => Math.max(...elements.map(element => element.scrollWidth))"
+        assert page.locator("table, img").evaluate_all(widest) <= 703
