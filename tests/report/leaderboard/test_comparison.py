@@ -165,7 +165,7 @@ def test_seeds_that_scatter_widen_the_interval() -> None:
 
 
 def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatter() -> None:
-    num_told_apart, num_trials = 0, 100
+    num_told_apart, num_trials = 0, 50
     for trial in range(num_trials):
         shifts = np.random.default_rng(trial).normal(0, 0.03, (2, 3))
         records = [
@@ -175,4 +175,4 @@ def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatte
         ]
         comparison, row = compared(*records)
         num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
-    assert num_told_apart / num_trials < 0.12  # nominally 0.05, and three standard deviations of 100 trials
+    assert num_told_apart / num_trials < 0.12  # nominally 0.05; 0.14 where deviations are not widened

@@ -15,7 +15,7 @@ from PIL import Image
 
 import xfreqbench as xb
 from tests.support.leaderboard_records import make_bench
-from tests.support.page_results import HOSTILE, METHODS, SPLITS, store_results, stored
+from tests.support.page_results import HOSTILE, METHODS, SPLITS, stored
 from tests.support.stored_records import make_record, store
 from tests.support.web import served
 from xfreqbench.data.dataset import open_dataset
@@ -53,14 +53,9 @@ def content_of(html: str) -> Any:
     return json.loads(CONTENT.search(html)[1])  # type: ignore[index]
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return store_results(tmp_path_factory.mktemp("page"))
-
-
-@pytest.fixture(scope="module")
-def html(results: Path) -> str:
-    return write_page(results, results.parent / "page.html").read_text()
+@pytest.fixture
+def html(file: Path) -> str:
+    return file.read_text("utf-8")
 
 
 def test_pictures_are_found_in_whichever_folder_they_are(results: Path, html: str, tmp_path: Path) -> None:

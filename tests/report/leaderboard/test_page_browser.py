@@ -18,7 +18,7 @@ from PIL import Image
 
 from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from tests.support.leaderboard_records import with_job
-from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results
+from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS
 from tests.support.stored_records import external, make_record, store
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.figures import save_figure
@@ -26,12 +26,6 @@ from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.page import write_page
 
 pytestmark = needs_chromium
-
-
-@pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    results = store_results(tmp_path_factory.mktemp("page"))
-    return write_page(results, results.parent / "page.html")
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.runs.sealed import SEAL
 
-TARGETS_GHZ = (2.4, 10.0, 24.25, 60.0, 77.0)
+TARGETS_GHZ = (2.4, 24.25, 77.0)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 @pytest.fixture(scope="module")
 def results(dataset: PasDataset) -> Path:
-    """Two trivial predictors at five carriers; the maps of one of them stand for those of the paper's method too."""
+    """Two trivial predictors at three carriers; the maps of one of them stand for those of the paper's method too."""
     folder = dataset.path.parent / "results"
     for record in xb.run(dataset, METHODS, results=folder, targets_ghz=TARGETS_GHZ):
         if record.job.method == "nearest":
@@ -117,7 +117,7 @@ def test_the_papers_maps_are_drawn_alike_from_predictions_and_from_the_file_besi
         paths = write_report(source, folder / "B.md", folder / "all").paths
         (picture,) = [path for path in paths if path.suffix == ".png"]
         text = (folder / "all" / "paper.md").read_text("utf-8")
-        assert "maps of 5 transmitters" in text and "at 5 carriers" in text
+        assert "maps of 5 transmitters" in text and "at 3 carriers" in text
         assert f"](figures/{picture.name})" in text
         drawn.append(picture.read_bytes())
     assert drawn[0] == drawn[1]
