@@ -10,7 +10,7 @@ from math import isnan, nan
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, short_name
-from xfreqbench.report.leaderboard.captions import facts, leak_statement, short_legend
+from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import time_link
@@ -57,7 +57,7 @@ def overview_markdown(
         *worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
         "carrier, pair of methods and learning curve.",
-        short_legend(),
+        legend(is_short=True),
     ]
     return "\n\n".join(parts) + "\n"
 
