@@ -12,11 +12,13 @@ import argparse
 import re
 from pathlib import Path
 
-import xfreqbench as xb
+from xfreqbench.report.leaderboard.columns import BRIEF
+from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import WrittenReport, write_report
-from xfreqbench.report.leaderboard.results import results_at
+from xfreqbench.report.leaderboard.results import read_results, results_at
+from xfreqbench.report.leaderboard.tables import ranking_table
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
@@ -32,13 +34,15 @@ def take(folders: list[Path]) -> None:
 
 def remake(root: Path, page: Path | None = None) -> WrittenReport:
     """Make the pages below `root`, and the web page."""
-    written = write_report(RECORDS, root / "BENCHMARK.md", root / "docs" / "results", results_at("v1"))
-    office = str(xb.leaderboard(RECORDS[0])).partition("office · lofo · power maps · quick")[2].split("\n\n")
-    table = next(part for part in office if part.startswith("| "))
+    found = read_results(RECORDS)
+    written = write_report(found, root / "BENCHMARK.md", root / "docs" / "results", results_at("v1"))
+    office = next(board for board in found.boards if board.title.startswith("office · lofo · power maps · quick"))
+    shown = ranking_table(comparisons_of(office)[0], BRIEF).split("\n\n")
+    table = next(part for part in shown if part.startswith("| "))
     readme = root / "README.md"
     readme.write_text(TABLE.sub(lambda _: table, readme.read_text("utf-8")), "utf-8")
     if page is not None:
-        write_page(RECORDS, page, results_at("v1"))
+        write_page(found, page, results_at("v1"))
     return written
 
 

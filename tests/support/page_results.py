@@ -1,4 +1,4 @@
-"""A folder of real runs on a small data set, for the tests of the page, and a measurement beside them."""
+"""A folder of real runs on a small data set, for the tests of the page."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.support.stored_records import make_record
 from tests.support.stub_methods import run_jobs
 from tests.support.synthetic import paper_dataset
-from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint, Job, append, read
+from xfreqbench.runs.records import CurvePoint, Job, append, read
 
 METHODS = ("nearest", "mean-over-frequency")
 SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
@@ -16,7 +16,7 @@ LEARNED = ((HOSTILE, 0.7, 30.0, 3), ("slow (width=9)", 0.8, 300.0, 3), ("quick",
 
 
 def store_results(folder: Path) -> Path:
-    """Two boards of trivial predictors, three methods known by their records alone, and a measurement."""
+    """Two boards of trivial predictors, and three methods known by their records alone."""
     data = paper_dataset(folder / "data.h5", num_tx=5)
     jobs = [Job(str(data.path), method, "lofo", split) for method in METHODS for split in SPLITS]
     jobs.append(Job(str(data.path), "nearest", "sparse", "sparse-24.25GHz-from-10-37GHz"))
@@ -26,7 +26,6 @@ def store_results(folder: Path) -> Path:
         for split in SPLITS:
             for seed in range(num_seeds):
                 _append_learned(results, known, method, split, seed, ssim, seconds)
-    append(results / "records.jsonl", measurement())
     return results
 
 
@@ -54,20 +53,3 @@ def _append_learned(results, known, method, split, seed, ssim, seconds) -> None:
     overrides = (overrides.rstrip(")"),) if overrides else ()
     job = Job(known.job.dataset, name, "lofo", split, overrides, seed)
     append(results / "records.jsonl", record.model_copy(update={"job": job}))
-
-
-def measurement() -> BenchRecord:
-    points = [BenchPoint(series="image", label=f"{n} rays", x=10.0**n, y=1 / n) for n in (1, 2, 3)]
-    return BenchRecord(
-        bench="generate",
-        title="Error of the maps <against> time",
-        command="xfreqbench bench generate",
-        note="Lower is better.",
-        columns=("rays", "error"),
-        rows=(("10", "1"), ("100", "0.5"), ("1000", "0.333")),
-        figure=BenchFigure(x_label="seconds", y_label="error (dB)", log_x=True, points=tuple(points)),
-        hardware={"processor": "AMD EPYC", "cores": "2"},
-        software={"numpy": "2"},
-        git_commit=None,
-        time_utc="2026-01-01T00:00:00+00:00",
-    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord, Summary
+from pathlib import Path
+
+from xfreqbench.runs.records import NUM_QUANTILES, BenchRecord, Job, RunRecord, Summary, append
 
 SPLITS = ("lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz")
 
@@ -55,3 +57,10 @@ def external(split: str = SPLITS[0], seed: int = 0, file: str = "a", method: str
     unknown = {"fit_seconds": None, "predict_ms_per_map": None, "peak_memory_mib": None, "parameters": None}
     declared = {"external": {"sha256": file * 64}, "hardware": {}}
     return make_record(method, 0.9, split, job=job, id=f"{file}{split}{seed}", **(unknown | declared | changes))
+
+
+def store(folder: Path, *records: RunRecord | BenchRecord) -> Path:
+    """Write records into a results folder, which is made, and return it."""
+    for record in records:
+        append(folder / "records.jsonl", record)
+    return folder

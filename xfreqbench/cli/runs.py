@@ -282,13 +282,7 @@ def benchmark(
 def report(
     *results: str,
     output: Output = Path("BENCHMARK.md"),
-    html: Annotated[
-        Path | None,
-        Parameter(
-            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and, "
-            "where pyarrow is installed, as Parquet."
-        ),
-    ] = None,
+    html: Annotated[Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")] = None,
     details: Annotated[
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
@@ -314,11 +308,11 @@ def report(
         several are ranked together.
     """
     from xfreqbench.report.leaderboard.report import write_report
-    from xfreqbench.report.leaderboard.results import results_at
+    from xfreqbench.report.leaderboard.results import read_results, results_at
 
     if not results:
         raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
-    found = list(map(results_at, results))
+    found = read_results([*map(results_at, results)])
     earlier = None if since is None else results_at(since)
     written = write_report(found, output, details, earlier)
     for path in written.paths:
@@ -330,11 +324,13 @@ def report(
 
         say(f"wrote {ship_maps(found, maps)}", quiet)
     if details is None:
-        say("claims and tables of the paper, distributions and maps stand in the pages of --details FOLDER", quiet)
+        say(
+            "tables and maps of the paper stand in the pages of --details FOLDER, its claims in the short report", quiet
+        )
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
-        say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
+        say(f"wrote {write_page(found, html, earlier)}", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.report.drawing.figures import is_own_drawing
-from xfreqbench.report.drawing.glb import write_glb
+from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
@@ -110,14 +110,18 @@ def write_findings(compared: ComparedFindings, folder: Path) -> list[Path]:
     plot_materials(*drawn, folder / CURVES)
     plot_materials(*drawn, folder / CURVES_PNG, "png")
     plot_scene(compared, folder / PICTURE)
-    rectangles = {
-        f"found plane {index}: {compared.surface(index)}": np.array(found.corners_m)
-        for index, found in enumerate(compared.findings.planes)
-        if found.corners_m
-    }
+    model = GlbModel()
+    for mesh in compared.meshes:
+        model.add_surface(mesh)
+    for index, found in enumerate(compared.findings.planes):
+        if found.corners_m:
+            corners_m = np.array(found.corners_m)
+            model.add_rectangle(f"found plane {index}: {compared.surface(index)}", corners_m, (213, 94, 0, 150))
     points = {"receiver": compared.findings.array_m, f"transmitter {compared.tx}": compared.tx_m}
     points |= {f"virtual source {' '.join(map(str, source.planes))}": source.position_m for source in compared.sources}
-    write_glb(compared.meshes, rectangles, points, folder / MODEL)
+    for name, point_m in points.items():
+        model.add_ball(name, point_m, 0.06, (0, 114, 178, 255))
+    model.write(folder / MODEL)
     write_page(compared, folder)
     return paths
 

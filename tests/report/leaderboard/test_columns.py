@@ -8,13 +8,12 @@ from math import inf, isnan
 from pathlib import Path
 
 from tests.support.leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
-from tests.support.stored_records import SPLITS, external, make_record
+from tests.support.stored_records import SPLITS, external, make_record, store
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.columns import COSTS, PAGE, RANKING, TABLE, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.runs.records import append
 
 
 def columns_of(records, names):
@@ -28,9 +27,7 @@ def columns_of(records, names):
 
 def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_path: Path) -> None:
     records = [*of_three_seeds("ours", 0.02, 10), *of_three_seeds("nearest", 0.0, 20)]
-    for record in records:
-        append(tmp_path / "records.jsonl", record)
-    html = write_page(tmp_path, tmp_path / "page.html").read_text()
+    html = write_page(store(tmp_path, *records), tmp_path / "page.html").read_text()
     table = html.partition('<table class="leaderboard">')[2].partition("</table>")[0]
     titles = [unescape(text) for text in re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)]
     cells = re.findall(r"<t[hd](?: scope=\"row\"| data-value)[^>]*>(.*?)</t[hd]>", table)

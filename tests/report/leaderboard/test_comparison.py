@@ -69,9 +69,11 @@ def test_a_verdict_does_not_hang_on_the_draws() -> None:
         found = []
         for name in names:
             comparison, row = compared(*seeds_of(name, shift, 10), *other)
-            drawn = [medians_of(row[each], SPLIT) for each in (name, "other")]
-            low, _ = comparison.difference(row[name], row["other"])
-            found.append(float(np.quantile(drawn[0] - drawn[1], 0.025)) if plain else low)
+            if plain:
+                drawn = [medians_of(row[each], SPLIT) for each in (name, "other")]
+                found.append(float(np.quantile(drawn[0] - drawn[1], 0.025)))
+            else:
+                found.append(comparison.difference(row[name], row["other"])[0])
         return found
 
     at_zero = -float(np.mean(bounds(0.0, plain=True)))
@@ -106,11 +108,13 @@ def test_a_method_with_a_seed_less_on_one_split_is_not_ranked_over_both() -> Non
     assert comparison.ranks(row["ours"]) is None
 
 
-def test_records_without_samples_are_neither_ranked_nor_given_an_interval() -> None:
+def test_without_samples_or_trivial_predictors_intervals_are_unknown() -> None:
     comparison, row = compared(make_record("nearest"), make_record("ours"))
     assert comparison.ranks(row["nearest"]) is None
     for interval in (comparison.interval(row["ours"]), comparison.skill_interval(row["ours"])):
         assert np.isnan(interval).all()
+    comparison, row = compared(*seeds_of("ours", 0.0, 10))
+    assert np.isnan(comparison.skill_interval(row["ours"])).all()
 
 
 def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() -> None:
@@ -120,11 +124,6 @@ def test_the_skill_of_the_best_trivial_predictor_may_be_zero_and_never_more() ->
     assert comparison.rows[1].is_trivial
     assert low < 0 == high
     assert comparison.skill_interval(row["ours"])[0] > 0.2  # a third of the 0.15 left open is closed
-
-
-def test_without_a_trivial_predictor_skill_has_no_interval() -> None:
-    comparison, row = compared(*seeds_of("ours", 0.0, 10))
-    assert np.isnan(comparison.skill_interval(row["ours"])).all()
 
 
 def _literally(ssim_by_tx):
@@ -166,7 +165,7 @@ def test_seeds_that_scatter_widen_the_interval() -> None:
 
 
 def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatter() -> None:
-    num_told_apart, num_trials = 0, 100
+    num_told_apart, num_trials = 0, 50
     for trial in range(num_trials):
         shifts = np.random.default_rng(trial).normal(0, 0.03, (2, 3))
         records = [
@@ -176,4 +175,4 @@ def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatte
         ]
         comparison, row = compared(*records)
         num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
-    assert num_told_apart / num_trials < 0.12  # nominally 0.05, and three standard deviations of 100 trials
+    assert num_told_apart / num_trials < 0.12  # nominally 0.05; 0.14 where deviations are not widened

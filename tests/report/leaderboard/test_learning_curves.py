@@ -74,7 +74,3 @@ def test_the_front_is_what_a_literal_search_finds() -> None:
     assert set(front) == literal
     assert len(front) == len(literal) > 1
     assert front == sorted(front)
-
-
-def test_nothing_has_no_front() -> None:
-    assert pareto_front([], cost=float, score=float) == []

@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.support.leaderboard_records import make_bench, make_followed, make_records, of_three_seeds, rows_of, with_job
-from tests.support.stored_records import make_record
-from xfreqbench.errors import OutputExistsError
+from tests.support.stored_records import make_record, store
 from xfreqbench.methods.contract import LANES
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import write_report
 from xfreqbench.report.leaderboard.side_by_side import got_worse
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import RunRecord
 
 ABLATION = "ours (rank=2)"
 
@@ -36,9 +35,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rows=[("phase", f"case {n}", "1", "2", "rad", "ok" if n else "FAILED") for n in range(9)],
         figure=None,
     )
-    for record in (*records_of("office"), *records_of("corridor")[:4], make_bench(), stress):
-        append(folder / "records.jsonl", record)
-    return folder
+    return store(folder, *records_of("office"), *records_of("corridor")[:4], make_bench(), stress)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +75,7 @@ def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) 
         ("hasty", "quick"): 0.90, ("hasty", "minutes"): 0.90,
     }  # fmt: skip
     for (method, lane), value in ssim.items():
-        append(tmp_path / "records.jsonl", with_job(make_record(method, value), budget=LANES[lane]))
+        store(tmp_path, with_job(make_record(method, value), budget=LANES[lane]))
     write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
     text = (tmp_path / "B.md").read_text("utf-8")
     gains = {method: rows_of(text, method)[-1]["quick → converged"] for method, _ in ssim}
@@ -100,9 +97,7 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
     records = [record for method, shift in idea for record in stored(method, shift)]
     records += [record for method, shift in idea for record in stored(method, 3 * shift, "aided=false")]
     records += [record for name in NEEDED_TRIVIAL for record in of_three_seeds(name, 0.0, 40)[:1]]
-    for record in records:
-        append(tmp_path / "records.jsonl", record)
-    write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
+    write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
     best, idea_adds = re.findall(r"^\d\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
     assert "`xfreq-gs` is best" in best and "The next, `fixed-frequency-gs`" in best and "1 of the 1 boards" in best
     assert re.search(r"by 0\.0\d+ \[0\..*with our aids and by 0\.0.* without them", idea_adds)
@@ -111,25 +106,10 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
 def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp_path: Path) -> None:
     earlier = [*of_three_seeds("ours", 0.02, 10), *of_three_seeds("same", 0.0, 20)]
     worse = [record.model_copy(update={"code_sha256": "f" * 64}) for record in of_three_seeds("ours", 0.0, 10)]
-    for name, records in (("before", earlier), ("after", [*worse, *earlier[3:]])):
-        for record in records:
-            append(tmp_path / name / "records.jsonl", record)
-    write_report(tmp_path / "after", tmp_path / "B.md", tmp_path / "all", tmp_path / "before")
+    before, after = store(tmp_path / "before", *earlier), store(tmp_path / "after", *worse, *earlier[3:])
+    write_report(after, tmp_path / "B.md", tmp_path / "all", before)
     ((board, method, *_, difference, why),) = got_worse(earlier, [*worse, *earlier[3:]])
     assert (board, method) == ("office, lofo", "ours") and difference.startswith("-0.02") and "code" in why
     assert why in (tmp_path / "B.md").read_text("utf-8")
-    assert f"<td>{why}</td>" in write_page(tmp_path / "after", tmp_path / "p.html", tmp_path / "before").read_text(
-        "utf-8"
-    )
+    assert f"<td>{why}</td>" in write_page(after, tmp_path / "p.html", before).read_text("utf-8")
     assert got_worse(earlier, earlier) == []
-
-
-def test_nothing_is_written_where_a_page_is_somebody_elses(results: Path, tmp_path: Path) -> None:
-    page = tmp_path / "all" / "office.md"
-    page.parent.mkdir()
-    page.write_text("my notes on the office", encoding="utf-8")
-    with pytest.raises(OutputExistsError, match=r"office\.md"):
-        write_report(results, tmp_path / "B.md", tmp_path / "all")
-    assert page.read_text("utf-8") == "my notes on the office"
-    assert not (tmp_path / "B.md").exists()
-    assert [path.name for path in (tmp_path / "all").iterdir()] == ["office.md"]

@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Iterator
 from io import BytesIO
+from itertools import product
 from math import isnan
 from pathlib import Path
 from xml.etree import ElementTree
@@ -17,28 +18,14 @@ from PIL import Image
 
 from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
 from tests.support.leaderboard_records import with_job
-from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS, store_results, stored
-from tests.support.stored_records import external, make_record
+from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS
+from tests.support.stored_records import external, make_record, store
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.figures import save_figure
 from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.paper import ship_maps
-from xfreqbench.runs.records import append
-
-LEARNED_NAMES = [name for name, *_ in LEARNED]
 
 pytestmark = needs_chromium
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return store_results(tmp_path_factory.mktemp("page"))
-
-
-@pytest.fixture(scope="module")
-def file(results: Path) -> Path:
-    return write_page(results, results.parent / "page.html")
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +60,7 @@ def head(page, title: str):
     return page.locator("table.leaderboard:visible thead th").filter(has_text=re.compile(f"^{re.escape(title)}"))
 
 
-def test_a_click_sorts_by_the_numbers_and_a_second_one_turns_the_order(page) -> None:
+def test_clicks_and_keys_sort_by_the_numbers_and_what_is_not_ranked_stays_last(page) -> None:
     head(page, "fit s").locator("button").click()
     seconds = column(page, "fit s")
     assert seconds == sorted(seconds) and seconds[0] != seconds[-1]
@@ -81,16 +68,9 @@ def test_a_click_sorts_by_the_numbers_and_a_second_one_turns_the_order(page) -> 
     assert head(page, "average").get_attribute("aria-sort") is None
     head(page, "fit s").locator("button").click()
     assert column(page, "fit s") == seconds[::-1]
-
-
-def test_the_keyboard_sorts_too(page) -> None:
     head(page, "method").locator("button").focus()
     page.keyboard.press("Enter")
     assert shown_labels(page) == sorted(shown_labels(page), key=str.lower)
-    assert head(page, "method").get_attribute("aria-sort") == "ascending"
-
-
-def test_what_is_not_ranked_stays_last_whichever_way_ranks_are_sorted(page) -> None:
     for direction in ("ascending", "descending"):
         head(page, "rank").locator("button").click()
         *ranks, last = column(page, "rank")
@@ -105,7 +85,7 @@ def test_names_and_families_filter_table_and_charts_alike(page) -> None:
     assert page.locator("#pareto .point").count() == 1
     page.fill("#filter", "")
     page.uncheck("#families [value=trivial]")
-    assert set(shown_labels(page)) == set(LEARNED_NAMES)
+    assert set(shown_labels(page)) == {name for name, *_ in LEARNED}
     page.uncheck("#families [value=learned]")
     assert shown_labels(page) == ["slow (width=9)"]
     assert page.locator("#shown").inner_text() == f"1 of {len(METHODS) + len(LEARNED)} methods shown."
@@ -113,82 +93,58 @@ def test_names_and_families_filter_table_and_charts_alike(page) -> None:
     assert shown_labels(page) == [] and "No method is shown" in page.locator("#pareto").inner_text()
 
 
-def test_another_board_brings_its_own_table_and_charts(page) -> None:
-    page.select_option("#board", label="synthetic · sparse · power maps")
+def test_another_board_brings_its_own_table_and_charts_and_a_method_keeps_its_colour(page) -> None:
+    links, colour = page.locator("#overview a"), "part => part.getAttribute('fill')"
+    assert links.count() == page.locator("#board option").count() == 2
+    assert "quick: average 0.7500" in links.first.inner_text()  # what is better is an ablation
+    before = page.locator('#pareto .point[data-row="nearest"]').evaluate(colour)
+    links.filter(has_text="trivial predictors alone").click()
     assert shown_labels(page) == ["nearest"]
     assert page.locator("#pareto .point").count() == 1
+    assert page.locator('#pareto .point[data-row="nearest"]').evaluate(colour) == before
     assert "One carrier is tested" in page.locator("#carriers").inner_text()
     assert page.locator("#set option").count() == 1
+    page.go_back()
+    assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
 
 
-def test_every_chart_has_a_line_a_method(page) -> None:
+def test_every_chart_has_a_line_a_method_where_its_numbers_are(page) -> None:
+    """Dearer points lie farther right, better ones higher; a free one lies left of all that cost."""
     number = len(METHODS) + len(LEARNED)
-    assert page.locator("#pareto .point").count() == number
     assert page.locator("#pareto .front").count() == 1
     assert page.locator("#cdfs svg").count() == len(SPLITS)
     assert page.locator("#cdfs svg").first.locator(".curve").count() == number
     assert page.locator("#curves svg").first.locator(".curve").count() == len(LEARNED)
     assert page.locator("#curves svg").first.locator(".trivial").count() == 1
     assert page.locator("#legend li").count() == number
-
-
-def test_lines_lie_where_the_numbers_are(page) -> None:
-    """Dearer points lie farther right, better ones higher; a free one lies left of all that cost."""
     points = page.locator("#pareto .point").all()
-    places = {point.get_attribute("data-row"): place_of(point) for point in points}
+    places = {
+        point.get_attribute("data-row"): [float(part) for part in re.findall(r"-?[\d.]+", at)]  # right and downwards
+        for point in points
+        for at in [point.get_attribute("transform")]
+    }
     quick, slow = places["quick"], places["slow (width=9)"]
+    assert len(places) == number
     assert places["nearest"][0] < quick[0] < places[HOSTILE][0] < slow[0]
     assert slow[1] < quick[1] < places[HOSTILE][1]
-
-
-def place_of(point) -> list[float]:
-    """Pixels to the right and downwards."""
-    return [float(part) for part in re.findall(r"-?[\d.]+", point.get_attribute("transform"))]
-
-
-def test_the_metric_of_the_distributions_can_be_chosen(page) -> None:
     before = page.locator("#cdfs svg").first.inner_html()
     page.select_option("#metric", "aoa_error")
-    assert page.locator("#cdfs svg").first.inner_html() != before
+    assert before != page.locator("#cdfs svg").first.inner_html()
     assert "AoA error (°)" in page.locator("#cdfs svg").first.inner_html()
 
 
-def test_a_hostile_name_is_shown_as_it_is(page) -> None:
-    assert HOSTILE in shown_labels(page)
-    assert page.locator("img[src=x]").count() == 0
-    assert HOSTILE in page.locator("#legend").inner_text()
-
-
-def test_the_gallery_draws_three_pictures_of_three_cases(page) -> None:
-    page.select_option("#shown-method", "nearest")
-    page.locator("#gallery").scroll_into_view_if_needed()
-    assert page.locator(".case").count() == 3
-    decode = "async image => { image.loading = 'eager'; await image.decode(); return image.naturalWidth; }"
-    widths = [picture.evaluate(decode) for picture in page.locator(".case .map").all()]
-    assert widths == [90] * 9
-
-
-def test_measurements_are_drawn_when_they_are_opened(page) -> None:
-    page.locator("#benches summary").click()
-    assert page.locator(".bench td").all_inner_texts() == ["1", "0.5", "0.333"]
-    page.wait_for_selector(".bench svg .curve", state="attached")
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("device", WIDTHS)
-def test_nothing_is_wider_than_the_screen(page, device: str, scheme: str) -> None:
-    set_screen(page, device, scheme)
-    page.locator("#benches summary").click()
-    check_screen(page, device, scheme)
-    boxes = page.locator(".scroll:visible")
-    told = boxes.evaluate_all("boxes => boxes.map(box => [box.scrollWidth > box.clientWidth, box.matches('.wide')])")
-    assert all(is_wide == says_so for is_wide, says_so in told)
-    assert told[0] == [False, False]  # the overview
-    right = max(head(page, title).bounding_box()["x"] + head(page, title).bounding_box()["width"] for title in FIRST)
-    assert right <= WIDTHS[device][0]
-
-
-FIRST = ("method", "average")
+def test_nothing_is_wider_than_the_screen(page) -> None:
+    for device, scheme in product(WIDTHS, ("light", "dark")):
+        set_screen(page, device, scheme)
+        check_screen(page, device, scheme)
+        boxes = page.locator(".scroll:visible")
+        told = boxes.evaluate_all(
+            "boxes => boxes.map(box => [box.scrollWidth > box.clientWidth, box.matches('.wide')])"
+        )
+        assert all(is_wide == says_so for is_wide, says_so in told)
+        assert told[0] == [False, False]  # the overview
+        first = [head(page, title).bounding_box() for title in ("method", "average")]
+        assert max(box["x"] + box["width"] for box in first) <= WIDTHS[device][0]
 
 
 def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser, tmp_path: Path) -> None:
@@ -196,11 +152,11 @@ def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser,
     here, there = {"processor": "here", "cores": "1"}, {"processor": "there", "cores": "1"}
     for split in ("lofo-2.4GHz", "lofo-24.25GHz"):
         for method, ssim in {**dict.fromkeys(EVERY_TRIVIAL, 0.8), "nearest": 0.82, "mean-spectrum": 0.1}.items():
-            append(tmp_path / "records.jsonl", make_record(method, ssim, split, id=method + split, hardware=here))
+            store(tmp_path, make_record(method, ssim, split, id=method + split, hardware=here))
     for method, ssim in (("ours", 0.9), ("theirs", 0.85), ("ours (a=1)", 0.95)):
         record = make_record(method.partition(" ")[0], ssim, "lofo-24.25GHz", id=method, hardware=there)
         overrides = ("a=1",) if "(" in method else ()
-        append(tmp_path / "records.jsonl", with_job(record, overrides=overrides))
+        store(tmp_path, with_job(record, overrides=overrides))
     with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
         page.wait_for_load_state()
         assert page.evaluate("scrollY") == 0 and "#" not in page.url
@@ -221,42 +177,34 @@ def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser,
         assert page.locator("#off-scale").inner_text() == "" and page.locator("#cdfs .curve").count() == 1
 
 
-def test_on_paper_every_board_has_its_whole_table_and_no_controls(page) -> None:
+def test_on_paper_and_without_a_script_every_board_has_its_whole_table_and_no_controls(
+    browser, page, file: Path
+) -> None:
     page.set_viewport_size({"width": 1047, "height": 700})  # A4 across, without its margins
     page.emulate_media(media="print")
     tables = page.locator("table.leaderboard")
-    assert tables.count() == 2
-    assert all(table.is_visible() for table in tables.all())
-    assert not page.locator("#controls").is_visible()
     assert tables.evaluate_all("tables => Math.max(...tables.map(table => table.scrollWidth))") <= 1047
-
-
-def test_without_a_script_the_tables_stand(browser, file: Path) -> None:
     context = browser.new_context(java_script_enabled=False)
-    tab = context.new_page()
-    tab.goto(file.as_uri())
-    assert tab.locator("table.leaderboard:visible").count() == 2
-    assert not tab.locator("#controls").is_visible()
+    plain = context.new_page()
+    plain.goto(file.as_uri())
+    for each in (page, plain):
+        assert each.locator("table.leaderboard:visible").count() == 2
+        assert not each.locator("#controls").is_visible()
     context.close()
 
 
 def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_costs(browser, tmp_path: Path) -> None:
-    for record in (make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0)):
-        append(tmp_path / "records.jsonl", record)
-    page, complaints = browser.new_page(), []
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto(write_page(tmp_path, tmp_path / "page.html").as_uri())
-    assert shown_labels(page) == ["theirs (external)", "nearest"]
-    assert page.locator("#pareto .point").count() == 2
-    page.locator("#pareto .point[data-row^=theirs]").hover()
-    told = page.locator("#tip").inner_text()
-    assert "3 s of fitting" in told and "map" not in told and "parameters" not in told
-    page.select_option("#cost", "parameters")
-    assert page.locator("#pareto .point").count() == 1
-    page.uncheck("#families [value=external]")
-    assert shown_labels(page) == ["nearest"]
-    page.close()
-    assert complaints == []
+    store(tmp_path, make_record("nearest", 0.8), external("lofo-24.25GHz", fit_seconds=3.0))
+    with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
+        assert shown_labels(page) == ["theirs (external)", "nearest"]
+        assert page.locator("#pareto .point").count() == 2
+        page.locator("#pareto .point[data-row^=theirs]").hover()
+        told = page.locator("#tip").inner_text()
+        assert "3 s of fitting" in told and "map" not in told and "parameters" not in told
+        page.select_option("#cost", "parameters")
+        assert page.locator("#pareto .point").count() == 1
+        page.uncheck("#families [value=external]")
+        assert shown_labels(page) == ["nearest"]
 
 
 def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page) -> None:
@@ -278,42 +226,15 @@ def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page)
     assert page.locator("#metric").input_value() == "aoa_error"
 
 
-def test_the_overview_leads_to_every_board(page) -> None:
-    links = page.locator("#overview a")
-    assert links.count() == page.locator("#board option").count() == 2
-    assert "quick: average 0.7500" in links.first.inner_text()  # what is better is an ablation
-    links.filter(has_text="trivial predictors alone").click()
-    assert shown_labels(page) == ["nearest"]
-    page.go_back()
-    assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
-
-
-def test_a_method_has_one_colour_on_every_board(page) -> None:
-    colour = "part => part.getAttribute('fill')"
-    before = page.locator('#pareto .point[data-row="nearest"]').evaluate(colour)
-    page.select_option("#board", label="synthetic · sparse · power maps")
-    assert page.locator('#pareto .point[data-row="nearest"]').evaluate(colour) == before
-
-
 def test_a_click_on_a_point_opens_its_maps(page) -> None:
     page.locator('#pareto .point[data-row="nearest"]').click()
     assert page.locator("#shown-method").input_value() == "nearest"
     assert "nearest: best, median and worst by SSIM of a dozen" in page.locator("#gallery").inner_text()
+    decode = "async image => { image.loading = 'eager'; await image.decode(); return image.naturalWidth; }"
+    assert [picture.evaluate(decode) for picture in page.locator(".case .map").all()] == [90] * 9
     page.locator('#pareto .point[data-row="mean-over-frequency"]').focus()
     page.keyboard.press("Enter")
     assert page.locator("#shown-method").input_value() == "mean-over-frequency"
-
-
-def test_maps_that_were_shipped_with_records_open_at_a_click(browser, results: Path, tmp_path: Path) -> None:
-    for record in stored(results):
-        append(tmp_path / "reference.jsonl", with_job(record, dataset="elsewhere.h5"))
-    ship_maps(results, tmp_path / "reference_maps.jsonl")
-    with opened(browser, write_page(tmp_path / "reference.jsonl", tmp_path / "page.html")) as page:
-        page.locator('#pareto .point[data-row="mean-over-frequency"]').click()
-        assert page.locator("#shown-method").input_value() == "mean-over-frequency"
-        assert page.locator(".case strong").all_inner_texts() == ["best", "median", "worst"]
-        assert page.locator(".case .map").count() == 9
-        assert "nearest" not in page.locator("#gallery .missing").inner_text()
 
 
 def test_tables_and_charts_can_be_saved(page, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The page on the paper's claims: its numbers beside ours, and a verdict where intervals allow one."""
+"""The paper's numbers beside ours, and its claims with a verdict where intervals allow one."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from tests.support.stored_records import SPLITS, make_record
+from tests.support.stored_records import SPLITS, external, make_record, store
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
-from xfreqbench.report.leaderboard.paper import paper_figures, paper_markdown
+from xfreqbench.report.leaderboard.paper import claims_table, paper_figures, paper_markdown
+from xfreqbench.report.leaderboard.published import published_content, sources_of, stands_for
 from xfreqbench.report.leaderboard.report import write_report
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import RunRecord
 
 CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
 TOLD = {"sees_carrier": True, "footprint": "projected"}
@@ -33,7 +34,7 @@ QUICK, CONVERGED, AS_IT_IS = "ours, 64,000 maps", "ours, 200,000 maps", "as the 
 @pytest.mark.parametrize(("shift", "verdict"), [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "open")])
 def test_a_claim_holds_only_where_the_whole_interval_says_so(shift: float, verdict: str) -> None:
     ranked = boards([*fitted("xfreq-gs", shift, config=TOLD), *fitted("gsrf", 0.0)])
-    (row,) = rows_of(paper_markdown(ranked), CLAIM)
+    (row,) = rows_of(claims_table(ranked), CLAIM)
     assert bool(row["why not"]) == (verdict != "holds")
     assert row[QUICK].endswith(f" at 24.25GHz: {verdict}")
     assert (row[CONVERGED], row[AS_IT_IS]) == ("–", "–")
@@ -41,24 +42,24 @@ def test_a_claim_holds_only_where_the_whole_interval_says_so(shift: float, verdi
 
 def test_a_claim_of_one_seed_has_no_verdict_and_without_measurements_there_is_no_table() -> None:
     one = boards([fitted("xfreq-gs", 0.0, config=TOLD)[0], *fitted("gsrf", 0.0)])
-    assert rows_of(paper_markdown(one), CLAIM)[0][QUICK].endswith("too few seeds")
-    none = boards(fitted("xfreq-gs", 0.0, config=TOLD))
-    assert "None was measured." in paper_markdown(none)
+    assert rows_of(claims_table(one), CLAIM)[0][QUICK].endswith("too few seeds")
+    assert not claims_table(boards(fitted("xfreq-gs", 0.0, config=TOLD)))
 
 
 def test_the_method_as_the_paper_has_it_is_judged_beside_the_aided_one() -> None:
     found = {method: fitted(method, shift, config=TOLD) for method, shift in (("xfreq-gs-paper", 0.05), ("gsrf", 0.0))}
     slow = [with_job(record, budget=LANES["converged"]) for records in found.values() for record in records]
-    row = rows_of(paper_markdown(boards([*slow, *fitted("xfreq-gs", 0.0)])), CLAIM)[0]
+    row = rows_of(claims_table(boards([*slow, *fitted("xfreq-gs", 0.0)])), CLAIM)[0]
     assert row[AS_IT_IS].endswith("holds") and row[CONVERGED] == "–"
 
 
 def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_ablation() -> None:
     blind = fitted("xfreq-gs", -0.05, config=BLIND)
     blind = [with_job(record, overrides=("sees_carrier=false", "latent=0")) for record in blind]
-    text = paper_markdown(boards([*blind, *fitted("xfreq-gs", 0.0, config=TOLD)]))
+    ranked = boards([*blind, *fitted("xfreq-gs", 0.0, config=TOLD)])
+    text = paper_markdown(ranked)
     claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
-    assert rows_of(text, claim)[0][QUICK].endswith("holds")
+    assert rows_of(claims_table(ranked), claim)[0][QUICK].endswith("holds")
     plain, ablation = (rows_of(text, name)[0]["SSIM median"] for name in ("full", "without frequency modulation"))
     assert (plain.split("(")[1], ablation.split("(")[1]) == ("0.9278)", "0.8977)")
     assert float(plain.split()[0]) > float(ablation.split()[0])
@@ -96,9 +97,23 @@ def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> Non
 
 def test_only_reports_with_methods_of_the_paper_have_the_page(tmp_path: Path) -> None:
     for name, records in (("ours", make_records()), ("theirs", [*make_records(), *fitted("xfreq-gs", 0.0)])):
-        for record in records:
-            append(tmp_path / name / "records.jsonl", record)
-        written = write_report(tmp_path / name, tmp_path / name / "B.md", tmp_path / name / "all").paths
+        folder = store(tmp_path / name, *records)
+        written = write_report(folder, folder / "B.md", folder / "all").paths
         pages = [path.name for path in written if path.suffix == ".md"]
         assert ("paper.md" in pages) == (name == "theirs")
-        assert ("all/paper.md" in (tmp_path / name / "B.md").read_text("utf-8")) == (name == "theirs")
+        assert ("all/paper.md" in (folder / "B.md").read_text("utf-8")) == (name == "theirs")
+
+
+def test_every_method_that_is_named_after_a_system_says_whose_it_is() -> None:
+    methods = ("gsrf", "wrf-gs-plus", "wideband-3dgs", "swift-wrf", "xfreq-gs", "nearest")
+    (board,) = boards([make_record(method) for method in methods])
+    sources = sources_of(board.rows)
+    assert {method for source in sources for method in source["methods"]} >= set(methods[:-1])
+    assert all(source[kind].startswith("https://") for source in sources for kind in ("paper", "program"))
+    assert not sources_of([row for row in board.rows if row.job.method == "nearest"])
+
+
+def test_an_external_row_has_no_published_counterpart() -> None:
+    (counterpart,) = [each for each in published_content()["counterpart"] if each["name"] == "GSRF"]
+    rows = boards([external(method="gsrf"), make_record("gsrf")])[0].rows
+    assert {row.is_external: stands_for(counterpart, row) for row in rows} == {True: False, False: True}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,13 @@ import pytest
 import xfreqbench as xb
 from tests.support.leaderboard_records import with_job
 from tests.support.page_results import METHODS
-from tests.support.stored_records import make_record
+from tests.support.stored_records import make_record, store
 from tests.support.synthetic import paper_dataset
+from xfreqbench.cli.main import app
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.gallery import gallery, open_data
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import write_report
@@ -24,7 +27,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.runs.sealed import SEAL
 
-TARGETS_GHZ = (2.4, 10.0, 24.25, 60.0, 77.0)
+TARGETS_GHZ = (2.4, 24.25, 77.0)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +37,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 @pytest.fixture(scope="module")
 def results(dataset: PasDataset) -> Path:
-    """Two trivial predictors at five carriers; the maps of one of them stand for those of the paper's method too."""
+    """Two trivial predictors at three carriers; the maps of one of them stand for those of the paper's method too."""
     folder = dataset.path.parent / "results"
     for record in xb.run(dataset, METHODS, results=folder, targets_ghz=TARGETS_GHZ):
         if record.job.method == "nearest":
@@ -58,11 +61,8 @@ def shipped(results: Path) -> Path:
 
 
 def gallery_of(page: Path) -> dict:
-    content = re.search(
-        r'<script type="application/json" id="content">(.*?)</script>', page.read_text("utf-8"), re.DOTALL
-    )
-    assert content
-    return json.loads(content[1])["boards"][0]["gallery"]
+    content = page.read_text("utf-8").partition(' id="content">')[2].partition("</script>")[0]
+    return json.loads(content)["boards"][0]["gallery"]
 
 
 def test_the_page_shows_the_same_maps_without_predictions_and_data(
@@ -117,15 +117,14 @@ def test_the_papers_maps_are_drawn_alike_from_predictions_and_from_the_file_besi
         paths = write_report(source, folder / "B.md", folder / "all").paths
         (picture,) = [path for path in paths if path.suffix == ".png"]
         text = (folder / "all" / "paper.md").read_text("utf-8")
-        assert "maps of 5 transmitters" in text and "at 5 carriers" in text
+        assert "maps of 5 transmitters" in text and "at 3 carriers" in text
         assert f"](figures/{picture.name})" in text
         drawn.append(picture.read_bytes())
     assert drawn[0] == drawn[1]
 
 
 def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(results: Path, tmp_path: Path) -> None:
-    for record in ResultsFolder(results).records:
-        append(tmp_path / "records.jsonl", with_job(record, dataset="elsewhere.h5"))
+    store(tmp_path, *(with_job(record, dataset="elsewhere.h5") for record in ResultsFolder(results).records))
     with pytest.raises(DataError, match="No predictions of a data set"):
         ship_maps(tmp_path, tmp_path / "maps.jsonl")
     write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
@@ -166,3 +165,26 @@ def test_a_record_of_another_run_has_no_shipped_maps(shipped: Path, tmp_path: Pa
         append(copied, RunRecord.model_validate({**dict(record), "id": record.id[::-1] + "0"}))
     gallery = gallery_of(write_page(copied, tmp_path / "page.html"))
     assert not gallery["cases"] and "No pictures" in gallery["missing"]
+
+
+@pytest.mark.parametrize("on", ["test", "validation"])
+def test_the_command_that_stores_missing_predictions_makes_the_same_records(tmp_path: Path, on: str) -> None:
+    data = paper_dataset(tmp_path / "data.h5")
+    asked = {"results": tmp_path / "results", "targets_ghz": [24.25], "on": on}
+    (record,) = xb.run(data, "nearest", **asked)  # type: ignore[arg-type]
+    (board,) = boards([record])
+    command = gallery(board, []).missing.split("`")[1].split()
+    assert command[:1] == ["xfreqbench"]
+    _, given, _ = app.parse_args(command[1:], exit_on_error=False, print_error=False, help_on_error=False)
+    again = {"protocol": "lofo", "on": "test"} | given.arguments
+    (split,) = xb.make_splits(data, again["protocol"], [24.25], again["on"])
+    assert split.sha256 == record.split_sha256
+
+
+def test_data_that_another_program_holds_open_are_passed_over(tmp_path: Path) -> None:
+    data = paper_dataset(tmp_path / "data.h5")
+    (board,) = boards(xb.run(data, "nearest", results=tmp_path / "results", targets_ghz=[24.25]))
+    assert open_data(board) is not None
+    with data.path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5 does to write
+        assert open_data(board) is None

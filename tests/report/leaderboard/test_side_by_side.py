@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
-from tests.support.stored_records import SPLITS, make_record
+from tests.support.stored_records import SPLITS, make_record, store
 from xfreqbench.errors import DataError
 from xfreqbench.report.leaderboard.side_by_side import compare_results, records_at
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import RunRecord
 
 SHIFT = 0.05
-
-
-def stored(folder: Path, records: Iterable[RunRecord]) -> Path:
-    folder.mkdir(exist_ok=True)
-    for record in records:
-        append(folder / "records.jsonl", record)
-    return folder
 
 
 def numbers(cell: str) -> list[float]:
@@ -33,8 +25,8 @@ def first_row(tables: str, method: str) -> dict[str, str]:
 
 
 def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
-    b = stored(tmp_path / "b", of_three_seeds("ours", SHIFT, 11))
+    a = store(tmp_path / "a", *of_three_seeds("ours", 0.0, 1))
+    b = store(tmp_path / "b", *of_three_seeds("ours", SHIFT, 11))
     row = first_row(compare_results(a, b), "ours")
     difference, low, high = numbers(row["B − A, 95 % interval"])
     assert low < SHIFT < high
@@ -43,18 +35,13 @@ def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None
     assert difference == pytest.approx(float(row["B"]) - float(row["A"]), abs=2e-4)
     assert (row["splits"], row["seeds"], row["B is"]) == ("24.25GHz", "3 and 3", "better")
     assert first_row(compare_results(b, a), "ours")["B is"] == "worse"
-
-
-def test_what_is_compared_with_itself_is_equal(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", of_three_seeds("ours", 0.0, 1))
-    tables = compare_results(a, a)
-    assert first_row(tables, "ours")["B is"] == "="
-    assert "Only in" not in tables
+    same = compare_results(a, a)
+    assert first_row(same, "ours")["B is"] == "=" and "Only in" not in same
 
 
 def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours", 0.9, fit_seconds=2.0)])
-    b = stored(tmp_path / "b", [make_record("ours", 0.8, fit_seconds=4.0)])
+    a = store(tmp_path / "a", make_record("ours", 0.9, fit_seconds=2.0))
+    b = store(tmp_path / "b", make_record("ours", 0.8, fit_seconds=4.0))
     scores, costs = rows_of(compare_results(a, b), "ours")
     assert scores["B − A, 95 % interval"] == "-0.1000"  # without samples there is no interval
     assert scores["B is"] == "–"
@@ -63,40 +50,41 @@ def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
 
 
 def test_averages_are_over_the_splits_of_both(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours", 0.5, split) for split in SPLITS])
-    b = stored(tmp_path / "b", [make_record("ours", 0.7, split) for split in SPLITS[1:]])
+    a = store(tmp_path / "a", *(make_record("ours", 0.5, split) for split in SPLITS))
+    b = store(tmp_path / "b", *(make_record("ours", 0.7, split) for split in SPLITS[1:]))
     row = first_row(compare_results(a, b), "ours")
     assert row["splits"] == "24.25GHz, 77GHz"
     assert numbers(row["B − A, 95 % interval"]) == [0.2]
 
 
-def test_rows_without_a_partner_are_named(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record(name) for name in ("line-of-sight", "log-frequency", "nearest")])
-    b = stored(tmp_path / "b", [make_record("nearest"), make_record("theirs", 0.8), make_record("more", 0.7)])
-    tables = compare_results(a, b)
-    assert "Only in A: line-of-sight, log-frequency." in tables
-    assert "Only in B: theirs, more." in tables
+@pytest.mark.parametrize(
+    ("of_a", "of_b", "paired", "alone"),
+    [
+        (("line-of-sight", "log-frequency", "nearest"), ("nearest", "theirs", "more"), ["nearest"], True),
+        (("ours", "nearest"), ("ours (width=8)", "nearest"), ["ours and ours (width=8)", "nearest"], False),
+        (("ours",), ("theirs",), ["ours and theirs"], False),
+    ],
+)
+def test_rows_are_paired_by_label_then_by_method_and_at_last_the_only_ones(
+    tmp_path: Path, of_a: tuple[str, ...], of_b: tuple[str, ...], paired: list[str], alone: bool
+) -> None:
+    folders = [
+        store(tmp_path / name, *(labelled(label, 0.9 - nth / 10) for nth, label in enumerate(labels)))
+        for name, labels in (("a", of_a), ("b", of_b))
+    ]
+    tables = compare_results(*folders)
+    assert all(rows_of(tables, label) for label in paired)
+    assert ("Only in A: line-of-sight, log-frequency." in tables) == ("Only in B: theirs, more." in tables) == alone
 
 
-def test_changed_options_are_paired_where_a_method_has_one_row_in_either(tmp_path: Path) -> None:
-    changed = with_job(make_record("ours", 0.8), overrides=("width=8",))
-    a = stored(tmp_path / "a", [make_record("ours"), make_record("nearest")])
-    b = stored(tmp_path / "b", [changed, make_record("nearest")])
-    tables = compare_results(a, b)
-    assert rows_of(tables, "ours and ours (width=8)")
-    assert rows_of(tables, "nearest")
-    assert "Only in" not in tables
-
-
-def test_the_only_rows_of_both_are_compared_whatever_they_are(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours")])
-    b = stored(tmp_path / "b", [make_record("theirs", 0.8)])
-    assert rows_of(compare_results(a, b), "ours and theirs")
+def labelled(label: str, ssim: float) -> RunRecord:
+    method, _, option = label.rstrip(")").partition(" (")
+    return with_job(make_record(method, ssim), overrides=(option,) if option else ())
 
 
 def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
     trivial = [record for record in make_records() if record.job.method != "ours"]
-    folder = stored(tmp_path / "a", [*of_three_seeds("ours", SHIFT, 1), *trivial])
+    folder = store(tmp_path / "a", *of_three_seeds("ours", SHIFT, 1), *trivial)
     tables = compare_results(folder / "ours", folder)
     for method in ("nearest", "log-frequency"):
         assert first_row(tables, f"ours and {method}")["B is"] in ("better", "worse", "=", "–")
@@ -105,7 +93,7 @@ def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
 
 
 def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
-    folder = stored(tmp_path / "results", make_records())
+    folder = store(tmp_path / "results", *make_records())
     assert {record.job.method for record in records_at(folder / "ours")} == {"ours"}
     tables = compare_results(folder / "nearest", folder / "ours")
     assert first_row(tables, "nearest and ours")["splits"].count("GHz") == 3
@@ -115,7 +103,7 @@ def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: 
 
 
 def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: Path) -> None:
-    folder = stored(tmp_path / "results", make_records())
+    folder = store(tmp_path / "results", *make_records())
     (record,) = records_at(folder / "ours-lofo-77")
     assert (record.job.method, record.job.split) == ("ours", "lofo-77GHz")
     tables = compare_results(folder / "nearest-lofo-77", folder / "ours-lofo-77")
@@ -127,11 +115,11 @@ def test_a_record_is_named_by_its_folder_and_the_beginning_of_its_id(tmp_path: P
 
 
 def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
-    a = stored(tmp_path / "a", [make_record("ours")])
-    b = stored(tmp_path / "b", [make_record("ours", dataset_sha256="c" * 64)])
+    a = store(tmp_path / "a", make_record("ours"))
+    b = store(tmp_path / "b", make_record("ours", dataset_sha256="c" * 64))
     with pytest.raises(DataError, match=r"data office@1-a{8}, versions 1 and 1 .*\(ours\).* data office@1-c{8}"):
         compare_results(a, b)
-    later = stored(tmp_path / "later", [make_record("ours", metrics_version="9")])
+    later = store(tmp_path / "later", make_record("ours", metrics_version="9"))
     with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):
         compare_results(a, later)
     with pytest.raises(DataError, match="holds no records"):
@@ -140,8 +128,8 @@ def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
 
 def test_other_samples_of_one_recipe_are_not_paired(tmp_path: Path) -> None:
     of_recipe = {"recipe": "1-" + "d" * 64}
-    a = stored(tmp_path / "a", [make_record("ours", **of_recipe)])
+    a = store(tmp_path / "a", make_record("ours", **of_recipe))
     others = {"dataset_sha256": "c" * 64, "split_sha256": "e" * 64}
-    b = stored(tmp_path / "b", [make_record("ours", **of_recipe, **others)])
+    b = store(tmp_path / "b", make_record("ours", **of_recipe, **others))
     with pytest.raises(DataError, match="test other samples on the split"):
         compare_results(a, b)

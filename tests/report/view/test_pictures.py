@@ -11,11 +11,10 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from tests.support.png_folders import imported, write_folder
-from tests.support.screened_room import CARRIERS_GHZ, ONE_LIT_TX, ONE_SHADOWED_TX
+from tests.support.screened_room import CARRIERS_GHZ
 from xfreqbench.cli.data import plot
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.report.drawing import figures as drawing
 from xfreqbench.report.view import figures, pictures
 from xfreqbench.report.view.figures import plot_room, ray_colour
@@ -25,16 +24,10 @@ from xfreqbench.report.view.plan import ViewPlan
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that are written, each also as it stood when it was."""
+    """The figures that would be written."""
     kept: list[Figure] = []
-
-    def keep(figure: Figure, path: Path, kind: str) -> None:
-        kept.append(figure)
-        save(figure, path, kind)
-
-    save = drawing.save_figure
     for module in (drawing, figures, pictures):
-        monkeypatch.setattr(module, "save_figure", keep)
+        monkeypatch.setattr(module, "save_figure", lambda figure, path, kind: kept.append(figure))
     return kept
 
 
@@ -65,11 +58,10 @@ def test_chosen_carriers_are_drawn_in_their_order_with_their_own_maps(
         np.testing.assert_allclose(np.reshape(mesh.get_array(), dataset.grid.shape), expected_db, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["power.png", "power.svg", "power.pdf"])
 def test_a_plan_has_a_square_for_every_transmitter_in_the_colour_of_its_power(
-    dataset: PasDataset, tmp_path: Path, drawn: list[Figure], name: str
+    dataset: PasDataset, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    plot(dataset.path, output=tmp_path / name, of="power", db_range=60)
+    plot(dataset.path, output=tmp_path / "power.pdf", of="power", db_range=60)
     (figure,) = drawn
     assert figure.get_suptitle() == "room.h5, scene screened\npower received from 35 transmitters"
     for axis, carrier_ghz in zip(panels(figure), CARRIERS_GHZ, strict=True):
@@ -90,15 +82,6 @@ def test_a_plan_has_a_square_for_every_transmitter_in_the_colour_of_its_power(
         assert squares.get_clim() == (-60, 0)
         corners = squares.get_paths()[0].vertices
         np.testing.assert_allclose(np.ptp(corners, axis=0), 0.5)  # a grid of one metre; no square is larger
-
-
-def test_free_space_is_seen_in_the_power(dataset: PasDataset) -> None:
-    """Behind the metal screen arrives less than in the far corner in sight, and less at high carriers."""
-    received = {carrier: dataset.subset(dataset.carrier_hz == carrier * 1e9).power_db for carrier in CARRIERS_GHZ}
-    for powers in received.values():
-        assert powers[ONE_SHADOWED_TX] < powers[ONE_LIT_TX]
-    medians = [np.median(received[carrier]) for carrier in CARRIERS_GHZ]
-    assert medians[0] > medians[1] > medians[2]
 
 
 def test_transmitters_above_each_other_share_a_square_with_their_mean(
@@ -130,34 +113,26 @@ def test_strong_rays_are_brighter_and_drawn_over_weak_ones(view: ViewPlan, tmp_p
     assert shades == sorted(shades)
 
 
-def test_what_cannot_be_drawn_is_refused_before_anything_is_written(dataset: PasDataset, tmp_path: Path) -> None:
-    output = tmp_path / "new.png"
-    with pytest.raises(UnknownNameError, match=r"no carrier '5 GHz'.*2.4 GHz, 24.25 GHz, 77 GHz"):
-        plot(dataset.path, output=output, carriers="2.4,5")
-    with pytest.raises(XFreqBenchError, match="--carriers takes carriers in GHz"):
-        plot(dataset.path, output=output, carriers="2.4;5")
-    for db_range in (0.0, -3.0, float("nan"), float("inf")):
-        with pytest.raises(XFreqBenchError, match="--db-range takes dB above 0"):
-            plot(dataset.path, output=output, db_range=db_range)
-    with pytest.raises(XFreqBenchError, match="holds transmitters 0 to 34, but 35"):
-        plot(dataset.path, output=output, tx=35)
-    with pytest.raises(XFreqBenchError, match="leave --tx out"):
-        plot(dataset.path, output=output, of="power", tx=1)
-    with pytest.raises(XFreqBenchError, match="end its name in"):
-        plot(dataset.path, output=tmp_path / "new.gif")
-    assert not list(tmp_path.iterdir())
+def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
+    dataset: PasDataset, imported: PasDataset, tmp_path: Path
+) -> None:
+    theirs = tmp_path / "talk.pdf"
+    theirs.write_bytes(b"%PDF-1.4 mine")
+    for options, words in (
+        ({"carriers": "2.4,5"}, r"no carrier '5 GHz'.*2.4 GHz, 24.25 GHz, 77 GHz"),
+        ({"carriers": "2.4;5"}, "--carriers takes carriers in GHz"),
+        *(({"db_range": each}, "--db-range takes dB above 0") for each in (0.0, float("nan"), float("inf"))),
+        ({"tx": 35}, "holds transmitters 0 to 34, but 35"),
+        ({"of": "power", "tx": 1}, "leave --tx out"),
+        ({"output": tmp_path / "new.gif"}, "end its name in"),
+        ({"output": theirs, "of": "power"}, r"talk\.pdf exists"),
+        ({"file": imported.path, "of": "power"}, "maps alone"),
+    ):
+        with pytest.raises(XFreqBenchError, match=words):
+            plot(**{"file": dataset.path, "output": tmp_path / "new.png", **options})
+    assert [*tmp_path.iterdir()] == [theirs] and theirs.read_bytes() == b"%PDF-1.4 mine"
 
 
-def test_a_pdf_of_somebody_else_stays(dataset: PasDataset, tmp_path: Path) -> None:
-    (tmp_path / "talk.pdf").write_bytes(b"%PDF-1.4 mine")
-    with pytest.raises(OutputExistsError, match=r"talk\.pdf"):
-        plot(dataset.path, output=tmp_path / "talk.pdf", of="power")
-    assert (tmp_path / "talk.pdf").read_bytes() == b"%PDF-1.4 mine"
-
-
-def test_maps_alone_have_no_power(tmp_path: Path) -> None:
-    imported(write_folder(tmp_path / "png"), tmp_path / "maps.h5")
-    with pytest.raises(DataError, match="maps alone"):
-        plot(tmp_path / "maps.h5", output=tmp_path / "power.png", of="power")
-    plot(tmp_path / "maps.h5", output=tmp_path / "maps.png")
+def test_maps_alone_are_drawn(imported: PasDataset, tmp_path: Path) -> None:
+    plot(imported.path, output=tmp_path / "maps.png")
     assert (tmp_path / "maps.png").exists()

@@ -37,8 +37,6 @@ RESULT_PARTS = (
     "BENCHMARK.md",
     "BENCHMARK-",
     "benchmark.html",
-    "benchmark.csv",
-    "benchmark.parquet",
     "figures",
 )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,7 @@ from xfreqbench.types import FloatArray
 
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
-_SURFACE, _PLANE, _POINT = (150, 160, 175, 60), (213, 94, 0, 150), (0, 114, 178, 255)
-_RADIUS_M = 0.06
+_SURFACE = 150, 160, 175, 60
 _TUBE_SIDES = 6
 _OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
 _OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
@@ -88,24 +86,3 @@ def _sign(tree: dict[str, Any]) -> None:
     content = {"asset": {**tree.pop("asset"), "generator": SOFTWARE}, **tree}
     tree.clear()
     tree.update(content)
-
-
-def write_glb(
-    meshes: Sequence[SurfaceMesh],
-    rectangles_m: Mapping[str, Float[FloatArray, "4 3"]],
-    points_m: Mapping[str, Float[FloatArray, "3"]],
-    path: Path,
-) -> None:
-    """Write a model of surfaces, which are translucent, rectangles and points, which are small spheres.
-
-    Rectangles are given by their corners in order around them. Nodes have the names that the mappings give;
-    surfaces are `surface NAME`. Raises `StorageError`.
-    """
-    model = GlbModel()
-    for mesh in meshes:
-        model.add_surface(mesh)
-    for name, corners_m in rectangles_m.items():
-        model.add_rectangle(name, corners_m, _PLANE)
-    for name, point_m in points_m.items():
-        model.add_ball(name, point_m, _RADIUS_M, _POINT)
-    model.write(path)

@@ -85,8 +85,3 @@ def with_interval(value: float, interval: tuple[float, float], decimals: int) ->
     """A number followed by its interval in brackets; without interval where that is nan."""
     low, high = (number(bound, decimals) for bound in interval)
     return number(value, decimals) if isnan(interval[0]) else f"{number(value, decimals)} [{low}, {high}]"
-
-
-def seconds(value: float) -> str:
-    """Seconds with three digits and at most two decimals: `0.01 s`, `4.69 s`, `75 s`, `1200 s`."""
-    return f"{value:.2f} s" if value < 1 else f"{value:.3g} s" if value < 1000 else f"{value:.0f} s"

@@ -16,7 +16,7 @@ from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
 
 _EXPLAINED_COSTS = ("seconds", "milliseconds", "memory", "parameters")
-LEADERBOARD_TERMS = {
+_LEADERBOARD_TERMS = {
     "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
     f"below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of {', '.join(EVERY_TRIVIAL)} on the same split). "
     f"A dash: one of the first {len(NEEDED_TRIVIAL)} of these was not run. In every resample the best is found anew",
@@ -207,18 +207,10 @@ def _busy_note(rows: Sequence[BoardRow]) -> str:
     )
 
 
-def legend() -> str:
-    """The section that explains every column of a report."""
-    metrics = {metric_title(name): metric.description for name, metric in METRICS.items()}
-    means = {"mean**, **10th pct.": "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"}
-    return _section(metrics | means | LEADERBOARD_TERMS | _OTHER_TERMS)
-
-
-def short_legend() -> str:
-    """The section that explains the columns of a short leaderboard."""
-    return _section({metric_title("aoa_error"): METRICS["aoa_error"].description} | LEADERBOARD_TERMS)
-
-
-def _section(terms: dict[str, str]) -> str:
-    lines: Sequence[str] = [f"* **{name}**: {words}" for name, words in terms.items()]
-    return "\n".join(["## What the columns say", "", *lines])
+def legend(is_short: bool = False) -> str:
+    """The section that explains every column of a report, or those of a short leaderboard."""
+    shown = {metric_title(name): metric.description for name, metric in METRICS.items()}
+    shown["mean**, **10th pct."] = "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
+    error = metric_title("aoa_error")
+    terms = {error: shown[error]} | _LEADERBOARD_TERMS if is_short else shown | _LEADERBOARD_TERMS | _OTHER_TERMS
+    return "\n".join(["## What the columns say", "", *(f"* **{name}**: {words}" for name, words in terms.items())])

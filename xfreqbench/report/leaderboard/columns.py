@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import isinf, isnan, nan
 from typing import Literal
 
@@ -21,18 +22,33 @@ class LeaderboardColumn:
     """One column: its title, a hint that explains it, and what stands in the cell of a row.
 
     `value` is the number that rows are sorted by, nan where it is unknown; a column of words has none and is sorted
-    by its texts. `bounds` are those of the 95 % interval, nan where it is unknown, and `interval` is the same as text,
-    `[low, high]` or empty.
+    by its texts. A text is the number in a `form`, or `words`. `bounds` are those of the 95 % interval, nan where it
+    is unknown.
     """
 
     title: str
     hint: str
-    text: Callable[[BoardRow], str]
-    value: Callable[[BoardRow], float] | None = None
+    value: Callable[[BoardRow], float] | None
+    form: str = ""
+    words: Callable[[BoardRow], str] | None = None
     bounds: Callable[[BoardRow], Interval] = lambda row: UNKNOWN
-    interval: Callable[[BoardRow], str] = lambda row: ""
     is_largest_first: bool = False  # in what order the first click sorts
     is_board_order: bool = False  # whether rows stand sorted by this column at first
+
+    def text(self, row: BoardRow) -> str:
+        """What stands in the cell of a row, without the interval."""
+        if self.words:
+            return self.words(row)
+        return _number(self.value(row) if self.value else nan, self.form)
+
+    def interval(self, row: BoardRow) -> str:
+        """The 95 % interval as text, `[low, high]` or empty."""
+        low, high = self.bounds(row)
+        return "" if isnan(low) else f"[{_number(low, self.form)}, {_number(high, self.form)}]"
+
+    def cell(self, row: BoardRow) -> str:
+        """The text, followed by the interval if that is known."""
+        return f"{self.text(row)} {self.interval(row)}".strip()
 
 
 @dataclass(frozen=True)
@@ -91,12 +107,7 @@ def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[Le
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
     number for are left out.
     """
-    every = (
-        _place_columns(comparison)
-        | _ssim_columns(comparison)
-        | {name: [_metric_column(comparison.splits, name)] for name in _OTHER_METRICS}
-        | {name: _cost_columns(comparison, cost) for name, cost in COSTS.items()}
-    )
+    every = _columns(comparison)
     return [column for name in names for column in every[name]]
 
 
@@ -106,156 +117,117 @@ def metric_title(name: str) -> str:
     return _METRIC_TITLES[name][0] + (f" ({unit})" if unit else "")
 
 
-def _place_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
-    splits = comparison.splits
+def _columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
+    board, splits = comparison.board, comparison.splits
 
-    def rank_text(row: BoardRow) -> str:
-        places = comparison.ranks(row)
-        return span(places) if places else ABSENT
+    def average(quantity: Quantity) -> Callable[[BoardRow], float]:
+        return lambda row: row.average(splits, quantity)
 
-    def rank_value(row: BoardRow) -> float:
-        best, worst = comparison.ranks(row) or (nan, nan)
-        return best + worst / 1e4  # by the best place, then by the worst
-
-    rank = LeaderboardColumn("rank", "places that the intervals leave open", rank_text, rank_value)
-    method = LeaderboardColumn("method", "with what differs from a plain run", lambda row: row.short_label)
-    seeds = LeaderboardColumn(
-        "seeds",
-        "runs of each split",
-        lambda row: span(row.num_seeds(splits)),
-        lambda row: float(row.num_seeds(splits)[0]),
-        is_largest_first=True,
-    )
-    origins = comparison.board.origins
+    def place(end: Literal[0, 1]) -> Callable[[BoardRow], float]:
+        return lambda row: (comparison.ranks(row) or (nan, nan))[end]
 
     def origin_text(row: BoardRow) -> str:
-        of_row = {origins[comparison.board.origin(record)] for record in row.records}
-        return " ".join(label for label in origins.values() if label in of_row)
+        of_row = {board.origins[board.origin(record)] for record in row.records}
+        return " ".join(label for label in board.origins.values() if label in of_row)
 
-    trained = LeaderboardColumn("trained on", "data, carriers and transmitters", lambda row: trained_on(row, splits))
-    origin = LeaderboardColumn("origin", "machine, code and data, told below the table", origin_text)
-    return {
-        "rank": [rank],
-        "best rank": [_place_column(comparison, 0)],
-        "worst rank": [_place_column(comparison, 1)],
-        "method": [method],
-        "seeds": [seeds],
-        "origin": [origin] if origins else [],
-        "trained on": [trained],
-    }
-
-
-def _place_column(comparison: Comparison, end: Literal[0, 1]) -> LeaderboardColumn:
-    word = ("best", "worst")[end]
-    hint = f"{word} place that the intervals leave open"
-    return _number_column(f"{word} rank", hint, lambda row: (comparison.ranks(row) or (nan, nan))[end], ".0f")
-
-
-def _ssim_columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
-    splits = comparison.splits
-    ssim = _number_column(
+    ssim = LeaderboardColumn(
         _METRIC_TITLES["ssim"][0],
         "median SSIM, mean over splits and seeds, and its 95 % interval",
-        _average(splits, median_ssim),
+        average(median_ssim),
         ".4f",
-        interval=comparison.interval,
+        bounds=comparison.interval,
         is_largest_first=True,
     )
     several = splits if len(splits) > 1 else ()
-    average = replace(ssim, title="average" if several else short_name(splits[0]), is_board_order=True)
-    skill = _number_column(
-        "skill",
-        "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
-        _average(splits, comparison.board.skill),
-        ".3f",
-        interval=comparison.skill_interval,
-        is_largest_first=True,
-    )
-    return {
+    found = [
+        LeaderboardColumn(
+            "rank",
+            "places that the intervals leave open",
+            lambda row: place(0)(row) + place(1)(row) / 1e4,  # by the best place, then by the worst
+            words=lambda row: _span(comparison.ranks(row)),
+        ),
+        LeaderboardColumn("best rank", "best place that the intervals leave open", place(0), ".0f"),
+        LeaderboardColumn("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
+        LeaderboardColumn("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
+        LeaderboardColumn(
+            "seeds",
+            "runs of each split",
+            lambda row: float(row.num_seeds(splits)[0]),
+            words=lambda row: _span(row.num_seeds(splits)),
+            is_largest_first=True,
+        ),
+        LeaderboardColumn(
+            "trained on", "data, carriers and transmitters", None, words=lambda row: _trained_on(row, splits)
+        ),
+        LeaderboardColumn(
+            "skill",
+            "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
+            average(board.skill),
+            ".3f",
+            bounds=comparison.skill_interval,
+            is_largest_first=True,
+        ),
+        LeaderboardColumn(
+            "mean",
+            "mean SSIM over the test maps, splits and seeds",
+            average(lambda record: record.scores["ssim"].mean),
+            ".4f",
+            is_largest_first=True,
+        ),
+    ]
+    origin = LeaderboardColumn("origin", "machine, code and data, told below the table", None, words=origin_text)
+    return {column.title: [column] for column in found} | {
         "ssim": [ssim],
-        "average": [average],
-        "skill": [skill],
-        "splits": [_split_column(split) for split in several],
-        **_spread_columns(splits),
+        "average": [replace(ssim, title="average" if several else short_name(splits[0]), is_board_order=True)],
+        "splits": [
+            LeaderboardColumn(
+                short_name(split),
+                f"median SSIM of {split}, mean over the seeds",
+                partial(BoardRow.value, split=split, quantity=median_ssim),
+                ".4f",
+                is_largest_first=True,
+            )
+            for split in several
+        ],
+        "seed spread": [
+            LeaderboardColumn(
+                "± seeds",
+                "standard deviation of the average over the seeds",
+                lambda row: row.seed_spread(splits, median_ssim),
+                ".4f",
+            )
+        ],
+        "p10": [
+            LeaderboardColumn(
+                "10th pct.",
+                "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
+                average(lambda record: record.scores["ssim"].p10),
+                ".4f",
+                is_largest_first=True,
+            )
+        ],
+        "origin": [origin] if board.origins else [],
+        **{name: [_metric_column(name, average)] for name in _OTHER_METRICS},
+        **{
+            name: [
+                LeaderboardColumn(
+                    cost.title, f"{cost.hint}, mean over splits and seeds", average(cost.quantity), cost.form
+                )
+            ]
+            if any(not isnan(cost.quantity(record)) for record in board.records)
+            else []
+            for name, cost in COSTS.items()
+        },
     }
 
 
-def _split_column(split: str) -> LeaderboardColumn:
-    hint = f"median SSIM of {split}, mean over the seeds"
-    return _number_column(
-        short_name(split), hint, lambda row: row.value(split, median_ssim), ".4f", is_largest_first=True
-    )
-
-
-def _spread_columns(splits: Sequence[str]) -> dict[str, list[LeaderboardColumn]]:
-    """How SSIM is spread over seeds and over test maps."""
-    seeds = _number_column(
-        "± seeds",
-        "standard deviation of the average over the seeds",
-        lambda row: row.seed_spread(splits, median_ssim),
-        ".4f",
-    )
-    mean = _number_column(
-        "mean",
-        "mean SSIM over the test maps, splits and seeds",
-        _average(splits, lambda record: record.scores["ssim"].mean),
-        ".4f",
-        is_largest_first=True,
-    )
-    p10 = _number_column(
-        "10th pct.",
-        "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
-        _average(splits, lambda record: record.scores["ssim"].p10),
-        ".4f",
-        is_largest_first=True,
-    )
-    return {"seed spread": [seeds], "mean": [mean], "p10": [p10]}
-
-
-def _metric_column(splits: Sequence[str], name: str) -> LeaderboardColumn:
-    _, decimals = _METRIC_TITLES[name]
-    return _number_column(
+def _metric_column(name: str, average: Callable[[Quantity], Callable[[BoardRow], float]]) -> LeaderboardColumn:
+    return LeaderboardColumn(
         metric_title(name),
         f"median, mean over splits and seeds: {METRICS[name].description}",
-        _average(splits, lambda record: record.scores[name].median),
-        f".{decimals}f",
+        average(lambda record: record.scores[name].median),
+        f".{_METRIC_TITLES[name][1]}f",
         is_largest_first=METRICS[name].higher_is_better,
-    )
-
-
-def _cost_columns(comparison: Comparison, cost: Cost) -> list[LeaderboardColumn]:
-    """The column of a cost; none where no record of the board has it."""
-    if all(isnan(cost.quantity(record)) for record in comparison.board.records):
-        return []
-    hint = f"{cost.hint}, mean over splits and seeds"
-    return [_number_column(cost.title, hint, _average(comparison.splits, cost.quantity), cost.form)]
-
-
-def _average(splits: Sequence[str], quantity: Quantity) -> Callable[[BoardRow], float]:
-    return lambda row: row.average(splits, quantity)
-
-
-def _number_column(
-    title: str,
-    hint: str,
-    value: Callable[[BoardRow], float],
-    form: str,
-    *,
-    interval: Callable[[BoardRow], Interval] = lambda row: UNKNOWN,
-    is_largest_first: bool = False,
-) -> LeaderboardColumn:
-    def interval_text(row: BoardRow) -> str:
-        low, high = interval(row)
-        return "" if isnan(low) else f"[{_number(low, form)}, {_number(high, form)}]"
-
-    return LeaderboardColumn(
-        title,
-        hint,
-        lambda row: _number(value(row), form),
-        value,
-        interval,
-        interval_text,
-        is_largest_first=is_largest_first,
     )
 
 
@@ -266,7 +238,7 @@ def _number(value: float, form: str) -> str:
     return ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}"
 
 
-def trained_on(row: BoardRow, splits: Sequence[str]) -> str:
+def _trained_on(row: BoardRow, splits: Sequence[str]) -> str:
     """Data, band and transmitters of a row's training: `office@2-3f9c2ab1, 1–94 GHz, tested transmitters too`."""
     records = [record for split in splits for record in row.by_split[split]]
     bands = [record.trained_band_hz for record in records if record.trained_band_hz]
@@ -276,7 +248,6 @@ def trained_on(row: BoardRow, splits: Sequence[str]) -> str:
     return ", ".join(filter(None, [recipe_name(records[0].scene, records[0].recipe), band, transmitters]))
 
 
-def span(numbers: tuple[int, int]) -> str:
-    """A range as text, `2–4`, or one number where both ends are equal."""
-    low, high = numbers
-    return str(low) if low == high else f"{low}–{high}"
+def _span(numbers: tuple[int, int] | None) -> str:
+    """A range as text, `2–4`, one number where both ends are equal, a dash for None."""
+    return "–".join(map(str, dict.fromkeys(numbers))) if numbers else ABSENT

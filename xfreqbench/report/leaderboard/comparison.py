@@ -56,6 +56,11 @@ class Comparison:
     board: Board
     splits: tuple[str, ...]
 
+    @classmethod
+    def of(cls, board: Board, row: BoardRow, other: BoardRow) -> Comparison:
+        """The comparison on the splits that both rows were run on."""
+        return cls(board, tuple(split for split in board.splits if split in row.by_split and split in other.by_split))
+
     @cached_property
     def rows(self) -> list[BoardRow]:
         """Rows that were run on all the splits, the best first."""
@@ -84,12 +89,13 @@ class Comparison:
         """
         if not (self._has_samples(row) and self._has_samples(other)):
             return UNKNOWN
-        if (row.label, other.label) not in self._differences:
+        key = self.splits, other.label
+        if key not in row.differences:
             bounds = _known_bounds(self._average(row) - self._average(other))
             if 0 in bounds:
                 bounds = _known_bounds(self._average(row, MANY_RESAMPLES) - self._average(other, MANY_RESAMPLES))
-            self._differences[row.label, other.label] = bounds
-        return self._differences[row.label, other.label]
+            row.differences[key] = bounds
+        return row.differences[key]
 
     def beats(self, row: BoardRow, other: BoardRow) -> bool:
         """Whether the whole interval of the difference lies above zero."""
@@ -132,11 +138,6 @@ class Comparison:
 
     def _average(self, row: BoardRow, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
         return np.mean([medians_of(row, split, number) for split in self.splits], axis=0)
-
-    @cached_property
-    def _differences(self) -> dict[tuple[str, str], Interval]:
-        """The intervals that were asked for, by the rows' labels."""
-        return {}
 
 
 def comparisons_of(board: Board) -> list[Comparison]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from xfreqbench.report.leaderboard.boards import Board, file_stem, short_name
@@ -28,40 +29,24 @@ def bench_figure(record: BenchRecord) -> str:
     return f"{FIGURES_FOLDER}/bench-{slug}.svg"
 
 
-def require_own_figures(
-    boards: Iterable[Board], benches: Iterable[BenchRecord], others: Iterable[str], folder: Path
-) -> None:
-    """Raise `OutputExistsError` where a figure of the report in `folder` would replace a file that we did not write.
-
-    `others` are links to further figures.
-    """
-    from xfreqbench.report.drawing.figures import require_own_figure
-
-    links = filter(None, map(time_link, boards))
-    for link in [*links, *others, *(bench_figure(record) for record in benches if record.figure)]:
-        require_own_figure(folder / link)
+def figures_of(boards: Iterable[Board], benches: Iterable[BenchRecord]) -> dict[str, Callable[[Path], None]]:
+    """Functions that draw the figures of a report to a path, by their links; they raise `StorageError`."""
+    figures: dict[str, Callable[[Path], None]] = {}
+    figures |= {link: partial(_draw_time, board) for board in boards if (link := time_link(board))}
+    return figures | {bench_figure(record): partial(_draw_bench, record) for record in benches if record.figure}
 
 
-def draw_bench(record: BenchRecord, folder: Path) -> Path:
-    """Draw a measurement's figure and return its path; `folder` holds the report. Raises `StorageError`."""
+def _draw_bench(record: BenchRecord, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_cost
 
     assert record.figure is not None
-    path = folder / bench_figure(record)
     plot_cost(record.figure, path)
-    return path
 
 
-def draw_time(board: Board, folder: Path) -> list[Path]:
-    """Draw a board's figure of error against time, if it has one, and return its path; `folder` holds the report.
-
-    Raises `StorageError`.
-    """
+def _draw_time(board: Board, path: Path) -> None:
+    """Draw a board's figure of error against time."""
     from xfreqbench.report.leaderboard.plots import TimePanel, plot_error_against_time
 
-    if not time_link(board):
-        return []
-    path = folder / time_link(board)
     panels: dict[str, TimePanel] = {}
     followed = [split for split in board.splits if learning_curves(board, [split])]
     for split in _panels(followed):
@@ -72,7 +57,6 @@ def draw_time(board: Board, folder: Path) -> list[Path]:
         front = [point for point in split_front(curves, trivial) if point is not trivial]
         panels[short_name(split)] = TimePanel(lines, _points(front), trivial.ssim if trivial else None)
     plot_error_against_time(panels, path)
-    return [path]
 
 
 def _points(reached: Iterable[Reached]) -> list[tuple[float, float]]:

@@ -10,7 +10,7 @@ from math import isnan, nan
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, short_name
-from xfreqbench.report.leaderboard.captions import facts, leak_statement, short_legend
+from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.figures import time_link
@@ -57,7 +57,7 @@ def overview_markdown(
         *worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
         "carrier, pair of methods and learning curve.",
-        short_legend(),
+        legend(is_short=True),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -75,11 +75,11 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     by_place: dict[tuple[str, str], list[Board]] = {}
     for board in ranked:
         by_place.setdefault((board.scene, board.protocol), []).append(board)
-    return [max(boards, key=_num_plain_runs) for boards in by_place.values()]
 
+    def num_plain_runs(board: Board) -> int:
+        return sum(len(row.records) for row in board.rows if row.family != "ablation")
 
-def _num_plain_runs(board: Board) -> int:
-    return sum(len(row.records) for row in board.rows if row.family != "ablation")
+    return [max(boards, key=num_plain_runs) for boards in by_place.values()]
 
 
 def _first_comparison(board: Board) -> Comparison:
@@ -101,8 +101,7 @@ def _fitted(comparison: Comparison) -> list[BoardRow]:
 
 def _skill(comparison: Comparison, row: BoardRow) -> str:
     """The average skill of a row with its interval; a dash where it is unknown."""
-    (column,) = leaderboard_columns(comparison, ("skill",))
-    return f"{column.text(row)} {column.interval(row)}".strip()
+    return leaderboard_columns(comparison, ("skill",))[0].cell(row)
 
 
 def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list[str]:
@@ -173,9 +172,8 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
 
 def _difference(board: Board, row: BoardRow, other: BoardRow) -> str:
     """How much higher the average median SSIM of a row is than another's, on the splits of both."""
-    splits = tuple(split for split in board.splits if split in row.by_split and split in other.by_split)
-    comparison = Comparison(board, splits)
-    value = row.average(splits, median_ssim) - other.average(splits, median_ssim)
+    comparison = Comparison.of(board, row, other)
+    value = row.average(comparison.splits, median_ssim) - other.average(comparison.splits, median_ssim)
     return with_interval(value, comparison.paired_difference(row, other), 4)
 
 
@@ -243,21 +241,16 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     methods = sorted({method for by_method in best for method in by_method})
     if len(compared) < 2 or not methods:
         return []
-    rows = [
-        [f"{each.board.scene}, {each.board.protocol}", *(_skill_cell(each, of.get(method)) for method in methods)]
-        for each, of in zip(compared, best, strict=True)
-        if of
-    ]
+    rows = []
+    for each, of in zip(compared, best, strict=True):
+        (column,) = leaderboard_columns(each, ("skill",))
+        cells = [column.text(of[method]) if method in of else ABSENT for method in methods]
+        rows += [[f"{each.board.scene}, {each.board.protocol}", *cells]] if of else []
     budgets = dict.fromkeys(each.board.lane_title for each, of in zip(compared, best, strict=True) if of)
     budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
     dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
     caption = f"Average skill on the splits that most methods share{budget}.{dash}"
     return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
-
-
-def _skill_cell(comparison: Comparison, row: BoardRow | None) -> str:
-    (column,) = leaderboard_columns(comparison, ("skill",))
-    return ABSENT if row is None else column.text(row)
 
 
 def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:

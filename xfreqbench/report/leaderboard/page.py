@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -17,18 +15,16 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import COLOURS, render
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_statement, notes
-from xfreqbench.report.leaderboard.columns import COSTS, PAGE, LeaderboardColumn, leaderboard_columns, metric_title
+from xfreqbench.report.leaderboard.columns import COSTS, PAGE, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
-from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
-from xfreqbench.report.leaderboard.text import write_tables
-from xfreqbench.runs.records import BenchRecord, RunRecord
+from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
 _TITLE = "xfreqbench results"  # a page with this title was written by us, and may be replaced
@@ -38,10 +34,10 @@ _DIGITS = 4
 _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 
-def write_page(results: Path | Sequence[Path], output_html: Path, since: Path | None = None) -> Path:
-    """Write the page of `results`, results folders or files of records, and return the file written.
+def write_page(results: Results, output_html: Path, since: Path | None = None) -> Path:
+    """Write the page of `results`, read ones, results folders or files of records, and return the file written.
 
-    Its tables are written beside it, as `write_tables` does. With earlier results `since` it says what got worse.
+    With earlier results `since` it says what got worse.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
@@ -61,7 +57,6 @@ def write_page(results: Path | Sequence[Path], output_html: Path, since: Path | 
     comparisons = list(map(_comparisons, boards))
     worse = None if since is None else got_worse(read_results(since).records, found.records)
     write_text(output_html, _page(found, boards, comparisons, worse))
-    write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
     return output_html
 
 
@@ -71,28 +66,26 @@ def _page(
     comparisons: Sequence[Sequence[Comparison]],
     worse: Sequence[Sequence[str]] | None,
 ) -> str:
+    protocols = list(dict.fromkeys(board.protocol for board in boards))
     galleries = [gallery(board, found.folders, found.maps) for board in boards]
     content = {
         "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
         "styles": styles(boards),
         "colours": COLOURS,
-        "benches": [figure_content(bench) for bench in found.benches],
         "scales": scales(),
     }
     return render(
         "leaderboard/page.html",
         title=_TITLE,
         facts=facts(boards),
-        boards=list(map(board_tables, comparisons)),
-        overview_rows=overview_rows([of_board[0] for of_board in comparisons]),
-        overview_protocols=overview_protocols(boards),
+        boards=list(map(_tables, comparisons)),
+        links=_overview([of_board[0] for of_board in comparisons], protocols),
+        protocols=protocols,
         costs={name: COSTS[name].hint for name in CHART_COSTS},
         sources=sources_of([row for board in boards for row in board.rows]),
         worse=worse,
         worse_header=WORSE_HEADER,
         nothing_worse=NOTHING_WORSE,
-        benches=found.benches,
-        machine_name=machine_name,
         content=_finite(content),
     )
 
@@ -115,53 +108,29 @@ def _finite(content: Any) -> Any:
     return None if isinstance(content, float) and not isfinite(content) else content
 
 
-@dataclass(frozen=True)
-class SetTable:
-    """The leaderboard of one set of splits; `best_trivial` is the row to be marked, None without a trivial one."""
-
-    splits: Sequence[str]
-    columns: Sequence[LeaderboardColumn]
-    rows: Sequence[BoardRow]
-    best_trivial: BoardRow | None
-    notes: Sequence[str]
-
-
-@dataclass(frozen=True)
-class BoardTables:
+def _tables(comparisons: Sequence[Comparison]) -> Content:
     """A board: what its data are in words, and a leaderboard for each of its sets of splits."""
-
-    slug: str
-    title: str
-    conditions: str
-    sets: Sequence[SetTable]
-
-
-def board_tables(comparisons: Sequence[Comparison]) -> BoardTables:
-    """Tables of a board, from one comparison for each of its sets of splits."""
     board = comparisons[0].board
-    conditions = f"{data_statement(board)}. {leak_statement(board)}"
-    return BoardTables(board.slug, board.title, conditions, list(map(_set_table, comparisons)))
+    return {
+        "slug": board.slug,
+        "title": board.title,
+        "conditions": f"{data_statement(board)}. {leak_statement(board)}",
+        "sets": [
+            {
+                "splits": list(map(short_name, comparison.splits)),
+                "columns": leaderboard_columns(comparison, PAGE),
+                "rows": comparison.rows,
+                "best_trivial": next((row for row in comparison.rows if row.is_trivial), None),
+                "notes": notes(comparison),
+            }
+            for comparison in comparisons
+        ],
+    }
 
 
-@dataclass(frozen=True)
-class BoardLink:
-    """A link of the overview: the board, its budget in words, and the best method there with its skill."""
-
-    slug: str
-    text: str
-    standing: str
-
-
-def overview_protocols(ranked: Sequence[Board]) -> list[str]:
-    """The protocols of all boards, each once, in their order."""
-    return list(dict.fromkeys(board.protocol for board in ranked))
-
-
-def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLink]]]:
+def _overview(compared: Sequence[Comparison], protocols: Sequence[str]) -> dict[str, list[list[Content]]]:
     """Links to the boards, by scene and then by protocol; `compared` holds one comparison of every board."""
-    protocols = overview_protocols([comparison.board for comparison in compared])
     num_data = Counter(scene for scene, _ in {(each.board.scene, each.board.data) for each in compared})
-    scenes = dict.fromkeys(comparison.board.scene for comparison in compared)
     return {
         scene: [
             [
@@ -171,11 +140,12 @@ def overview_rows(compared: Sequence[Comparison]) -> dict[str, list[list[BoardLi
             ]
             for protocol in protocols
         ]
-        for scene in scenes
+        for scene in dict.fromkeys(comparison.board.scene for comparison in compared)
     }
 
 
-def _link(comparison: Comparison, names_data: bool) -> BoardLink:
+def _link(comparison: Comparison, names_data: bool) -> Content:
+    """A link of the overview: the board, its budget in words, and the best method there with its skill."""
     board = comparison.board
     competing = list(filter(_competes, comparison.rows))
     if competing:
@@ -189,18 +159,7 @@ def _link(comparison: Comparison, names_data: bool) -> BoardLink:
     else:
         standing = f"{' and '.join(dict.fromkeys(_PLURALS[row.family] for row in comparison.rows))} alone"
     data = f", {board.data_name}" if names_data else ""
-    return BoardLink(board.slug, (board.lane_title or "without budget") + data, standing)
-
-
-def _set_table(comparison: Comparison) -> SetTable:
-    trivial = [row for row in comparison.rows if row.is_trivial]  # the best first
-    return SetTable(
-        splits=[short_name(split) for split in comparison.splits],
-        columns=leaderboard_columns(comparison, PAGE),
-        rows=comparison.rows,
-        best_trivial=trivial[0] if trivial else None,
-        notes=notes(comparison),
-    )
+    return {"slug": board.slug, "text": (board.lane_title or "without budget") + data, "standing": standing}
 
 
 def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Content:
@@ -210,7 +169,9 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
         "slug": board.slug,
         "title": board.title,
         "splits": {
-            split: {"name": short_name(split), "trivial": _trivial_ssim(board, split)} for split in board.splits
+            split: {"name": short_name(split), "trivial": _rounded(point.ssim) if point else nan}
+            for split in board.splits
+            for point in [best_trivial(board, split)]
         },
         "rows": {
             row.short_label: {
@@ -245,17 +206,6 @@ def styles(boards: Sequence[Board]) -> dict[str, tuple[int, int]]:
         for variant, label in enumerate(sorted(labels, key=lambda label: rows[label].family == "ablation")):
             places[label] = colour % len(COLOURS), colour // len(COLOURS) + variant
     return places
-
-
-def figure_content(bench: BenchRecord) -> Content | None:
-    """The points of a measurement's figure; None where it has none."""
-    return {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None
-
-
-def _trivial_ssim(board: Board, split: str) -> float:
-    """Median SSIM of the best trivial predictor on the maps of the learning curves, nan where it is unknown."""
-    trivial = best_trivial(board, split)
-    return _rounded(trivial.ssim) if trivial else nan
 
 
 def _curves(records: Sequence[RunRecord]) -> Content:

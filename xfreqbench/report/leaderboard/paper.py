@@ -25,7 +25,7 @@ from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
 from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
 from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.published import published_content, stands_for
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
 from xfreqbench.runs.folder import ResultsFolder
@@ -42,13 +42,13 @@ _STATISTICS = {  # as the published tables name them: metric, statistic, decimal
 }
 _INTRODUCTION = (
     "Their data, rooms and receivers are others than ours, and the sizes of their models too, so that numbers do not "
-    "compare. What can be compared are claims: which of two methods is better, and by how much. A claim *holds* here "
-    "where the whole 95 % interval of the difference, paired by transmitters and with three seeds of each, lies above "
-    "zero, and *does not hold* where it lies below."
+    "compare; what can be compared, which of two methods is better, stands in the report as claims. Ours, and the "
+    "paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones."
 )
 CLAIMS_CAPTION = (
-    "A claim *holds* where the whole interval of the difference of median SSIM × 1000 lies above zero. Data, rooms and "
-    "sizes are others than the paper's."
+    "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and with "
+    "three seeds of each, lies above zero, and *does not hold* where it lies below. Data, rooms and sizes are others "
+    "than the paper's."
 )
 _LEVEL = 90  # per cent of the maps, as in the paper
 _METRICS = {"ssim": 4, "psnr": 2}  # with decimals
@@ -60,18 +60,13 @@ Value = TypeVar("Value")
 
 
 def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
-    """Published numbers beside ours, and the paper's claims with a verdict, for the boards of one scene.
+    """Published numbers beside ours, for the boards of one scene, of the budgets with most runs.
 
-    Claims are judged in several budgets; tables and figures are of the one with most runs. `grids` are maps by the
-    links to their figures.
+    `grids` are maps by the links to their figures.
     """
     content, shown = published_content(), main_boards(ranked)
     parts = [
         f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
-        "## Claims",
-        claims_table(ranked) or "None was measured.",
-        "## The paper's tables",
-        "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
         *_papers_tables(content, shown),
         *_distributions(shown),
         *_maps(grids or {}),
@@ -88,11 +83,21 @@ def has_counterparts(board: Board) -> bool:
 def _distributions(ranked: Sequence[Board]) -> list[str]:
     """The 90 % level of SSIM and PSNR and a figure of their distributions, for each budget on which the paper's are."""
     parts = []
+    published = published_content()["table"]["cdf"]["rows"]
     for board in ranked:
-        link, levels = cdf_link(board), level_table(board)
-        if levels:
+        rows, splits = _shown_rows(board)
+        if splits:
             title = heading(board.lane_title or "no budget")
-            parts += [f"{title}:", levels, f"![Distributions of SSIM and PSNR, {title}]({link})"]
+            cells = [
+                [
+                    row.short_label,
+                    *([name, *published[name]] if name in published else [ABSENT, ABSENT]),
+                    *(number(_pooled(row, splits, metric)[_LEVEL], digits) for metric, digits in _METRICS.items()),
+                ]
+                for name, row in rows.items()
+            ]
+            levels = table(("method", "theirs", "published SSIM", *map(metric_title, _METRICS)), cells, prose)
+            parts += [f"{title}:", levels, f"![Distributions of SSIM and PSNR, {title}]({_cdf_link(board)})"]
     if not parts:
         return []
     caption = (
@@ -138,42 +143,27 @@ def claims_table(ranked: Sequence[Board]) -> str:
 
 def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str) -> str:
     """The difference and the verdict on the first board of a budget on which both methods stand; a dash without any."""
-    named = {
-        end: claim[end] | ({"method": method} if claim[end]["method"] == "xfreq-gs" else {})
-        for end in ("better", "worse")
-    }
+    named = [
+        claim[end] | ({"method": method} if claim[end]["method"] == "xfreq-gs" else {}) for end in ("better", "worse")
+    ]
     for board in ranked:
-        if (board.protocol, board.lane) == (claim["protocol"], lane):
-            for comparison, better, worse in _pairs(named, board):
-                splits, difference, verdict = _verdict(comparison, better, worse)
-                where = f" at {splits}" if len(comparison.splits) == 1 else ""
-                return f"{difference}{where}: {verdict}"
+        better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
+        if (board.protocol, board.lane) != (claim["protocol"], lane) or better is None or worse is None:
+            continue
+        comparison = Comparison.of(board, better, worse)
+        if splits := comparison.splits:
+            difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
+            low, high = comparison.difference(better, worse)
+            bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
+            verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else _FAILS if high < 0 else _OPEN
+            where = f" at {short_name(splits[0])}" if len(splits) == 1 else ""
+            return f"{1000 * difference:+.1f}{bounds}{where}: {verdict}"
     return ABSENT
-
-
-def _pairs(claim: Mapping[str, Any], board: Board) -> list[tuple[Comparison, BoardRow, BoardRow]]:
-    """The two rows that a claim compares, on the splits that both were run on; none where one is missing."""
-    named = claim["better"], claim["worse"]
-    better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
-    if better is None or worse is None:
-        return []
-    splits = tuple(split for split in board.splits if split in better.by_split and split in worse.by_split)
-    return [(Comparison(board, splits), better, worse)] if splits else []
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
     """Whether a row has the named method and options; if no options are named, it has the defaults."""
     return stands_for(named, row) and ("config" in named or row.family == "learned")
-
-
-def _verdict(comparison: Comparison, better: BoardRow, worse: BoardRow) -> list[str]:
-    """The splits, the difference with its interval, and whether the claim holds."""
-    splits = comparison.splits
-    difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
-    low, high = comparison.difference(better, worse)
-    bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-    verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else _FAILS if high < 0 else _OPEN
-    return [", ".join(map(short_name, splits)), f"{1000 * difference:+.1f}{bounds}", verdict]
 
 
 def _papers_tables(content: Mapping[str, Any], ranked: Sequence[Board]) -> list[str]:
@@ -224,40 +214,22 @@ def _ours(cell: tuple[Mapping[str, Any], str, str] | None, board: Board) -> str:
 
 def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
     """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
-    return {cdf_link(board): partial(_draw_cdf, board) for board in main_boards(ranked) if _splits(board)}
+    return {_cdf_link(board): partial(_draw_cdf, board) for board in main_boards(ranked) if _shown_rows(board)[1]}
 
 
-def cdf_link(board: Board) -> str:
-    """The link from the page to the figure of the distributions on a board."""
+def _cdf_link(board: Board) -> str:
     return f"{FIGURES_FOLDER}/paper-{board.slug}-cdf.svg"
-
-
-def level_table(board: Board) -> str:
-    """SSIM and PSNR at the 90 % level of their distributions, theirs and ours; empty where `_splits` are none."""
-    published = published_content()["table"]["cdf"]["rows"]
-    splits = _splits(board)
-    if not splits:
-        return ""
-    rows = _rows(board)
-    cells = [
-        [
-            row.short_label,
-            *([name, *published[name]] if name in published else [ABSENT, ABSENT]),
-            *(number(_pooled(row, splits, metric)[_LEVEL], digits) for metric, digits in _METRICS.items()),
-        ]
-        for name, row in rows.items()
-    ]
-    return table(("method", "theirs", "published SSIM", *map(metric_title, _METRICS)), cells, prose)
 
 
 def _draw_cdf(board: Board, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_score_cdf
 
-    rows, splits = _rows(board).values(), _splits(board)
+    rows, splits = _shown_rows(board)
     panels = {
-        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows} for metric in _METRICS
+        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows.values()}
+        for metric in _METRICS
     }
-    plot_score_cdf(panels, "", path, _LEVEL / 100)
+    plot_score_cdf(panels, _LEVEL / 100, path)
 
 
 def published_rows(board: Board) -> dict[str, BoardRow]:
@@ -273,17 +245,12 @@ def published_rows(board: Board) -> dict[str, BoardRow]:
     return found
 
 
-def _rows(board: Board) -> dict[str, BoardRow]:
-    """The paper's rows, and beside them the best predictor that learns nothing."""
-    found, splits = published_rows(board), _splits(board)
-    trivial = [row for row in board.rows_on(splits) if row.is_trivial][:1] if found else []
-    return found | {row.label: row for row in trivial}
-
-
-def _splits(board: Board) -> tuple[str, ...]:
-    """The splits that all of the paper's rows were run on; none where there are no such rows."""
-    rows = published_rows(board).values()
-    return tuple(split for split in board.splits if rows and all(split in row.by_split for row in rows))
+def _shown_rows(board: Board) -> tuple[dict[str, BoardRow], tuple[str, ...]]:
+    """The paper's rows, beside them the best predictor that learns nothing, and the splits that all were run on."""
+    found = published_rows(board)
+    splits = tuple(split for split in board.splits if found and all(split in row.by_split for row in found.values()))
+    trivial = [row for row in board.rows_on(splits) if row.is_trivial][:1] if splits else []
+    return found | {row.label: row for row in trivial}, splits
 
 
 def _pooled(row: BoardRow, splits: Sequence[str], metric: str) -> list[float]:
@@ -303,7 +270,7 @@ class MapGrid:
     columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]]
 
 
-def ship_maps(results: Path | Sequence[Path], path: Path) -> Path:
+def ship_maps(results: Results, path: Path) -> Path:
     """Write the maps of a dozen samples of every board of the main scene to a file, and return it.
 
     They are the maps that the page shows, of all rows but ablations, and those of the paper's method at further

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from xfreqbench.report.drawing.figures import any_letters, label_decades, plain_style, save_figure, shown
+from xfreqbench.report.drawing.figures import any_letters, label_decades, panels, plain_style, save_figure, shown
 from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.learning_curves import pareto_front
 from xfreqbench.report.leaderboard.shown_maps import Levels
@@ -40,8 +40,8 @@ class TimePanel:
 
 
 @plain_style()
-def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path, level: float | None = None) -> None:
-    """Draw empirical CDFs as SVG: a panel for each split or score, in it a curve for each method.
+def plot_score_cdf(panels: Mapping[str, Curves], level: float, path: Path) -> None:
+    """Draw empirical CDFs as SVG: a panel for each score, in it a curve for each method.
 
     `level` is a share of maps at which a dashed line is drawn. A curve is given by equally spaced quantiles from 0
     to 1. Equal curves give equal bytes. Raises `StorageError`.
@@ -51,9 +51,8 @@ def plot_score_cdf(panels: Mapping[str, Curves], score_name: str, path: Path, le
     for axis, (title, curves) in zip(axes, panels.items(), strict=True):
         for label, quantiles in curves.items():
             axis.plot(quantiles, np.linspace(0, 1, len(quantiles)), label=shown(label), **_style(labels.index(label)))
-        if level is not None:
-            axis.axhline(level, color="0.4", linestyle="--", linewidth=1)
-        axis.set(xlabel=score_name, ylabel="share of maps at or below", ylim=(0, 1))
+        axis.axhline(level, color="0.4", linestyle="--", linewidth=1)
+        axis.set(ylabel="share of maps at or below", ylim=(0, 1))
         axis.set_title(shown(title), fontsize="medium")
     _share_legend(figure, axes)
     save_figure(figure, path, "svg")
@@ -120,9 +119,15 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     for point in sorted(drawn, key=lambda point: point.x):
         by_series[point.series].append(point)
     for index, (series, points) in enumerate(by_series.items()):
-        _draw_series(axis, index, series, points)
+        at = [point.x for point in points], [point.y for point in points]
+        marker: dict[str, Any] = {"marker": _MARKERS[index % len(_MARKERS)], "markersize": 5}
+        axis.plot(*at, label=shown(series), **_style(index, 1.2), **marker)
     if figure.x_is_cost:
-        _draw_front(axis, drawn)
+        front = pareto_front(drawn, cost=lambda point: point.x, score=lambda point: point.y)
+        x, y = [point.x for point in front], [point.y for point in front]
+        axis.step(x, y, where="post", color="0.7", linewidth=4, alpha=0.5, zorder=0)
+        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": "0.2", "linewidths": 1.0, "zorder": 3}
+        axis.scatter(x, y, s=90, label="no other is both cheaper and better", **ring)
     axis.set(xlabel=shown(figure.x_label), ylabel=shown(figure.y_label), xscale="log" if figure.log_x else "linear")
     if figure.log_x:
         label_decades(axis)
@@ -131,28 +136,6 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
     canvas.legend(loc="outside lower center", ncols=3, fontsize="small")
     _write_labels(canvas, axis, drawn, list(by_series))
     save_figure(canvas, path, "svg")
-
-
-def _draw_series(axis: Any, index: int, series: str, points: Sequence[BenchPoint]) -> None:
-    style = _LINES[index // len(COLOURS) % len(_LINES)]
-    axis.plot(
-        [point.x for point in points],
-        [point.y for point in points],
-        style,
-        marker=_MARKERS[index % len(_MARKERS)],
-        markersize=5,
-        color=COLOURS[index % len(COLOURS)],
-        label=shown(series),
-        linewidth=1.2,
-    )
-
-
-def _draw_front(axis: Any, points: Sequence[BenchPoint]) -> None:
-    front = pareto_front(points, cost=lambda point: point.x, score=lambda point: point.y)
-    x, y = [point.x for point in front], [point.y for point in front]
-    axis.step(x, y, where="post", color="0.7", linewidth=4, alpha=0.5, zorder=0)
-    ring = {"facecolors": "none", "edgecolors": "0.2", "linewidths": 1.0, "zorder": 3}
-    axis.scatter(x, y, s=90, label="no other is both cheaper and better", **ring)
 
 
 def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], series: Sequence[str]) -> None:
@@ -220,12 +203,10 @@ def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]
     width_in = max(3.6 * columns, 6.0)
     legend_rows = -(-len(labels) // _legend_columns(labels, width_in))
     figure = Figure(figsize=(width_in, 3.0 * rows + 0.3 + 0.19 * legend_rows), layout="constrained")
-    axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
-    for axis in axes[:number]:
+    axes = panels(figure, number, columns)
+    for axis in axes:
         axis.grid(alpha=0.3)
-    for axis in axes[number:]:
-        axis.set_visible(False)
-    return figure, axes[:number]
+    return figure, axes
 
 
 def _legend_columns(labels: Sequence[str], width_in: float) -> int:
@@ -248,9 +229,6 @@ def _labels(panels: Iterable[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(label for panel in panels for label in panel))
 
 
-def _style(index: int) -> dict[str, Any]:
-    return {
-        "color": COLOURS[index % len(COLOURS)],
-        "linestyle": _LINES[index // len(COLOURS) % len(_LINES)],
-        "linewidth": 1.4,
-    }
+def _style(index: int, width: float = 1.4) -> dict[str, Any]:
+    style = _LINES[index // len(COLOURS) % len(_LINES)]
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": style, "linewidth": width}

@@ -15,7 +15,7 @@ from xfreqbench.report.leaderboard.boards import Board, boards, slug_of
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.columns import BRIEF
 from xfreqbench.report.leaderboard.comparison import comparisons_of
-from xfreqbench.report.leaderboard.figures import bench_figure, draw_bench, draw_time, require_own_figures, time_link
+from xfreqbench.report.leaderboard.figures import bench_figure, figures_of, time_link
 from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
 from xfreqbench.report.leaderboard.paper import (
@@ -27,7 +27,7 @@ from xfreqbench.report.leaderboard.paper import (
     paper_maps,
     paper_markdown,
 )
-from xfreqbench.report.leaderboard.results import RankedResults, read_results
+from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
 from xfreqbench.report.leaderboard.tables import (
     CsvRow,
@@ -45,6 +45,7 @@ from xfreqbench.system.files import require_own, require_space, write_text
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
 _WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
 _BENCH_SECTIONS = {
+    _WHAT_WAS_RUN: _WHAT_WAS_RUN_TITLE,
     "unseen-rooms": "Unseen rooms",
     "generate": "Generator",
     "peers": "Generator",
@@ -87,7 +88,7 @@ def leaderboard_summary(records: Iterable[RunRecord]) -> str:
 class _Page:
     """A file of a report: its title, its generated part, and the boards and measurements whose figures stand by it.
 
-    `drawn` has what draws further figures, by the links to them. Tables of CSV lie beside it, see `tables`.
+    `drawn` has what draws further figures, by the links to them.
     """
 
     path: Path
@@ -96,6 +97,12 @@ class _Page:
     boards: Sequence[Board] = ()
     benches: Sequence[BenchRecord] = ()
     drawn: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+
+    @cached_property
+    def figures(self) -> dict[Path, Callable[[Path], None]]:
+        """What draws the figures of the page, by their files."""
+        drawn = figures_of(self.boards, self.benches) | dict(self.drawn)
+        return {self.path.parent / link: draw for link, draw in drawn.items()}
 
     @cached_property
     def tables(self) -> dict[Path, list[CsvRow]]:
@@ -115,16 +122,18 @@ class _Page:
 
 
 def write_report(
-    results: Path | Sequence[Path], output_md: Path, details: Path | None = None, since: Path | None = None
+    results: Results, output_md: Path, details: Path | None = None, since: Path | None = None
 ) -> WrittenReport:
-    """Write a Markdown report, its figures and tables from `results`: results folders or files of records.
+    """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
-    With a folder `details` the report is a short one, and a page for each scene, one of the paper's claims, one of
+    With a folder `details` the report is a short one, and a page for each scene, one of the paper's tables, one of
     unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
     In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there are
     no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
     `StorageError`.
     """
+    from xfreqbench.report.drawing.figures import require_own_figure
+
     found = read_results(results)
     worse = _worse(found, since)
     if details is None:
@@ -135,20 +144,17 @@ def write_report(
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
-        require_own_figures(page.boards, page.benches, page.drawn, page.path.parent)
+        for path in page.figures:
+            require_own_figure(path)
         for path in page.tables:
             require_own_csv(path)
-    beside = []
     for page, (before, after) in zip(pages, kept, strict=True):
-        beside += [path for board in page.boards for path in draw_time(board, page.path.parent)]
-        beside += [draw_bench(record, page.path.parent) for record in page.benches if record.figure]
-        for link, draw in page.drawn.items():
-            draw(page.path.parent / link)
-            beside.append(page.path.parent / link)
+        for path, draw in page.figures.items():
+            draw(path)
         for path, rows in page.tables.items():
             write_csv(rows, path)
-            beside.append(path)
         write_text(page.path, f"{before}{BEGIN}\n\n{page.text}\n{END}{after}")
+    beside = [path for page in pages for path in (*page.figures, *page.tables)]
     return WrittenReport((*(page.path for page in pages), *beside), found.num_truncated)
 
 
@@ -191,8 +197,8 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
         grids = paper_maps(of_main, found)
         drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
         text = paper_markdown(of_main, grids)
-        pages.append(_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn))
-        links["the paper's claims"] = f"{folder}/{_PAPER_PAGE}"
+        pages.append(_Page(details / _PAPER_PAGE, "The paper's tables", text, drawn=drawn))
+        links["the paper's tables"] = f"{folder}/{_PAPER_PAGE}"
         claimed = claims_table(of_main)
         claims = [f"## The paper's claims\n\n{CLAIMS_CAPTION}\n\n{claimed}"] if claimed else []
     if of_rooms:
@@ -202,7 +208,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
     short = overview_markdown(
         found.boards, found.benches, links, f"{folder}/{_MEASUREMENTS_PAGE}", claims=claims, worse=worse
     )
-    measured = "\n\n".join([*_what_was_run(others), *_bench_sections(others)]) + "\n"
+    measured = "\n\n".join(_bench_sections(others)) + "\n"
     return [
         _Page(output_md, "Benchmark", short),
         *(
@@ -223,13 +229,10 @@ def _draw_maps(grid: MapGrid, path: Path) -> None:
 
 def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = ()) -> str:
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
-    sections = [_what_was_run(benches), map(_board_section, ranked), worse, _bench_sections(benches), [legend()]]
+    own = [bench for bench in benches if bench.bench == _WHAT_WAS_RUN]
+    others = [bench for bench in benches if bench.bench != _WHAT_WAS_RUN]
+    sections = [_bench_sections(own), map(_board_section, ranked), worse, _bench_sections(others), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
-
-
-def _what_was_run(benches: Sequence[BenchRecord]) -> list[str]:
-    """The section of the benchmark's own records, which say which runs there were."""
-    return _bench_section(_WHAT_WAS_RUN_TITLE, [bench for bench in benches if bench.bench == _WHAT_WAS_RUN])
 
 
 def _board_section(board: Board) -> str:
@@ -246,13 +249,8 @@ def _board_section(board: Board) -> str:
 def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
     by_title: dict[str, list[BenchRecord]] = {title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)}
     for record in benches:
-        if record.bench != _WHAT_WAS_RUN:
-            by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
-    return [section for title, found in by_title.items() for section in _bench_section(title, found)]
-
-
-def _bench_section(title: str, benches: Sequence[BenchRecord]) -> list[str]:
-    return [f"## {title}", *map(_bench, benches)] if benches else []
+        by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
+    return [part for title, found in by_title.items() if found for part in (f"## {title}", *map(_bench, found))]
 
 
 def _bench(record: BenchRecord) -> str:

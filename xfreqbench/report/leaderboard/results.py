@@ -64,12 +64,17 @@ def results_at(name: str | Path) -> Path:
     return path
 
 
-def read_results(results: Path | Sequence[Path]) -> RankedResults:
+Results = RankedResults | Path | Sequence[Path]
+
+
+def read_results(results: Results) -> RankedResults:
     """Read results folders, or files of records: one of them, or several, whose records are ranked together.
 
-    Raises `DataError` where one holds no records, where a record cannot be read or lacks a metric, and as `boards`
-    does.
+    What has been read is returned as it is. Raises `DataError` where one holds no records, where a record cannot be
+    read or lacks a metric, and as `boards` does.
     """
+    if isinstance(results, RankedResults):
+        return results
     paths = [results] if isinstance(results, Path) else results
     folders = tuple(map(ResultsFolder.holding, paths))
     for folder in folders:

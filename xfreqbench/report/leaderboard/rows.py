@@ -67,6 +67,11 @@ class BoardRow:
         """What `comparison.medians_of` has drawn, by split and number of resamples."""
         return {}
 
+    @cached_property
+    def differences(self) -> dict[tuple[tuple[str, ...], str], tuple[float, float]]:
+        """What `Comparison.paired_difference` has found, by splits and the label of the other row of the board."""
+        return {}
+
     @property
     def family(self) -> str:
         """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""

@@ -35,7 +35,7 @@ class RowPair:
     @classmethod
     def of(cls, board: Board, a: BoardRow, b: BoardRow) -> RowPair:
         """The pair. The labels of its rows in the comparison begin with A and B, because they have to differ."""
-        splits = tuple(split for split in board.splits if split in a.by_split and split in b.by_split)
+        splits = Comparison.of(board, a, b).splits
         rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
         return cls(*rows, Comparison(replace(board, splits=splits, rows=rows), splits))
 

@@ -38,7 +38,7 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
     where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
     caption = f"Median SSIM{where}; order within overlapping ranks means nothing:"
     shown = leaderboard_columns(comparison, columns)
-    rows = [[f"{column.text(row)} {column.interval(row)}".strip() for column in shown] for row in comparison.rows]
+    rows = [[column.cell(row) for column in shown] for row in comparison.rows]
     below = map(paragraph, notes(comparison))
     return "\n\n".join([caption, table([column.title for column in shown], rows), *below])
 
@@ -63,8 +63,8 @@ def measurement_rows(title: str, columns: Sequence[str], rows: Iterable[Sequence
     return [{"measurement": title, **dict(zip(names, row, strict=True))} for row in rows]
 
 
-def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
-    """Write rows as CSV, splits joined by blanks; returns the names of the columns, which are those of all rows.
+def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> None:
+    """Write rows as CSV, splits joined by blanks; the columns are those of all rows.
 
     Raises `OutputExistsError` where the file is another one, and `StorageError`.
     """
@@ -75,7 +75,6 @@ def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
     writer.writeheader()
     writer.writerows(row | ({"splits": " ".join(row["splits"])} if "splits" in row else {}) for row in rows)
     write_text(output_csv, text.getvalue())
-    return names
 
 
 def require_own_csv(output_csv: Path) -> None:

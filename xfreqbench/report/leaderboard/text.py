@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from pydantic import InstanceOf
 
 from xfreqbench.errors import DataError, XFreqBenchError
-from xfreqbench.report.drawing.templates import SOFTWARE, render
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.captions import leak_statement, notes
-from xfreqbench.report.leaderboard.columns import BRIEF, leaderboard_columns
-from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
+from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.tables import table_rows, write_csv
+from xfreqbench.report.leaderboard.tables import table_rows
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
-from xfreqbench.system.files import atomic_path, require_own, storage_errors
-
-_PARQUET_MARK = f"{SOFTWARE} leaderboard"
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,10 +30,8 @@ class Leaderboard:
 
     __repr__ = __str__
 
-    def _repr_html_(self) -> str:
-        """The tables of `str`, for notebooks."""
-        shown = [(comparison, leaderboard_columns(comparison, BRIEF)) for comparison in self._comparisons()]
-        return render("leaderboard/notebook.html", shown=shown, leak_statement=leak_statement, notes=notes)
+    def _repr_markdown_(self) -> str:
+        return str(self)
 
     def to_pandas(self) -> Any:
         """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.
@@ -56,10 +47,8 @@ class Leaderboard:
             raise XFreqBenchError(
                 'A data frame needs the extra "notebooks". Run: pip install "xfreqbench[notebooks]"'
             ) from error
-        return pandas.DataFrame(table_rows(self._comparisons()))
-
-    def _comparisons(self) -> list[Comparison]:
-        return [comparison for board in boards(self.records) for comparison in comparisons_of(board)]
+        shown = [comparison for board in boards(self.records) for comparison in comparisons_of(board)]
+        return pandas.DataFrame(table_rows(shown))
 
 
 @checked
@@ -75,25 +64,3 @@ def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[F
     records = [item for item in given if isinstance(item, RunRecord)]
     paths = [results_at(item) for item in given if not isinstance(item, RunRecord)]
     return Leaderboard(tuple(records) or read_results(paths).records)
-
-
-def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> list[Path]:
-    """Write the table of `to_pandas` as CSV and, where pyarrow is installed, beside it as Parquet; return the files.
-
-    Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
-    """
-    rows = table_rows(comparisons)
-    names = write_csv(rows, output_csv)
-    if find_spec("pyarrow") is None:
-        return [output_csv]
-    import pyarrow
-    import pyarrow.parquet
-
-    output = output_csv.with_suffix(".parquet")
-    require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
-    table = pyarrow.Table.from_pylist(
-        [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
-    )
-    with atomic_path(output) as temporary, storage_errors(output):
-        pyarrow.parquet.write_table(table.replace_schema_metadata({_PARQUET_MARK: "1"}), temporary)
-    return [output_csv, output]

@@ -107,11 +107,13 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
         content = _of_rooms(rooms, written) if rooms else _of_dataset(path, written, tell)
         for name, table in content.tables.items():
             _write_csv(written / name, table)
-        metadata = _metadata(croissant, content, license_id, written)
+        sums = {name: _sha256(written / name) for name in _names(written)}
+        metadata = _metadata(croissant, content, license_id, written, sums)
         (written / METADATA).write_text(json.dumps(metadata, indent=2) + "\n", encoding="utf-8")
         (written / CARD).write_text(_card(content, license_id, written), encoding="utf-8")
-        sums = [f"{_sha256(written / name)}  {name}\n" for name in _names(written)]
-        (written / SUMS).write_text("".join(sums), encoding="utf-8")
+        sums |= {name: _sha256(written / name) for name in (CARD, METADATA)}
+        lines = [f"{sums[name]}  {name}\n" for name in sorted(sums)]
+        (written / SUMS).write_text("".join(lines), encoding="utf-8")
 
 
 def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Content:
@@ -238,7 +240,7 @@ def _write_csv(path: Path, table: Table) -> None:
         writer.writerows(zip(*table.values(), strict=True))
 
 
-def _metadata(mlc: Any, content: _Content, license_id: str, written: Path) -> Any:
+def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums: Mapping[str, str]) -> Any:
     """The content of `croissant.json`; many data sets are one set of files, whose sums stand in `SHA256SUMS`."""
     of_data = (_HDF5, f"the data set {content.recipe}, an HDF5 file")
     distribution = [
@@ -249,9 +251,9 @@ def _metadata(mlc: Any, content: _Content, license_id: str, written: Path) -> An
             content_url=name,
             content_size=f"{(written / name).stat().st_size} B",
             encoding_formats=[_FILES.get(name, of_data)[0]],
-            sha256=_sha256(written / name),
+            sha256=sha256,
         )
-        for name in _names(written)
+        for name, sha256 in sums.items()
         if "/" not in name
     ]
     if ROOMS in content.tables:

@@ -100,7 +100,7 @@ def plot_overview(
 
 @plain_style()
 def plot_carriers(summary: CarrierSummary, path: Path) -> None:
-    """Draw, as SVG, how similar maps are between carriers, and power, paths and silence if these are known.
+    """Draw, as SVG, how similar maps are between carriers, and power and paths if these are known; else nothing.
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
@@ -108,9 +108,10 @@ def plot_carriers(summary: CarrierSummary, path: Path) -> None:
         _draw_similarity: len(summary.similarity.carrier_hz) > 1,
         _draw_power: summary.peak_db is not None,
         _draw_path_counts: summary.num_paths is not None,
-        _draw_silence: True,
     }
     drawn = [draw for draw, known in is_known.items() if known]
+    if not drawn:
+        return
     figure = Figure(figsize=(10, 4.1 * -(-len(drawn) // 2)), layout="constrained")
     for axis, draw in zip(panels(figure, len(drawn), min(2, len(drawn))), drawn, strict=True):
         draw(axis, summary)
@@ -230,22 +231,4 @@ def _draw_path_counts(axis: Any, summary: CarrierSummary) -> None:
     )
     axis.set(xlabel="paths that reach the array", ylabel="transmitters")
     axis.set_title("paths a transmitter, at the carrier with most", fontsize="medium")
-    axis.legend(fontsize="small")
-
-
-def _draw_silence(axis: Any, summary: CarrierSummary) -> None:
-    names = [f"{carrier / 1e9:g}" for carrier in summary.carrier_hz]
-    groups = summary.groups()
-    for number, (name, members) in enumerate(groups.items()):
-        share = 100 * (1 - summary.has_path[members].mean(axis=0))
-        places = np.arange(len(names)) + (number + 0.5) / len(groups) * 0.8 - 0.4
-        axis.bar(places, share, width=0.8 / len(groups), color=_GROUP_COLOURS[name], label=name)
-    if summary.has_path.all():
-        middle: dict[str, Any] = {"ha": "center", "va": "center", "transform": axis.transAxes}
-        axis.text(0.5, 0.5, "none: all are heard at every carrier", **middle)
-    axis.set_xticks(np.arange(len(names)), names, fontsize=8)
-    shares = [1 - summary.has_path[members].mean(axis=0).min() for members in groups.values()]
-    top = max(1.0, 110 * float(max(shares)))  # at least one percent, or tiny bars would fill the figure
-    axis.set(xlabel="carrier (GHz)", ylabel="transmitters (%)", ylim=(0, top))
-    axis.set_title("without any path", fontsize="medium")
     axis.legend(fontsize="small")

@@ -111,11 +111,6 @@ def _facts(view: ViewPlan) -> dict[str, str]:
         channels = "with channels" if header.channels else "without channels"
         maps = f"{header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
         facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": maps}
-    if view.settings:
-        facts["Rays"] = (
-            f"{view.settings.solver} solver, {', '.join(view.settings.named_interactions)}, depth "
-            f"{view.settings.max_depth}, {view.settings.rays:,} rays, seed {view.settings.seed}"
-        )
     if dataset:
         facts["File"] = f"{dataset.path.stat().st_size / 1e6:,.1f} MB"
     return facts | {"Shown": f"transmitter {view.room.tx} at {_metres(view.room.tx_m)}"}

@@ -29,7 +29,7 @@ FILES = (PAGE, MODEL, ROOM, MAPS, CARRIERS, OVERVIEW)
 _ALT = {
     ROOM: "Plan and elevation of the scene with receiver, transmitters and rays",
     MAPS: "Power angular spectra of one transmitter at every carrier",
-    CARRIERS: "Similarity of maps, power, paths and silence against the carrier",
+    CARRIERS: "Similarity of maps, power and paths against the carrier",
 }
 _SURFACE_OPACITY = 60
 _ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
