@@ -14,7 +14,7 @@ import pytest
 from tests.support.forked import command_line
 from tests.support.fuzzing.common import check_clean, check_refusal, refusal, refused, untouched, xfreqbench
 from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
-from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.png import write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from tests.support.stored_records import make_record
 from xfreqbench.cli.options import parse_targets_ghz
@@ -196,11 +196,7 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
 def test_folders_of_maps_that_once_ended_in_a_traceback_or_warnings_are_refused(
     tmp_path: Path, name: str, content: bytes | None
 ) -> None:
-    maps = {f"spectrum/{number:05d}.png": png() for number in (1, 2)}
-    (tmp_path / "maps" / "spectrum").mkdir(parents=True)
-    for path, sound in {**PNG_FOLDER, **maps, name: content}.items():
-        if sound is not None:
-            (tmp_path / "maps" / path).write_bytes(sound)
+    write_png_folder(tmp_path / "maps", **{name: content})
     outcome = xfreqbench("import", tmp_path / "maps", "-o", tmp_path / "x.h5", "-q")
     assert outcome.code == 2
     check_clean(outcome, name)

@@ -16,12 +16,13 @@ import h5py
 import numpy as np
 from hypothesis import strategies as st
 
-from tests.support.fuzzing.common import cut_or_flipped, odd_array, spoilt_json
+from tests.support.fuzzing.common import cut_or_flipped, odd_array, spoilt_json, torn
 from tests.support.stored_records import make_record
 from tests.support.synthetic import write_dataset
 from xfreqbench.data import hdf5
 
 Spoil = Callable[[Any], None]  # changes an open HDF5 file
+KINDS = ("group", "texts", "records", "soft link", "external link", "endless", "long")  # of `as_other_thing`
 
 
 @functools.cache
@@ -40,10 +41,9 @@ def hdf5_files(content: bytes) -> st.SearchStrategy[bytes | Callable[[], bytes]]
 
     The second is a function that makes it, for Hypothesis lets no library draw random numbers while it draws.
     """
-    header = cut_or_flipped(content[:6000]).map(lambda head: head + content[6000:])
     changed = st.tuples(spoilt_attributes(content) | spoilt_tables(content), st.booleans())
     spoilt = changed.map(lambda change: lambda: spoilt_file(content, *change))
-    return spoilt | spoilt | header | cut_or_flipped(content) | st.binary(max_size=100)
+    return spoilt | spoilt | torn(content) | st.binary(max_size=100)
 
 
 def spoilt_file(content: bytes, spoil: Spoil, is_sealed_again: bool) -> bytes:
@@ -71,11 +71,7 @@ def attributes(content: bytes) -> dict[tuple[str, str], str]:
     """The texts of the file and of its groups, by the owner's name and their own."""
     with h5py.File(io.BytesIO(content), "r") as file:
         owners = ["/", *(name for name in file if hdf5.is_group(file[name]))]
-        return {(owner, name): text for owner in owners for name, text in _texts(file[owner])}
-
-
-def _texts(owner: Any) -> list[tuple[str, str]]:
-    return list(hdf5.text_attributes(owner).items())
+        return {(owner, name): text for owner in owners for name, text in hdf5.text_attributes(file[owner]).items()}
 
 
 @functools.cache
@@ -97,27 +93,9 @@ def spoilt_attributes(content: bytes) -> st.SearchStrategy[Spoil]:
     is_json = ("_json", "maps")
     known = attributes(content)
     objects = {place: json.loads(text) for place, text in known.items() if place[1].endswith(is_json)}
-    values = st.none() | st.sampled_from(
-        [
-            "",
-            "null",
-            "{",
-            "[]",
-            "nan",
-            "-1",
-            "1" * 5000,
-            "[" * 5000,
-            3,
-            2.5,
-            b"\xff\xfe",
-            np.zeros(0),
-            np.arange(4),
-            h5py.Empty("f"),
-            True,
-            10**12,
-            "1000000000000",
-        ]
-    )
+    texts = ["", "null", "{", "[]", "nan", "-1", "1" * 5000, "[" * 5000, "1000000000000"]
+    others = [3, 2.5, b"\xff\xfe", np.zeros(0), np.arange(4), h5py.Empty("f"), True, 10**12]
+    values = st.none() | st.sampled_from([*texts, *others])
     plain = st.tuples(st.sampled_from([*known, ("/", "channels"), ("/", "data_sha256")]), values)
     inside = st.sampled_from(sorted(objects)).flatmap(
         lambda place: spoilt_json(objects[place]).map(lambda value: (place, json.dumps(value)))
@@ -161,10 +139,9 @@ def as_other_thing(name: str, kind: str) -> Spoil:
 def spoilt_tables(content: bytes) -> st.SearchStrategy[Spoil]:
     known = tables(content)
     names = st.sampled_from(sorted(known))
-    kinds = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless", "long"])
     arrays = names.flatmap(lambda name: odd_array(known[name]).map(lambda array: with_table(name, array)))
     gone = names.map(lambda name: with_table(name, None))
-    return arrays | arrays | gone | st.tuples(names, kinds).map(lambda change: as_other_thing(*change))
+    return arrays | arrays | gone | st.tuples(names, st.sampled_from(KINDS)).map(lambda change: as_other_thing(*change))
 
 
 def spoilt_predictions(content: bytes) -> st.SearchStrategy[bytes]:
@@ -184,7 +161,5 @@ def spoilt_predictions(content: bytes) -> st.SearchStrategy[bytes]:
 
     attribute = st.tuples(keys, values).map(lambda change: with_attribute(*change))
     table = odd_array(np.ones(shape, "f4")).map(lambda array: with_table("pas", array))
-    other = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless"]).map(
-        lambda kind: as_other_thing("pas", kind)
-    )
+    other = st.sampled_from(KINDS).map(lambda kind: as_other_thing("pas", kind))
     return (attribute | attribute | table | other).map(changed) | cut_or_flipped(content[:3000])

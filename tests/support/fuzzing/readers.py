@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,19 +18,18 @@ from xfreqbench.runs.predictions import read_predictions
 
 # By kind: what the files' paths contain, and what reads them.
 READERS: dict[str, tuple[str, Callable[[], Any]]] = {
-    "DeepMIMO scenario": ("scenarios/small_10ghz/*_t000_*", lambda: _imported("scenarios")),
-    "DeepMIMO scenario of MATLAB": ("mats/small_10ghz/*.mat", lambda: _imported("mats")),
+    "DeepMIMO scenario": ("^scenarios/small_10ghz/.*_t000_", lambda: _imported("scenarios")),
+    "DeepMIMO scenario of MATLAB": ("^mats/small_10ghz/.*mat$", lambda: _imported("mats")),
     "fingerprint": (FINGERPRINT, lambda: vars(read_fingerprint(Path(FINGERPRINT)))),
-    "checkpoint": ("results/checkpoints/*/*/*", lambda: _checkpoint("results/checkpoints")),
-    "checkpoint's method": ("results/checkpoints/*/*/method/*", lambda: _checkpoint("results/checkpoints")),
+    "checkpoint": ("^results/checkpoints/", lambda: _checkpoint("results/checkpoints")),
     "split file": ("split.h5", lambda: _sealed(Path("split.h5"))),
-    "stored predictions": ("results/predictions/f*", lambda: _predictions("results/predictions")),
+    "stored predictions": ("^results/predictions/f", lambda: _predictions("results/predictions")),
 }
 
 
 def files_of(kind: str) -> list[str]:
     """The paths of the sound files of a kind."""
-    return [path for path in sound_files() if Path(path).match(READERS[kind][0])]
+    return [path for path in sound_files() if re.search(READERS[kind][0], path)]
 
 
 def _imported(folder: str) -> dict[str, Any]:
