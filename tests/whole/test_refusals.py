@@ -153,13 +153,12 @@ def test_an_empty_list_of_targets_is_not_the_default() -> None:
     assert parse_targets_ghz(None) is None
 
 
-@pytest.mark.parametrize("name", [b"x" * 300, b"\xff.h5", b"no/such.h5"])
-def test_a_real_process_says_one_line_and_leaves_with_2(tmp_path: Path, name: bytes) -> None:
+def test_a_real_process_says_one_line_and_leaves_with_2(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "xfreqbench.cli", "info"]
-    done = subprocess.run([*map(os.fsencode, words), name], capture_output=True, cwd=tmp_path)
+    done = subprocess.run([*map(os.fsencode, words), b"\xff.h5"], capture_output=True, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith(b"xfreqbench: ")
-    assert b"Traceback" not in done.stderr
+    assert done.stderr.count(b"\n") == 1
     assert not list(tmp_path.iterdir())
 
 
