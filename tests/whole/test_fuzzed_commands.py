@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import typing
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from tests.support.fuzzing.commands import LINES, NOT_GIVEN, check_read, lines, names
-from tests.support.fuzzing.common import check_refusal, fuzz, refusal, sentinel_folder, torn
+from tests.support.fuzzing.commands import LINES, NOT_GIVEN, check_read, lines
+from tests.support.fuzzing.common import fuzz
 from tests.support.fuzzing.damages import damages
-from tests.support.fuzzing.readers import READERS, files_of
-from tests.support.fuzzing.sound_files import sound_files
 from tests.whole.test_cli import COMMANDS, command_named
 from xfreqbench.cli.main import app
 
@@ -46,28 +41,3 @@ def test_no_damage_ends_in_a_traceback(kind: str) -> None:
     for line in LINES[kind]:
         check_sound(line)
     fuzz(NUM_INPUTS.get(kind, 20), st.tuples(lines(kind), damages(kind)), lambda case: check_read(*case))
-
-
-@pytest.mark.parametrize("kind", READERS)
-def test_damaged_bytes_give_the_same_values_or_one_line(kind: str) -> None:
-    with sentinel_folder() as folder, contextlib.chdir(folder):
-        for path, content in sound_files().items():
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            Path(path).write_bytes(content)
-        read = READERS[kind][1]
-        sound = read()
-
-        def check(case: tuple[str, bytes]) -> None:
-            path, content = case
-            Path(path).write_bytes(content)
-            found: list[Any] = []
-            message = refusal(lambda: found.append(read()), most_s=5)
-            Path(path).write_bytes(sound_files()[path])
-            if message is None:
-                np.testing.assert_equal(found, [sound])
-            else:
-                check_refusal(message, *names())
-                assert "\n" not in message
-
-        paths = st.sampled_from(files_of(kind))
-        fuzz(30, paths.flatmap(lambda path: st.tuples(st.just(path), torn(sound_files()[path]))), check)

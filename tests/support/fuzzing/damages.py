@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
 from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, WORDS, cut_or_flipped, odd_array, spoilt_json, torn
-from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_predictions
+from tests.support.fuzzing.hdf5 import hdf5_files
 from tests.support.fuzzing.png import png_folders
 from tests.support.fuzzing.scenes import edited, ply_files, toml_file
-from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, sound_files
+from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, SPLIT, sound_files
 from xfreqbench.runs.sealed import SEAL, content_sha256
 from xfreqbench.system.array_files import unpacked
 
@@ -182,6 +182,7 @@ def _mat(**arrays: Any) -> bytes:
     return buffer.getvalue()
 
 
+_DECLARED = [(SPLIT, name) for name in ("seed", "fit_seconds", "parameters", "url", "hardware", "other")]
 _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "data set": lambda: in_place_of(DATA, hdf5_files(sound_files()[DATA])),
     "stored predictions": _stored_predictions,
@@ -189,7 +190,7 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "records": _records,
     "maps to show": _maps,
     "split file": lambda: in_place_of("split.h5", hdf5_files(sound_files()["split.h5"])),
-    "predictions made elsewhere": lambda: in_place_of("theirs.h5", spoilt_predictions(sound_files()["theirs.h5"])),
+    "predictions made elsewhere": lambda: in_place_of("theirs.h5", hdf5_files(sound_files()["theirs.h5"], _DECLARED)),
     "PNG folder": png_folders,
     "DeepMIMO scenario": partial(_scenarios, "scenarios/", _npz),
     "DeepMIMO scenario of MATLAB": partial(_scenarios, "mats/", _mat),

@@ -1,13 +1,15 @@
-"""The commands that are disturbed, and the small data that they work on."""
+"""The commands that are disturbed, the small data that they work on, and a command line that does wrong."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from xfreqbench.cli.main import main
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.hdf5 import Variable, create_sealed
 from xfreqbench.data.splits import make_splits
@@ -82,3 +84,17 @@ def _write_predictions(data: Path, path: Path) -> None:
     pas = Variable(f"{split.name}/pas", "<f4", shape, (), "1", "predicted map")
     with create_sealed(path, [pas], {}, {split.name: told}) as writer:
         writer.append(pas.name, maps / maps.max(axis=(1, 2), keepdims=True))
+
+
+def do_wrong(how: str) -> None:
+    """The command, and something that it must not do."""
+    with suppress(SystemExit):
+        main()
+    if how == "elsewhere":
+        Path("../outside/thesis.tex").write_text("gone", encoding="utf-8")
+    elif how == "others":
+        Path("out.h5").write_bytes(Path("inputs/data.h5").read_bytes())
+    elif how == "traceback":
+        raise RuntimeError("nobody's words")
+    else:
+        Path("rest.tmp").touch()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 import pytest
 
+from tests.whole.chaos.commands import do_wrong
 from tests.whole.chaos.disturbances import DISTURBANCES
 from tests.whole.chaos.run import Chaos
 from xfreqbench.cli.main import main
@@ -29,20 +28,6 @@ def rounds(tmp_path_factory: pytest.TempPathFactory) -> Chaos:
 @pytest.mark.parametrize(("command", "disturbance"), ROUNDS)
 def test_the_next_command_leaves_the_same_bytes_or_refuses(rounds: Chaos, command: str, disturbance: str) -> None:
     assert rounds.faults(command, disturbance, seed=1) == []
-
-
-def do_wrong(how: str) -> None:
-    """The command, and something that it must not do."""
-    with suppress(SystemExit):
-        main()
-    if how == "elsewhere":
-        Path("../outside/thesis.tex").write_text("gone", encoding="utf-8")
-    elif how == "others":
-        Path("out.h5").write_bytes(Path("inputs/data.h5").read_bytes())
-    elif how == "traceback":
-        raise RuntimeError("nobody's words")
-    else:
-        Path("rest.tmp").touch()
 
 
 @pytest.mark.parametrize(
