@@ -98,7 +98,7 @@ def test_files_that_once_ended_in_a_traceback_or_warnings_are_refused(
         outcome = xfreqbench(*words.split(), "-q")
     assert outcome.code == 2
     assert message in outcome.stderr
-    check_clean(outcome, *(Path(name).name for name in files))
+    check_clean(outcome, "scene", *(Path(name).name for name in files))
 
 
 def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_takes_memory() -> None:

@@ -109,8 +109,8 @@ def asked_tasks(
     seeds: Sequence[int],
     budget: str | Budget | None,
     device: Literal["cpu", "cuda"],
-    receiver: str | None = None,
-    polarization: str | None = None,
+    receiver: str | None,
+    polarization: str | None,
 ) -> list[Task]:
     """The tasks of a call of `run`; raises what is wrong with its arguments."""
     if isinstance(data, PasDataset):

@@ -65,9 +65,9 @@ def xfreqbench(*words: str | Path, is_bounded: bool = True) -> Outcome:
     return Outcome(code, stdout.getvalue(), stderr.getvalue())
 
 
-def refusal(call: Callable[[], Any], most_s: float = SLEEPY_S) -> str | None:
+def refusal(call: Callable[[], Any]) -> str | None:
     """Message of the `XFreqBenchError` that a call raises, or None where it raises nothing."""
-    with _bounded(most_s), _no_warning():
+    with _bounded(), _no_warning():
         try:
             call()
         except XFreqBenchError as error:
@@ -76,12 +76,12 @@ def refusal(call: Callable[[], Any], most_s: float = SLEEPY_S) -> str | None:
 
 
 @contextmanager
-def _bounded(most_s: float = SLEEPY_S) -> Iterator[None]:
+def _bounded() -> Iterator[None]:
     """Stop what hangs, and refuse memory that no input here is worth."""
     limits = resource.getrlimit(resource.RLIMIT_AS)
     mapped_bytes = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
     before = signal.signal(signal.SIGPROF, _hangs)
-    signal.setitimer(signal.ITIMER_PROF, most_s)
+    signal.setitimer(signal.ITIMER_PROF, SLEEPY_S)
     resource.setrlimit(resource.RLIMIT_AS, (mapped_bytes + MEMORY_BYTES, limits[1]))
     try:
         yield

@@ -116,9 +116,10 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
 
 
 def _table(head: str, sound: bytes) -> st.SearchStrategy[bytes]:
-    """A table of numbers, which may mean nothing, below a line of names; or other bytes."""
-    cells = st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=5).map(",".join)
-    texts = st.lists(cells, max_size=4).map(lambda rows: "\n".join([head, *rows]).encode())
+    """A table of numbers, which may mean nothing, below a line of names or without it; or other bytes."""
+    heads = st.sampled_from([[head], []])
+    rows = st.lists(st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=5).map(",".join), max_size=4)
+    texts = st.builds(lambda head, rows: "\n".join(head + rows).encode(), heads, rows)
     return texts | st.binary(max_size=60) | cut_or_flipped(sound)
 
 
