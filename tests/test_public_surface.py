@@ -10,68 +10,13 @@ import pytest
 
 import xfreqbench as xb
 
-PUBLIC = [
-    "load_scene",
-    "parse_scene",
-    "Scene",
-    "Surface",
-    "ReceiverArray",
-    "TransmitterGrid",
-    "permittivity",
-    "scenes",
-    "TraceSettings",
-    "make_tracer",
-    "generate",
-    "open_dataset",
-    "open_collection",
-    "generate_rooms",
-    "draw_room",
-    "load_family",
-    "Collection",
-    "load",
-    "fetch",
-    "PasDataset",
-    "AngularGrid",
-    "BartlettBeam",
-    "make_splits",
-    "Split",
-    "protocols",
-    "PasWriter",
-    "SampleBlock",
-    "Method",
-    "RoomMethod",
-    "PerRoom",
-    "Progress",
-    "Budget",
-    "check_method",
-    "LearnedMethod",
-    "TrainingConfig",
-    "ChannelField",
-    "GridView",
-    "Beams",
-    "Scaling",
-    "positional_encoding",
-    "training_log",
-    "methods",
-    "run",
-    "read_records",
-    "RunRecord",
-    "score",
-    "load_method",
-    "leaderboard",
-    "metrics",
-    "errors",
-]
 PACKAGES = {"metrics", "errors", "methods", "scenes"}
 HEAVY = ("numpy", "torch", "h5py", "pydantic", "xfreqbench.data")
 
 
-def test_the_public_names_are_these() -> None:
-    assert sorted(xb.__all__) == sorted(dir(xb)) == sorted([*PUBLIC, "__version__"])
-
-
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize("name", sorted(set(xb.__all__) - {"__version__"}))  # the table in `docs/api.md` has the same
 def test_a_public_name_is_imported_when_it_is_used(name: str) -> None:
+    assert name in dir(xb)
     found = getattr(xb, name)
     assert isinstance(found, ModuleType) == (name in PACKAGES)
     assert found.__doc__

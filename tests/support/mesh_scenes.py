@@ -65,10 +65,10 @@ def scene_of_file(folder: Path, name: str, toml: str = "", places: str = PLACES)
     return parse_scene(f'name = "test"\nscene = "{name}"\n{top}\n{"[[" if tables else ""}{tables}{places}', folder)
 
 
-def obj_text(mesh: trimesh.Trimesh, name: str, material: str, first: int = 1) -> str:
-    """An OBJ of one mesh and material; `first` is the index of its first vertex."""
+def obj_text(mesh: trimesh.Trimesh, name: str, material: str) -> str:
+    """An OBJ of one mesh and material."""
     corners = "\n".join(f"v {x} {y} {z}" for x, y, z in mesh.vertices)
-    faces = "\n".join("f " + " ".join(f"{index + first}//1" for index in face) for face in mesh.faces)
+    faces = "\n".join("f " + " ".join(f"{index + 1}//1" for index in face) for face in mesh.faces)
     return f"o {name}\n{corners}\nvn 0 0 1\nusemtl {material}\n{faces}\n"
 
 

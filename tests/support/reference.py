@@ -86,10 +86,10 @@ def projection_jacobian(offset_m: Tensor) -> Tensor:
     return torch.stack([azimuth, elevation])
 
 
-def projected_covariance(offset_m: Tensor, covariance_m2: Tensor, spread: Tensor | float = 1.0) -> Tensor:
-    """C^f = λ J Σ Jᵀ in rad² of (azimuth, elevation), Eqs. (9), (10): (3,), (3, 3) → (2, 2)."""
+def projected_covariance(offset_m: Tensor, covariance_m2: Tensor) -> Tensor:
+    """J Σ Jᵀ in rad² of (azimuth, elevation), Eq. (9): (3,), (3, 3) → (2, 2)."""
     jacobian = projection_jacobian(offset_m)
-    return spread * (jacobian @ covariance_m2 @ jacobian.T)
+    return jacobian @ covariance_m2 @ jacobian.T
 
 
 def accumulate(footprint: Tensor, signal: Tensor, factor: Tensor) -> Tensor:

@@ -19,16 +19,15 @@ from xfreqbench.errors import XFreqBenchError
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["generate", "--help"], ["run", "--help"]])
-def test_help_loads_no_heavy_library(arguments: list[str]) -> None:
+def test_help_loads_no_heavy_library() -> None:
     program = f"""
 import sys
-from xfreqbench.cli import main as cli
-from xfreqbench.cli.main import app, interruptions_kept
-try:
-    app({arguments!r})
-except SystemExit:
-    pass
+from xfreqbench.cli.main import app
+for words in ("--help", "generate --help", "run --help"):
+    try:
+        app(words)
+    except SystemExit:
+        pass
 print("loaded", sorted({HEAVY!r} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -36,103 +35,76 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("words", "message"),
     [
-        (["generate", "offce", "-o", "x.h5"], "Did you mean 'office'"),
-        (["generate", "office", "-o", "x.h5", "--freqs", "1;2"], "comma-separated"),
-        (["generate", "office", "-o", "x.h5", "--freqs", "0.5"], "from 1 to 100 GHz"),
-        (["generate", "office", "-o", "x.h5", "--interactions", "refracton"], "Did you mean 'refraction'"),
-        (["generate", "office", "-o", "x.h5", "--pas-kind", "powr"], "Did you mean 'power'"),
-        (["generate", "office", "-o", "x.h5", "--tx", "100000"], "usable transmitter positions"),
-        (["generate", "office", "-o", "x.h5", "--tx-positions", "none.csv"], "x,y,z in metres"),
-        (["info", "nowhere.h5"], "There is no file nowhere.h5"),
-        (["report", "nowhere"], "nowhere"),
+        ("generate offce -o x.h5", "Did you mean 'office'"),
+        ("generate office -o x.h5 --freqs 1;2", "comma-separated"),
+        ("generate office -o x.h5 --freqs 0.5", "from 1 to 100 GHz"),
+        ("generate office -o x.h5 --interactions refracton", "Did you mean 'refraction'"),
+        ("generate office -o x.h5 --pas-kind powr", "Did you mean 'power'"),
+        ("generate office -o x.h5 --tx 100000", "usable transmitter positions"),
+        ("generate office -o x.h5 --tx-positions none.csv", "x,y,z in metres"),
+        ("generate empty --tx 10 --dry-run -o x.h5 --executor many", "--executor takes serial, a number of processes"),
+        ("info nowhere.h5", "There is no file nowhere.h5"),
+        ("report nowhere", "nowhere"),
+        ("bench render --gaussians 1000001", "takes whole numbers from 1 to 100"),
+        ("bench render --batch 8,1001", "takes whole numbers from 1 to 100"),
+        ("run --method nearest --results results --data x.h5 --on tests", 'Choose from: "test", "validation"'),
+        ("split -o x.h5 --data x.h5 --on tests", 'Choose from: "test", "validation"'),
+        ("generate office -o x.h5 --freq 1", "--freqs"),
+        ("vew", 'Did you mean "view"?'),
     ],
 )
 def test_mistakes_end_with_code_2_and_words(
-    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    done = xfreqbench(*arguments)
+    done = xfreqbench(*words.split())
     assert done.code == 2
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    assert message in done.message
+    assert "Traceback" not in done.message
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", [["run", "--method", "nearest", "--results", "results"], ["split", "-o", "x.h5"]])
-def test_rows_that_no_protocol_has_are_refused_with_those_that_it_has(command: list[str]) -> None:
-    done = xfreqbench(*command, "--data", "nowhere.h5", "--on", "tests")
-    assert done.code != 0
-    said = " ".join((done.stderr + done.stdout).replace("│", " ").split())
-    assert 'Choose from: "test", "validation"' in said, said
+VIEW, COMPARE = (
+    "Example: xfreqbench view office.h5 --tx 7 -o",
+    "Example: xfreqbench compare results/before results/after",
+)
 
 
 @pytest.mark.parametrize(
     ("words", "needed", "example"),
     [
-        (
-            "run --data office.h5 --results results",
-            "needs --methods or --method.",
-            "Example: xfreqbench run --data office.h5 --method",
-        ),
-        ("view office.h5", "needs --output or -o.", "Example: xfreqbench view office.h5 --tx 7 -o office_view"),
+        ("run --data d.h5 --results r", "needs --methods or --method.", "Example: xfreqbench run --data office.h5"),
+        ("view office.h5", "needs --output or -o.", VIEW),
         ("bench fingerprint empty", "needs --output or -o.", "Example: xfreqbench bench fingerprint office -o"),
-        ("view office.h5 -o", "-o requires an argument.", "Example: xfreqbench view office.h5 --tx 7 -o office_view"),
-        ("compare results", "xfreqbench compare needs B.", "Example: xfreqbench compare results/before results/after"),
-        ("vew", 'Did you mean "view"?', ""),
+        ("view office.h5 -o", "-o requires an argument.", VIEW),
+        ("compare results", "xfreqbench compare needs B.", COMPARE),
     ],
 )
 def test_a_command_line_that_lacks_something_is_told_what_and_shown_an_example(
     words: str, needed: str, example: str
 ) -> None:
     done = xfreqbench(*words.split())
-    said = " ".join((done.stderr + done.stdout).replace("│", " ").split())
     assert done.code == 2
-    assert needed in said and example in said, said
+    assert needed in done.message and example in done.message
 
 
 def test_options_have_the_names_of_python_and_their_older_ones() -> None:
+    asked = {"method": "nearest", "targets": "10", "seed": "1"}
     for word in ("--methods nearest --targets-ghz 10 --seeds 1", "--method nearest --targets 10 --seed 1"):
         _, bound, _ = app.parse_args(f"run --data d.h5 --results r {word}", exit_on_error=False)
-        assert {name: bound.arguments[name] for name in ("method", "targets", "seed")} == {
-            "method": "nearest",
-            "targets": "10",
-            "seed": "1",
-        }
+        assert bound.arguments.items() >= asked.items()
     for word in ("--freqs-ghz", "--freqs"):
         assert app.parse_args(f"generate empty -o x.h5 {word} 2.4", exit_on_error=False)[1].arguments["freqs"] == "2.4"
 
 
-def test_an_unknown_option_names_the_nearest() -> None:
-    done = xfreqbench("generate", "office", "-o", "x.h5", "--freq", "1")
-    assert done.code != 0
-    assert "--freqs" in done.stderr + done.stdout
-
-
-def test_a_dry_run_prints_counts_size_and_time_and_writes_nothing(tmp_path: Path) -> None:
-    output = tmp_path / "x.h5"
-    done = xfreqbench(*f"generate empty --tx 10 --freqs 1,94 --dry-run -o {output}".split())
+def test_a_dry_run_prints_counts_size_and_time_and_writes_and_starts_nothing(tmp_path: Path) -> None:
+    words = f"generate empty --tx 10 --freqs 1,94 --dry-run -o {tmp_path / 'x.h5'} --executor dask://nowhere:8786"
+    done = xfreqbench(*words.split())
     assert done.code == 0
-    assert "10 transmitters" in done.stdout
-    assert "20 samples" in done.stdout
-    assert "estimated time" in done.stdout
-    assert not output.exists()
-
-
-def test_a_dry_run_checks_the_executor_without_starting_any(tmp_path: Path) -> None:
-    words = f"generate empty --tx 10 --freqs 1,94 --dry-run -o {tmp_path / 'x.h5'} --executor".split()
-    refused = xfreqbench(*words, "many")
-    assert refused.code == 2
-    assert "--executor takes serial, a number of processes" in refused.stderr
-    assert xfreqbench(*words, "dask://nowhere:8786").code == 0
-
-
-@pytest.mark.parametrize("words", ["--gaussians 1000001", "--batch 8,1001"])
-def test_measurements_that_would_fill_the_memory_are_refused(words: str) -> None:
-    refused = xfreqbench("bench", "render", *words.split())
-    assert refused.code == 2
-    assert "takes whole numbers from 1 to 100" in refused.stderr
+    assert all(text in done.stdout for text in ("10 transmitters", "20 samples", "estimated time"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_carriers_are_read_in_gigahertz() -> None:

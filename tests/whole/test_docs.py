@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import shlex
 import subprocess
@@ -16,14 +15,13 @@ from urllib.parse import unquote, urlsplit
 import h5py
 import pytest
 from markdown_it import MarkdownIt
+from pydantic import BaseModel
 
-import xfreqbench
 import xfreqbench as xb
 from tests.support.documents import INTERPRETERS, ROOT, blocks, follow
 from tests.support.notebooks import NOTEBOOKS, read
 from tests.support.plans import small_plan
-from tests.support.synthetic import write_dataset
-from tests.whole.test_tutorial import COMMANDS, FILES
+from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.splits import make_splits
@@ -36,14 +34,14 @@ from xfreqbench.tracing.sionna.llvm import ensure_llvm
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))  # generated
 TEMPLATES = sorted((ROOT / "examples").glob("*/README.md"))  # run by test_template.py
-METHODS = ROOT / "baselines" / "README.md"  # run by test_tutorial.py
+METHODS = ROOT / "baselines" / "README.md"
 VIRTUAL_SOURCE = ROOT / "baselines" / "virtual_source" / "README.md"
 README = ROOT / "README.md"
 API, FORMATS, SIONNA = (ROOT / "docs" / name for name in ("api.md", "data-format.md", "sionna.md"))
-RUN_HERE = [  # two have tests of their own
+RUN_HERE = [  # one has a test of its own
     path
-    for path in [README, *DOCUMENTS]
-    if path not in (API, SIONNA) and any(block.is_followed for block in blocks(path))
+    for path in [README, METHODS, *DOCUMENTS]
+    if path != SIONNA and any(block.is_followed for block in blocks(path))
 ]
 ALL = [README, ROOT / "BENCHMARK.md", METHODS, VIRTUAL_SOURCE, *DOCUMENTS, *RESULTS, *TEMPLATES]
 
@@ -59,7 +57,16 @@ every_document = pytest.mark.parametrize("document", ALL, ids=named)
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("document", RUN_HERE, ids=named)
 def test_every_block_of_a_document_does_what_it_says(document: Path, tmp_path: Path) -> None:
-    reader = follow(document, tmp_path / "work")
+    work = tmp_path / "work"
+    work.mkdir()
+    if document == METHODS:
+        paper_dataset(work / "office.h5")
+    reader = follow(document, work)
+    if document == METHODS:
+        assert "warn" not in reader.said("check-method my-method")
+        blind, learned = (record.scores["psnr"].median for record in xb.read_records(work / "results")[:2])
+        assert learned > blind
+        assert "my-method" in (work / "BENCHMARK.md").read_text()
     if document == README:  # its commands stand in indented blocks, and use the data that its Python has made
         for command in command_lines(document, ("code_block",)):
             if command[0] != "benchmark" or "--dry-run" in command:  # others take minutes: `test_presets` plans each
@@ -135,43 +142,17 @@ def python_texts() -> Iterator[tuple[str, str]]:
 
 def private_names(text: str) -> set[str]:
     """What a program imports of xfreqbench, or asks of `xb`, that is not public."""
-    found = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            found |= {name.name for name in node.names if name.name.startswith("xfreqbench.")}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "xfreqbench":
-            is_top = node.module == "xfreqbench"
-            found |= {name.name for name in node.names if not (is_top and name.name in xb.__all__)}
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "xb":
-            found |= {node.attr} - set(xb.__all__)
-    return found
+    modules = re.findall(r"^\s*(?:from|import) (xfreqbench\.\S+)", text, re.MULTILINE)
+    imported = re.findall(r"^\s*from xfreqbench import (\([^)]*\)|.*)", text, re.MULTILINE)
+    names = {name for line in imported for name in re.findall(r"\w+", line)} | set(re.findall(r"\bxb\.(\w+)", text))
+    return set(modules) | (names - set(xb.__all__))
 
 
 def test_readers_are_shown_public_names_only() -> None:
+    assert all(map(private_names, ("import xfreqbench.units", "    from xfreqbench import units", "xb.units")))
     texts = list(python_texts())
     assert len(texts) > 60
     assert not {place: names for place, text in texts if (names := private_names(text))}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "import xfreqbench.units",
-        "from xfreqbench.units import ghz_to_hz",
-        "from xfreqbench import units",
-        "xb.units",
-        "def f():\n    from xfreqbench.data import dataset",
-    ],
-)
-def test_a_name_that_is_not_public_is_found(text: str) -> None:
-    assert private_names(text)
-
-
-def test_the_tutorial_of_methods_leaves_no_block_unrun() -> None:
-    found = blocks(METHODS)
-    assert [block.file_name for block in found if block.language != "sh"] == list(FILES)
-    lines = [line for block in found if block.language == "sh" for line in block.text.splitlines()]
-    assert [shlex.split(line) for line in lines] == COMMANDS
 
 
 @every_document
@@ -212,10 +193,13 @@ def table(document: Path, heading: str) -> list[list[str]]:
     return [[cell.strip().replace("`", "") for cell in row.split("|")] for row in rows[2:]]
 
 
-def variables(path: Path) -> list[list[str]]:
-    """Name, axes, type and unit of every variable of an HDF5 file, as the file itself says."""
-    with h5py.File(path) as file:
-        return [[name, axes(variable), str(variable.dtype), text(variable, "units")] for name, variable in file.items()]
+def variables(group: h5py.Group, within: str = "") -> list[list[str]]:
+    """Name, axes, type and unit of every variable of an HDF5 group, as the file itself says."""
+    return [
+        [f"{within}{name}", axes(variable), str(variable.dtype), variable.attrs["units"].decode()]
+        for name, variable in group.items()
+        if isinstance(variable, h5py.Dataset)
+    ]
 
 
 def axes(variable: h5py.Dataset) -> str:
@@ -223,30 +207,17 @@ def axes(variable: h5py.Dataset) -> str:
     return ", ".join(scale.name.strip("/") for scale in scales)
 
 
-def text(owner: h5py.Dataset | h5py.File, name: str) -> str:
-    return owner.attrs[name].decode()
-
-
-def test_the_table_of_variables_is_that_of_the_files(tmp_path: Path) -> None:
+def test_the_tables_of_variables_and_attributes_are_those_of_the_files(tmp_path: Path) -> None:
     write_dataset(tmp_path / "data.h5", num_tx=2)
-    described = table(FORMATS, "### Variables")
-    assert sorted(row[:4] for row in described) == sorted(variables(tmp_path / "data.h5"))
+    with h5py.File(tmp_path / "data.h5") as file:
+        assert sorted(row[:4] for row in table(FORMATS, "### Variables")) == sorted(variables(file))
+        assert sorted(row[0] for row in table(FORMATS, "### Attributes")) == sorted(file.attrs)
 
 
 def test_the_table_of_paths_is_that_of_the_files(tmp_path: Path) -> None:
     generate_planned(small_plan(num_transmitters=1, paths=True), tmp_path / "data.h5")
     with h5py.File(tmp_path / "data.h5") as file:
-        stored = [
-            [f"paths/{name}", axes(variable), str(variable.dtype), text(variable, "units")]
-            for name, variable in file["paths"].items()
-        ]
-    assert sorted(row[:4] for row in table(FORMATS, "### Paths")) == sorted(stored)
-
-
-def test_the_table_of_attributes_is_that_of_the_files(tmp_path: Path) -> None:
-    write_dataset(tmp_path / "data.h5", num_tx=2)
-    with h5py.File(tmp_path / "data.h5") as file:
-        assert sorted(row[0] for row in table(FORMATS, "### Attributes")) == sorted(file.attrs)
+        assert sorted(row[:4] for row in table(FORMATS, "### Paths")) == sorted(variables(file["paths"], "paths/"))
 
 
 def test_the_table_of_split_files_names_every_variable(tmp_path: Path) -> None:
@@ -259,15 +230,10 @@ def test_the_table_of_split_files_names_every_variable(tmp_path: Path) -> None:
     assert sorted(name for row in described for name in row[0].split(", ")) == found
 
 
-def test_the_table_of_records_names_every_field() -> None:
-    described = table(FORMATS, "## Records")
-    fields = [name for row in described for name in row[0].split(", ")]
-    assert sorted(fields) == sorted(RunRecord.model_fields)
-
-
-def test_the_table_of_maps_to_show_names_every_field() -> None:
-    fields = [name for row in table(FORMATS, "## Maps to show") for name in row[0].split(", ")]
-    assert sorted(fields) == sorted(ShownMaps.model_fields)
+@pytest.mark.parametrize(("heading", "model"), [("## Records", RunRecord), ("## Maps to show", ShownMaps)])
+def test_a_table_of_fields_names_every_one(heading: str, model: type[BaseModel]) -> None:
+    fields = [name for row in table(FORMATS, heading) for name in row[0].split(", ")]
+    assert sorted(fields) == sorted(model.model_fields)
 
 
 def test_the_table_of_conventions_is_that_of_the_code() -> None:
@@ -281,7 +247,7 @@ def test_the_interface_describes_every_public_name_and_no_other() -> None:
         for topic in ("Scenes and rays", "Data", "Maps and scores", "Methods", "Runs and results")
         for cells in table(API, f"### {topic}")
     ]
-    assert sorted(names) == sorted(xfreqbench.__all__)
+    assert sorted(names) == sorted(xb.__all__)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.fuzzing.common import check_clean, xfreqbench
 from tests.support.fuzzing.hdf5 import sound_dataset, sound_records
-from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.png import PNG_FOLDER, write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, XML
 
 IMPORT = "import maps -o x.h5 -q"
@@ -38,18 +38,16 @@ COMMANDS = [
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a sound file of every kind, which is the working folder."""
     monkeypatch.chdir(tmp_path)
-    for name in ("maps/spectrum", "seen"):
-        (tmp_path / name).mkdir(parents=True)
-    maps = {f"maps/{name}": content for name, content in PNG_FOLDER.items()}
-    maps |= {f"maps/spectrum/0000{number}.png": png() for number in (1, 2)}
+    (tmp_path / "seen").mkdir()
+    write_png_folder(tmp_path / "maps")
     texts = {"room.toml": REFERRING_SCENE, "room.xml": XML, "wall.ply": ASCII_PLY}
-    sound = {"data.h5": sound_dataset(), "records.jsonl": sound_records(), **maps}
-    for name, content in {**sound, **{name: text.encode() for name, text in texts.items()}}.items():
+    sound = {"data.h5": sound_dataset(), "records.jsonl": sound_records()}
+    for name, content in (sound | {name: text.encode() for name, text in texts.items()}).items():
         (tmp_path / name).write_bytes(content)
     return tmp_path
 
 
-@pytest.mark.parametrize("kind", ["pipe", "/dev/zero", "/dev/full"])
+@pytest.mark.parametrize("kind", ["pipe", "/dev/zero"])
 @pytest.mark.parametrize(("name", "command"), COMMANDS, ids=lambda text: text.replace(" ", "_"))
 def test_a_pipe_or_a_device_in_the_place_of_a_file_is_refused(folder: Path, name: str, command: str, kind: str) -> None:
     (folder / name).unlink(missing_ok=True)

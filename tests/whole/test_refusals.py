@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tests.support.forked import command_line
-from tests.support.fuzzing.common import check_clean, check_refusal, refusal, refused, untouched, xfreqbench
+from tests.support.fuzzing.common import check_clean, check_refusal, refusal, untouched, xfreqbench
 from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
-from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.png import write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from tests.support.stored_records import make_record
 from xfreqbench.cli.options import parse_targets_ghz
@@ -45,54 +45,66 @@ def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> Non
         check_clean(outcome, str(tmp_path), "no such case")
 
 
+SCENE, POSITIONS = "generate odd.toml -o x.h5", "generate empty --tx-positions tx.csv.gz -o x.h5"
+IMPORT, REPORT = "import maps -o x.h5", "report . -o report.md"
+FAR = {"receiver": {"position_m": [1e300, 0.0, 0.0]}}
+FLAT = {"receiver": {"position_m": [0.0, 0.0, 0.0], "boresight": [0.0, 0.0, 1e-300]}}
+MESH = {"odd.toml": REFERRING_SCENE, "room.xml": XML}
+TOO_LARGE = b"g:\n  position: [2,1,0]\n  orientation: [1e155, 0, 0, 1]\n"
+KEYS = [(b'"24250000000":', b'":4250000000":'), (b'"power_error":', b'"power_error ":')]
+
+
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("words", "files", "message"),
     [
-        ("name = " + "[" * 5000, "nested too deeply"),
-        ("name = " + "1" * 5000, "not TOML"),
-        (toml_file({**EMPTY_SCENE, "receiver": {"position_m": [1e300, 0.0, 0.0]}}), "less than or equal to 10000000"),
-        (
-            toml_file({**EMPTY_SCENE, "receiver": {"position_m": [0.0, 0.0, 0.0], "boresight": [0.0, 0.0, 1e-300]}}),
-            "zero vector",
+        (SCENE, {"odd.toml": "name = " + "[" * 5000}, "nested too deeply"),
+        (SCENE, {"odd.toml": "name = " + "1" * 5000}, "not TOML"),
+        (SCENE, {"odd.toml": toml_file(EMPTY_SCENE | FAR)}, "less than or equal to 10000000"),
+        (SCENE, {"odd.toml": toml_file(EMPTY_SCENE | FLAT)}, "zero vector"),
+        (SCENE, {"odd.toml": toml_file(EMPTY_SCENE | {"scene": "a\0b"})}, "cannot be read"),
+        (SCENE, {"odd.toml": toml_file(EMPTY_SCENE | {"scene": "."})}, "Is a directory"),
+        (SCENE, {**MESH, "room.xml": XML.replace("utf-8", "no-such")}, "room.xml"),
+        *(
+            (SCENE, {**MESH, "wall.ply": ASCII_PLY.replace("0 0 0", corner, 1)}, "not finite, or beyond")
+            for corner in ("inf 0 0", "nan 0 0", "1e300 0 0", "1e38 1e38 1e38")
         ),
-        (toml_file({**EMPTY_SCENE, "scene": "a\0b"}), "cannot be read"),
-        (toml_file({**EMPTY_SCENE, "scene": "."}), "Is a directory"),
+        *(
+            (POSITIONS, {"tx.csv.gz": content}, "tx.csv.gz")
+            for content in (b"1,1,1e308\n", gzip.compress(b"1,1,1\n", mtime=0)[:-4], b"\xff,1,1\n", b"1,1\n")
+        ),
+        (IMPORT, {"maps/gateway_info.yml": TOO_LARGE}, "gateway_info.yml"),
+        (IMPORT, {"maps/gateway_info.yml": None}, "gateway_info.yml"),
+        (IMPORT, {"maps/tx_pos.csv": b"x,y,z\n1e300,2,3\n-1,0,0.5\n"}, "tx_pos.csv"),
+        (IMPORT, {"maps/train_index.txt": b"1" * 5000}, "train_index.txt"),
+        *(
+            (f"{REPORT}{page}", {"records.jsonl": sound_records().replace(*change, 1)}, "records.jsonl")
+            for change in KEYS
+            for page in ("", " --html page.html")
+        ),
     ],
 )
-def test_scenes_that_once_ended_in_a_traceback_are_refused(tmp_path: Path, content: str, message: str) -> None:
-    (tmp_path / "odd.toml").write_text(content)
-    outcome = xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5")
+def test_files_that_once_ended_in_a_traceback_or_warnings_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, files: dict[str, str | bytes | None], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "import" in words:
+        write_png_folder(Path("maps"))
+    for name, content in files.items():
+        if content is None:
+            Path(name).unlink()
+        else:
+            Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with untouched(tmp_path):
+        outcome = xfreqbench(*words.split(), "-q")
+    assert outcome.code == 2
     assert message in outcome.stderr
-    check_clean(outcome, "odd.toml", str(tmp_path))
+    check_clean(outcome, "scene", *(Path(name).name for name in files))
 
 
 def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_takes_memory() -> None:
     grid = {**SMALL_SCENE["transmitters"], "step_m": [0.003, 0.003, 0.001]}
     message = refusal(lambda: parse_scene(toml_file({**SMALL_SCENE, "transmitters": grid})))
     assert f"1,003,003,001 positions, but {MAX_CANDIDATES:,} are the most" in str(message)
-
-
-def test_an_unknown_encoding_of_a_mitsuba_scene_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "room.xml").write_text(XML.replace("utf-8", "no-such"))
-    (tmp_path / "odd.toml").write_text(REFERRING_SCENE)
-    check_clean(xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5"), "room.xml")
-
-
-@pytest.mark.parametrize("corner", ["inf 0 0", "nan 0 0", "1e300 0 0", "1e38 1e38 1e38"])
-def test_vertices_that_no_float_can_square_are_refused_without_a_warning(tmp_path: Path, corner: str) -> None:
-    (tmp_path / "room.xml").write_text(XML)
-    (tmp_path / "odd.toml").write_text(REFERRING_SCENE)
-    (tmp_path / "wall.ply").write_text(ASCII_PLY.replace("0 0 0", corner, 1))
-    outcome = xfreqbench("generate", tmp_path / "odd.toml", "-o", tmp_path / "x.h5")
-    check_clean(outcome, "wall.ply")
-    assert "not finite, or beyond" in outcome.stderr
-
-
-@pytest.mark.parametrize("content", [b"1,1,1e308\n", gzip.compress(b"1,1,1\n", mtime=0)[:-4], b"\xff,1,1\n", b"1,1\n"])
-def test_positions_that_once_ended_in_a_traceback_or_warnings_are_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "tx.csv.gz").write_bytes(content)
-    words = ["generate", "empty", "--tx-positions", tmp_path / "tx.csv.gz", "-q", "-o", tmp_path / "x.h5"]
-    refused(tmp_path, *words)
 
 
 @pytest.mark.parametrize("words", [["info"], ["generate", "empty", "-o"], ["report"], ["import", "-o", "x"]])
@@ -153,13 +165,12 @@ def test_an_empty_list_of_targets_is_not_the_default() -> None:
     assert parse_targets_ghz(None) is None
 
 
-@pytest.mark.parametrize("name", [b"x" * 300, b"\xff.h5", b"no/such.h5"])
-def test_a_real_process_says_one_line_and_leaves_with_2(tmp_path: Path, name: bytes) -> None:
+def test_a_real_process_says_one_line_and_leaves_with_2(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "xfreqbench.cli", "info"]
-    done = subprocess.run([*map(os.fsencode, words), name], capture_output=True, cwd=tmp_path)
+    done = subprocess.run([*map(os.fsencode, words), b"\xff.h5"], capture_output=True, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith(b"xfreqbench: ")
-    assert b"Traceback" not in done.stderr
+    assert done.stderr.count(b"\n") == 1
     assert not list(tmp_path.iterdir())
 
 
@@ -182,38 +193,3 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
     done = subprocess.run([command_line(), "info", data], capture_output=True)
     assert done.returncode == 0, done.stderr
     assert b"every hash holds" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("gateway_info.yml", b"g:\n  position: [2,1,0]\n  orientation: [1e155, 0, 0, 1]\n"),
-        ("gateway_info.yml", None),
-        ("tx_pos.csv", b"x,y,z\n1e300,2,3\n-1,0,0.5\n"),
-        ("train_index.txt", b"1" * 5000),
-    ],
-)
-def test_folders_of_maps_that_once_ended_in_a_traceback_or_warnings_are_refused(
-    tmp_path: Path, name: str, content: bytes | None
-) -> None:
-    maps = {f"spectrum/{number:05d}.png": png() for number in (1, 2)}
-    (tmp_path / "maps" / "spectrum").mkdir(parents=True)
-    for path, sound in {**PNG_FOLDER, **maps, name: content}.items():
-        if sound is not None:
-            (tmp_path / "maps" / path).write_bytes(sound)
-    outcome = xfreqbench("import", tmp_path / "maps", "-o", tmp_path / "x.h5", "-q")
-    assert outcome.code == 2
-    check_clean(outcome, name)
-
-
-@pytest.mark.parametrize(
-    ("sound", "spoilt"), [(b'"24250000000":', b'":4250000000":'), (b'"power_error":', b'"power_error ":')]
-)
-@pytest.mark.parametrize("page", [[], ["--html", "page.html"]])
-def test_a_record_whose_keys_mean_nothing_is_refused(
-    tmp_path: Path, sound: bytes, spoilt: bytes, page: list[str]
-) -> None:
-    (tmp_path / "records.jsonl").write_bytes(sound_records().replace(sound, spoilt, 1))
-    outcome = xfreqbench("report", tmp_path, "-o", tmp_path / "report.md", "-q", *page)
-    assert outcome.code == 2
-    check_clean(outcome, "records.jsonl")

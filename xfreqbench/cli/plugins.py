@@ -40,15 +40,13 @@ def __getattr__(name: str) -> App:
 
     Raises `AttributeError` where there is no such entry point.
     """
-    values = sorted({entry.value for entry in entry_points(group=COMMAND_GROUP, name=name)})
-    if not values:
+    found = {entry.value: entry for entry in entry_points(group=COMMAND_GROUP, name=name)}
+    if not found:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        if len(values) > 1:
+        if len(found) > 1:
             raise MethodError(f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one.")
-        (entry,) = {
-            entry_point.value: entry_point for entry_point in entry_points(group=COMMAND_GROUP, name=name)
-        }.values()
+        (entry,) = found.values()
         with method_code(f"Command {name!r} cannot be loaded:", "Mend its package, or uninstall it.", ()):
             app = entry.load()
         if not isinstance(app, App) or app.name[0] != name:

@@ -172,10 +172,9 @@ def run(
     from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.runs.estimate import estimate_runs
-    from xfreqbench.runs.run import asked_tasks, installed_for, run_shown
+    from xfreqbench.runs.run import asked_tasks, run_shown
 
-    names = installed_for(protocol) if method == "all" else [name.strip() for name in method.split(",")]
-    methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(names, set_)
+    methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
     targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
     if dry_run:

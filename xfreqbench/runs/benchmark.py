@@ -166,11 +166,6 @@ class Benchmark:
         shown = str(self.data_path(self.preset.blocks[0].scene)), self.preset.blocks[0].seeds[0]
         return self.predictions == "all" or (job.dataset, job.seed) == shown
 
-    @property
-    def num_places(self) -> int:
-        """Number of runs at a time: one for each core, or one alone on a GPU."""
-        return len(own_cores()) if self.device == "cpu" else 1
-
 
 def plan_benchmark(
     name: str, data_dir: Path, results_dir: Path, device: str = "cpu", predictions: Literal["all", "shown"] = "all"
@@ -196,13 +191,18 @@ def run_workers(benchmark: Benchmark, executor: str | None) -> AbstractContextMa
     return open_workers(executor, is_fresh=True)
 
 
-def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
+def cost(benchmark: Benchmark, num_places: int) -> str:
     """What a benchmark will take, as text: data sets, runs, time, disk space, and what it leaves out.
 
-    `num_places` is the number of runs at a time, if it is not `benchmark.num_places`.
+    `num_places` is the number of runs at a time. The time is that of all runs, as if none was done yet, and all
+    measurements.
     """
     preset = benchmark.preset
-    places = num_places or benchmark.num_places
+    runs_s = sum(
+        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, setting) for setting in block.settings)
+        for block in preset.blocks
+    )
+    benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in preset.benches)
     num_runs = sum(map(_num_runs, preset.blocks))
     num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
     is_all = benchmark.predictions == "all"
@@ -218,24 +218,14 @@ def cost(benchmark: Benchmark, num_places: int | None = None) -> str:
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
             *(
                 f"{benchmark.data_path(family)}: {number:,} rooms, traced in about "
-                f"{in_hours(number * _ROOM_S / places)}, of which are used whichever are there already"
+                f"{in_hours(number * _ROOM_S / num_places)}, of which are used whichever are there already"
                 for family, number in preset.num_rooms.items()
             ),
-            f"{num_runs} runs, {num_fits} of them fits with a budget, {places} at a time, and "
-            f"{len(preset.benches)} measurements: about {in_hours(seconds_needed(benchmark, places))}; "
+            f"{num_runs} runs, {num_fits} of them fits with a budget, {num_places} at a time, and "
+            f"{len(preset.benches)} measurements: about {in_hours(runs_s / num_places + benches_s)}; "
             f"{num_bytes / 1e9:.0f} GB of predictions" + ("" if is_all else " stay"),
         ]
     )
-
-
-def seconds_needed(benchmark: Benchmark, num_places: int | None = None) -> float:
-    """Estimated seconds for all runs, as if none was done yet, and all measurements."""
-    runs_s = sum(
-        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, setting) for setting in block.settings)
-        for block in benchmark.preset.blocks
-    )
-    benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in benchmark.preset.benches)
-    return runs_s / (num_places or benchmark.num_places) + benches_s
 
 
 def _run_seconds(block: Block, setting: Setting) -> float:

@@ -76,7 +76,17 @@ class CheckpointFolder:
                 remove(abandoned)
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
-            state = self._state(fit, curve, _sha256_by_name(unfinished / _METHOD_FOLDER))
+            state = Checkpoint(
+                task_id=self.task_id,
+                step=fit.step,
+                loss=fit.loss,
+                seconds=fit.seconds,
+                share=fit.share,
+                counts=dict(fit.counts),
+                curve=curve,
+                sha256=_sha256_by_name(unfinished / _METHOD_FOLDER),
+                processor_seconds=fit.processor_seconds,
+            )
             (unfinished / _STATE_FILE).write_bytes(state.sealed_json())
             for path in (*unfinished.rglob("*"), unfinished):
                 sync(path)
@@ -154,19 +164,6 @@ class CheckpointFolder:
             raise self._refusal("is a symbolic link, which is not followed")
         names = [path.name for path in self.path.glob("*")]
         return sorted(int(name) for name in names if name.isascii() and name.isdigit())
-
-    def _state(self, fit: Fit, curve: tuple[CurvePoint, ...], sha256: dict[str, str]) -> Checkpoint:
-        return Checkpoint(
-            task_id=self.task_id,
-            step=fit.step,
-            loss=fit.loss,
-            seconds=fit.seconds,
-            share=fit.share,
-            counts=dict(fit.counts),
-            curve=curve,
-            sha256=sha256,
-            processor_seconds=fit.processor_seconds,
-        )
 
     def _refusal(self, fault: str) -> DataError:
         return DataError(f"The {self.what} in {self.path} {fault}. {self.advice}")

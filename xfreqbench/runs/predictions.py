@@ -88,12 +88,12 @@ def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
     return None
 
 
-def require_no_others(path: Path) -> None:
+def require_no_others(path: Path, schema: str = SCHEMA) -> None:
     """Raise `OutputExistsError` where a file lies that holds no predictions, which are not to replace it."""
 
     def fault_of(file: Path) -> str | None:
         try:
-            with open_sealed(file, SCHEMA):
+            with open_sealed(file, schema):
                 return None
         except DataError as error:
             return f"holds no predictions that can be read: {error}"

@@ -45,11 +45,11 @@ from xfreqbench.runs import checkpoints
 from xfreqbench.runs.fit import FitProgress
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task
-from xfreqbench.runs.predictions import fault_of_maps
+from xfreqbench.runs.predictions import fault_of_maps, require_no_others
 from xfreqbench.runs.records import Job, RunRecord, utc_now
 from xfreqbench.runs.scoring import by_group, summary
 from xfreqbench.system import machine
-from xfreqbench.system.files import atomic_path, require_own
+from xfreqbench.system.files import atomic_path
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SCHEMA = "xfreqbench/room-predictions/1"
@@ -139,7 +139,7 @@ def run_in_rooms(
 ) -> RunRecord:
     """Fit, or take the fit of another job; adapt to every room, predict, store and score; the record of all that."""
     path = folder.predictions_path(task.id)
-    require_own(path, _fault_of_file, "Move it elsewhere, and run again.")
+    require_no_others(path, SCHEMA)
     machine.reset_peak_memory()
     method, fit = _fitted(task, folder, fitting, require_claim)
     kept = folder.checkpoints(task.id).path
@@ -292,14 +292,6 @@ def _read(path: Path, split: RoomSplit) -> tuple[list[_Answer], IntArray]:
         for number in range(len(adapt_s))
     ]
     return answers, room.astype(np.int64)
-
-
-def _fault_of_file(path: Path) -> str | None:
-    try:
-        with open_sealed(path, SCHEMA):
-            return None
-    except DataError as error:
-        return f"holds no predictions that can be read: {error}"
 
 
 def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunRecord:

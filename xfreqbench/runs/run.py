@@ -109,8 +109,8 @@ def asked_tasks(
     seeds: Sequence[int],
     budget: str | Budget | None,
     device: Literal["cpu", "cuda"],
-    receiver: str | None = None,
-    polarization: str | None = None,
+    receiver: str | None,
+    polarization: str | None,
 ) -> list[Task]:
     """The tasks of a call of `run`; raises what is wrong with its arguments."""
     if isinstance(data, PasDataset):
@@ -123,7 +123,10 @@ def asked_tasks(
         shown, data = data.link_names, data.path
         receiver, polarization = receiver or shown[0], polarization or shown[1]
     if not isinstance(methods, Mapping):
-        methods = dict.fromkeys(installed_for(protocol) if list(methods) == ["all"] else methods, ())
+        methods = dict.fromkeys(methods, ())
+    if list(methods) == ["all"]:  # those that learn across rooms run on the protocols of rooms alone
+        installed = method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
+        methods = dict.fromkeys(installed, methods["all"])
     options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
@@ -140,11 +143,6 @@ def asked_tasks(
         tested = [dataset.at(name) for name in dataset.receivers]
     asked = named, protocol, targets_ghz, seeds, limit, on
     return [task for part in tested for task in protocol_tasks(str(data), part, *asked)]
-
-
-def installed_for(protocol: str) -> list[str]:
-    """Names of the installed methods that run on a protocol: those that learn across rooms on that of rooms alone."""
-    return method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
 
 
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
@@ -363,6 +361,10 @@ def run_one(
         dataset_sha256=task.dataset.sha256,
         split_sha256=task.split.sha256,
     )
+    with task.method_errors("num_parameters"):
+        parameters = checked_num_parameters(method)
+    with task.method_errors("findings"):
+        findings = checked_findings(method)
     outcome = FitOutcome(
         config=task.config,
         step=fit.step,
@@ -370,12 +372,12 @@ def run_one(
         fit_processor_seconds=fit.processor_seconds,
         predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
         peak_memory_mib=machine.peak_memory_mib(),
-        parameters=_num_parameters(task, method),
+        parameters=parameters,
         hardware=machine.hardware(),
         counts=fit.counts,
         curve=task_fit.curve,
         code_sha256=task.code_sha256,
-        findings=_findings(task, method),
+        findings=findings,
     )
     return scored_record(task.id, task.job, task.dataset, task.split, path, outcome)
 
@@ -400,16 +402,6 @@ def _predicted(task: Task, method: Method, clock: Stopwatch, require_claim: Call
             )
         yield rows, maps
     require_claim()
-
-
-def _findings(task: Task, method: Method) -> dict[str, Any]:
-    with task.method_errors("findings"):
-        return checked_findings(method)
-
-
-def _num_parameters(task: Task, method: Method) -> int:
-    with task.method_errors("num_parameters"):
-        return checked_num_parameters(method)
 
 
 def require_shared_folder(workers: Workers, folder: Path) -> None:

@@ -65,9 +65,9 @@ def xfreqbench(*words: str | Path, is_bounded: bool = True) -> Outcome:
     return Outcome(code, stdout.getvalue(), stderr.getvalue())
 
 
-def refusal(call: Callable[[], Any], most_s: float = SLEEPY_S) -> str | None:
+def refusal(call: Callable[[], Any]) -> str | None:
     """Message of the `XFreqBenchError` that a call raises, or None where it raises nothing."""
-    with _bounded(most_s), _no_warning():
+    with _bounded(), _no_warning():
         try:
             call()
         except XFreqBenchError as error:
@@ -76,12 +76,12 @@ def refusal(call: Callable[[], Any], most_s: float = SLEEPY_S) -> str | None:
 
 
 @contextmanager
-def _bounded(most_s: float = SLEEPY_S) -> Iterator[None]:
+def _bounded() -> Iterator[None]:
     """Stop what hangs, and refuse memory that no input here is worth."""
     limits = resource.getrlimit(resource.RLIMIT_AS)
     mapped_bytes = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
     before = signal.signal(signal.SIGPROF, _hangs)
-    signal.setitimer(signal.ITIMER_PROF, most_s)
+    signal.setitimer(signal.ITIMER_PROF, SLEEPY_S)
     resource.setrlimit(resource.RLIMIT_AS, (mapped_bytes + MEMORY_BYTES, limits[1]))
     try:
         yield
@@ -181,40 +181,6 @@ def sentinel_folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-NUM_INPUTS = {
-    "random scene text": 100,
-    "a small scene with one part spoilt": 200,
-    "a shipped scene with one edit": 100,
-    "a Mitsuba XML with one edit": 150,
-    "the place of a Mitsuba XML": 60,
-    "a PLY file with one edit": 150,
-    "a Mitsuba XML of many parts": 50,
-    "a GLB with one part spoilt": 60,
-    "an OBJ with one edit": 40,
-    "positions of transmitters": 150,
-    "option texts of generate": 200,
-    "data set": 40,
-    "records": 25,
-    "maps to show": 12,
-    "checkpoint": 20,
-    "predictions made elsewhere": 25,
-    "stored predictions": 12,
-    "split file": 40,
-    "PNG folder": 20,
-    "DeepMIMO scenario": 25,
-    "DeepMIMO scenario of MATLAB": 25,
-    "fingerprint": 20,
-    "damaged bytes": 40,
-    "positions": 20,
-    "measurement": 20,
-    "scene": 20,
-    "mesh": 10,
-    "option texts of run": 40,
-    "a folder of PNG maps": 60,
-    "option texts of split": 40,
-}
-
-
 def fuzz(num_inputs: int, inputs: st.SearchStrategy[Any], check: Callable[[Any], None]) -> None:
     """Check a number of inputs, all of them where none fails; Hypothesis shrinks the one that does."""
     seen = []
@@ -224,11 +190,8 @@ def fuzz(num_inputs: int, inputs: st.SearchStrategy[Any], check: Callable[[Any],
         derandomize=FACTOR == 0,
         database=None,
         phases=[Phase.generate, Phase.target, Phase.shrink],  # explaining takes longer than all of these
-        suppress_health_check=[
-            HealthCheck.too_slow,  # of a busy machine
-            HealthCheck.data_too_large,  # whole files are drawn
-            HealthCheck.large_base_example,
-        ],
+        # of a busy machine, and of whole files that are drawn
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example],
     )
     @given(st.just(None).flatmap(lambda _: inputs))  # whose own text would be too long to show
     def every(case: Any) -> None:
@@ -261,6 +224,12 @@ def cut_or_flipped(content: bytes) -> st.SearchStrategy[bytes]:
         lambda at: content[: at[0]] + at[1] + content[at[0] :]
     )
     return cut | flipped | inserted
+
+
+def torn(content: bytes) -> st.SearchStrategy[bytes]:
+    """The bytes of a file cut, flipped or inserted, half of the times near its start, where layouts are told."""
+    head = cut_or_flipped(content[:6000]).map(lambda head: head + content[6000:])
+    return head | cut_or_flipped(content)
 
 
 def _flipped(content: bytes, flips: list[tuple[int, int]]) -> bytes:

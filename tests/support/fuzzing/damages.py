@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import functools
+import gzip
 import hashlib
 import io
 import json
+import lzma
 from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +17,20 @@ import scipy.io
 from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
-from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, cut_or_flipped, odd_array, spoilt_json
-from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_predictions
+from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, WORDS, cut_or_flipped, odd_array, spoilt_json, torn
+from tests.support.fuzzing.hdf5 import hdf5_files
 from tests.support.fuzzing.png import png_folders
 from tests.support.fuzzing.scenes import edited, ply_files, toml_file
-from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, sound_files
+from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, SPLIT, sound_files
 from xfreqbench.runs.sealed import SEAL, content_sha256
 from xfreqbench.system.array_files import unpacked
 
 Content = bytes | Callable[[], bytes] | None  # or what makes it; None where the file is gone
 Damage = dict[str, Content]  # of the files that differ from the sound ones
 
-_HEAD = 6000
-
 
 def in_place_of(path: str, contents: st.SearchStrategy[Any]) -> st.SearchStrategy[Damage]:
     return contents.map(lambda content: {path: content})
-
-
-def torn(content: bytes) -> st.SearchStrategy[bytes]:
-    """The bytes of a file cut, flipped or inserted, half of the times near its start, where layouts are told."""
-    head = cut_or_flipped(content[:_HEAD]).map(lambda head: head + content[_HEAD:])
-    return head | cut_or_flipped(content)
 
 
 def sealed_json(content: Any, is_sealed_again: bool = True) -> bytes:
@@ -47,18 +41,9 @@ def sealed_json(content: Any, is_sealed_again: bool = True) -> bytes:
     return json.dumps(content).encode()
 
 
-def _data_sets() -> st.SearchStrategy[Damage]:
-    return in_place_of(DATA, hdf5_files(sound_files()[DATA]))
-
-
 def _stored_predictions() -> st.SearchStrategy[Damage]:
     paths = [path for path in sound_files() if path.startswith("results/predictions/")]
-    of_one = st.one_of([in_place_of(path, hdf5_files(sound_files()[path])) for path in paths])
-    return of_one | st.sampled_from([{path: None} for path in paths])
-
-
-def _split_files() -> st.SearchStrategy[Damage]:
-    return in_place_of("split.h5", hdf5_files(sound_files()["split.h5"]))
+    return st.one_of([in_place_of(path, hdf5_files(sound_files()[path]) | st.none()) for path in paths])
 
 
 def _records() -> st.SearchStrategy[Damage]:
@@ -75,8 +60,8 @@ def _records() -> st.SearchStrategy[Damage]:
     sealed = st.builds(joined, spoilt, st.sampled_from([True, True, True, False]))
     endings = [b"{", b"x", b"\xff", b"[" * 5000, b"\n\n", b"{}\n", b"[" * 5000 + b"\n"]
     ended = st.sampled_from(endings).map(lambda end: content + end)
-    torn = cut_or_flipped(content) | st.binary(max_size=80)
-    return in_place_of(RECORDS, sealed | sealed | sealed | torn | ended)
+    bytes_ = cut_or_flipped(content) | st.binary(max_size=80)
+    return in_place_of(RECORDS, sealed | sealed | sealed | bytes_ | ended)
 
 
 def _maps() -> st.SearchStrategy[Damage]:
@@ -104,12 +89,11 @@ def _checkpoints() -> st.SearchStrategy[Damage]:
     spoilt_state = st.builds(sealed_json, spoilt_json(state), st.sampled_from([True, True, False]))
     torn_state = cut_or_flipped(sound_files()[state_path])
     spoilt_saved = spoilt_json(json.loads(saved)).map(json.dumps).map(str.encode)
-    head = cut_or_flipped(tensors[:4000]).map(lambda head: head + tensors[4000:])
     gone = st.sampled_from([state_path, method + "state.json", method + "state.safetensors"])
     return (
         in_place_of(state_path, spoilt_state | torn_state)
         | of_method("state.json", spoilt_saved | spoilt_saved | cut_or_flipped(saved))
-        | of_method("state.safetensors", _spoilt_tensors(tensors) | head | cut_or_flipped(tensors))
+        | of_method("state.safetensors", _spoilt_tensors(tensors) | torn(tensors))
         | gone.map(lambda path: {path: None})
         | st.just(with_hashes("more", b"1"))
     )
@@ -131,30 +115,26 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
     return (arrays | arrays | gone).map(save)
 
 
+def _table(head: str, sound: bytes) -> st.SearchStrategy[bytes]:
+    """A table of numbers, which may mean nothing, below a line of names or without it; or other bytes."""
+    heads = st.sampled_from([[head], []])
+    rows = st.lists(st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=5).map(",".join), max_size=4)
+    texts = st.builds(lambda head, rows: "\n".join(head + rows).encode(), heads, rows)
+    return texts | st.binary(max_size=60) | cut_or_flipped(sound)
+
+
 def _positions() -> st.SearchStrategy[Damage]:
-    numbers = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=4).map(",".join)
-    texts = st.lists(numbers, max_size=4).map("\n".join).map(str.encode)
-    return in_place_of("tx.csv", texts | st.binary(max_size=60) | cut_or_flipped(b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n"))
-
-
-def _measurements() -> st.SearchStrategy[Damage]:
-    cells = st.lists(ODD_NUMBERS | st.floats().map(str), max_size=5).map(",".join)
-    texts = st.lists(cells, max_size=4).map(lambda rows: "\n".join(["x,y,z,power", *rows]).encode())
-    return in_place_of("measured.csv", texts | st.binary(max_size=60) | cut_or_flipped(sound_files()["measured.csv"]))
+    """The table as it is, or packed and cut, in every file of positions."""
+    contents = _table("x,y,z", b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n").flatmap(
+        lambda text: st.sampled_from([text, text, gzip.compress(text, mtime=0)[:-4], lzma.compress(text)[:-4]])
+    )
+    return contents.map(lambda content: dict.fromkeys(("tx.csv", "tx.csv.gz", "tx.xz"), content))
 
 
 def _scenes() -> st.SearchStrategy[Damage]:
     text = sound_files()["room.toml"].decode()
     spoilt = spoilt_json(ROOM).map(toml_file) | edited(text) | JSON_VALUES.map(toml_file)
     return in_place_of("room.toml", spoilt.map(lambda toml: toml.encode("utf-8", "surrogateescape")))
-
-
-def _meshes() -> st.SearchStrategy[Damage]:
-    return ply_files().map(lambda ply: {"wall.ply": ply})
-
-
-def _png_folders() -> st.SearchStrategy[Damage]:
-    return png_folders().map(lambda case: {f"maps/{name}": content for name, content in case[0].items()})
 
 
 def _scenarios(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Damage]:
@@ -170,11 +150,11 @@ def _scenarios(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Dama
         return in_place_of(path, odd_array(array).map(lambda array: lambda: write(**{key: array})))
 
     told = spoilt_json(json.loads(files[parameters])).map(json.dumps).map(str.encode)
-    torn = st.sampled_from([parameters, *arrays]).flatmap(
+    bytes_ = st.sampled_from([parameters, *arrays]).flatmap(
         lambda path: in_place_of(path, cut_or_flipped(files[path]) | st.none())
     )
     spoilt = st.one_of([spoilt_array(path) for path in arrays])
-    return spoilt | spoilt | in_place_of(parameters, told) | torn
+    return spoilt | spoilt | in_place_of(parameters, told) | bytes_
 
 
 def _fingerprints() -> st.SearchStrategy[Damage]:
@@ -203,30 +183,27 @@ def _mat(**arrays: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _made_elsewhere() -> st.SearchStrategy[Damage]:
-    return in_place_of("theirs.h5", spoilt_predictions(sound_files()["theirs.h5"]))
-
-
+_DECLARED = [(SPLIT, name) for name in ("seed", "fit_seconds", "parameters", "url", "hardware", "other")]
 _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
-    "data set": _data_sets,
+    "data set": lambda: in_place_of(DATA, hdf5_files(sound_files()[DATA])),
     "stored predictions": _stored_predictions,
     "checkpoint": _checkpoints,
     "records": _records,
     "maps to show": _maps,
-    "split file": _split_files,
-    "predictions made elsewhere": _made_elsewhere,
-    "PNG folder": _png_folders,
-    "DeepMIMO scenario": functools.partial(_scenarios, "scenarios/", _npz),
-    "DeepMIMO scenario of MATLAB": functools.partial(_scenarios, "mats/", _mat),
+    "split file": lambda: in_place_of("split.h5", hdf5_files(sound_files()["split.h5"])),
+    "predictions made elsewhere": lambda: in_place_of("theirs.h5", hdf5_files(sound_files()["theirs.h5"], _DECLARED)),
+    "PNG folder": png_folders,
+    "DeepMIMO scenario": partial(_scenarios, "scenarios/", _npz),
+    "DeepMIMO scenario of MATLAB": partial(_scenarios, "mats/", _mat),
     "fingerprint": _fingerprints,
     "positions": _positions,
-    "measurement": _measurements,
+    "measurement": lambda: in_place_of("measured.csv", _table("x,y,z,power", sound_files()["measured.csv"])),
     "scene": _scenes,
-    "mesh": _meshes,
+    "mesh": lambda: in_place_of("wall.ply", ply_files()),
 }
 
 
-@functools.cache
+@cache
 def damages(kind: str) -> st.SearchStrategy[Damage]:
     """Damages to the files of a kind."""
     return _DAMAGES[kind]()

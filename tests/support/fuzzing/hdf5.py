@@ -8,7 +8,7 @@ import hashlib
 import io
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ import h5py
 import numpy as np
 from hypothesis import strategies as st
 
-from tests.support.fuzzing.common import cut_or_flipped, odd_array, spoilt_json
+from tests.support.fuzzing.common import odd_array, spoilt_json, torn
 from tests.support.stored_records import make_record
 from tests.support.synthetic import write_dataset
 from xfreqbench.data import hdf5
 
 Spoil = Callable[[Any], None]  # changes an open HDF5 file
+KINDS = ("group", "texts", "records", "soft link", "external link", "endless", "long")  # of `as_other_thing`
 
 
 @functools.cache
@@ -35,15 +36,17 @@ def sound_records() -> bytes:
     return b"".join(record.sealed_json() + b"\n" for record in records)
 
 
-def hdf5_files(content: bytes) -> st.SearchStrategy[bytes | Callable[[], bytes]]:
+def hdf5_files(
+    content: bytes, absent: Sequence[tuple[str, str]] = (("/", "channels"), ("/", "data_sha256"))
+) -> st.SearchStrategy[bytes | Callable[[], bytes]]:
     """A sealed file in other bytes, or with an attribute or a dataset that some program changed and sealed again.
 
-    The second is a function that makes it, for Hypothesis lets no library draw random numbers while it draws.
+    The second is a function that makes it, for Hypothesis lets no library draw random numbers while it draws. `absent`
+    are owners and names of further attributes.
     """
-    header = cut_or_flipped(content[:6000]).map(lambda head: head + content[6000:])
-    changed = st.tuples(spoilt_attributes(content) | spoilt_tables(content), st.booleans())
+    changed = st.tuples(spoilt_attributes(content, absent) | spoilt_tables(content), st.booleans())
     spoilt = changed.map(lambda change: lambda: spoilt_file(content, *change))
-    return spoilt | spoilt | header | cut_or_flipped(content) | st.binary(max_size=100)
+    return spoilt | spoilt | torn(content) | st.binary(max_size=100)
 
 
 def spoilt_file(content: bytes, spoil: Spoil, is_sealed_again: bool) -> bytes:
@@ -71,11 +74,7 @@ def attributes(content: bytes) -> dict[tuple[str, str], str]:
     """The texts of the file and of its groups, by the owner's name and their own."""
     with h5py.File(io.BytesIO(content), "r") as file:
         owners = ["/", *(name for name in file if hdf5.is_group(file[name]))]
-        return {(owner, name): text for owner in owners for name, text in _texts(file[owner])}
-
-
-def _texts(owner: Any) -> list[tuple[str, str]]:
-    return list(hdf5.text_attributes(owner).items())
+        return {(owner, name): text for owner in owners for name, text in hdf5.text_attributes(file[owner]).items()}
 
 
 @functools.cache
@@ -93,32 +92,14 @@ def with_attribute(name: str, value: Any, owner: str = "/") -> Spoil:
     return spoil
 
 
-def spoilt_attributes(content: bytes) -> st.SearchStrategy[Spoil]:
+def spoilt_attributes(content: bytes, absent: Sequence[tuple[str, str]]) -> st.SearchStrategy[Spoil]:
     is_json = ("_json", "maps")
     known = attributes(content)
     objects = {place: json.loads(text) for place, text in known.items() if place[1].endswith(is_json)}
-    values = st.none() | st.sampled_from(
-        [
-            "",
-            "null",
-            "{",
-            "[]",
-            "nan",
-            "-1",
-            "1" * 5000,
-            "[" * 5000,
-            3,
-            2.5,
-            b"\xff\xfe",
-            np.zeros(0),
-            np.arange(4),
-            h5py.Empty("f"),
-            True,
-            10**12,
-            "1000000000000",
-        ]
-    )
-    plain = st.tuples(st.sampled_from([*known, ("/", "channels"), ("/", "data_sha256")]), values)
+    texts = ["", "null", "{", "[]", "nan", "-1", "1" * 5000, "[" * 5000, "1000000000000", "|" * 200]
+    others = [3, 2.5, -1, np.nan, np.inf, b"\xff\xfe", np.zeros(0), np.arange(4), h5py.Empty("f"), True, 10**12]
+    values = st.none() | st.sampled_from([*texts, *others])
+    plain = st.tuples(st.sampled_from([*known, *absent]), values)
     inside = st.sampled_from(sorted(objects)).flatmap(
         lambda place: spoilt_json(objects[place]).map(lambda value: (place, json.dumps(value)))
     )
@@ -161,30 +142,6 @@ def as_other_thing(name: str, kind: str) -> Spoil:
 def spoilt_tables(content: bytes) -> st.SearchStrategy[Spoil]:
     known = tables(content)
     names = st.sampled_from(sorted(known))
-    kinds = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless", "long"])
     arrays = names.flatmap(lambda name: odd_array(known[name]).map(lambda array: with_table(name, array)))
     gone = names.map(lambda name: with_table(name, None))
-    return arrays | arrays | gone | st.tuples(names, kinds).map(lambda change: as_other_thing(*change))
-
-
-def spoilt_predictions(content: bytes) -> st.SearchStrategy[bytes]:
-    """Predictions made elsewhere, which no hash protects, with an attribute or the maps replaced, or in other bytes."""
-    with h5py.File(io.BytesIO(content), "r") as file:
-        names, shape = list(file["lofo-10GHz"].attrs), file["lofo-10GHz/pas"].shape
-    values = st.none() | st.sampled_from(
-        ["", "x", -1, np.nan, np.inf, 10**12, b"\xff", np.zeros(3), h5py.Empty("f"), "|" * 200]
-    )
-    keys = st.sampled_from([*names, "method", "seed", "fit_seconds", "parameters", "url", "hardware", "other"])
-
-    def changed(spoil: Spoil) -> bytes:
-        buffer = io.BytesIO(content)
-        with h5py.File(buffer, "r+", libver="latest") as file:
-            spoil(file["lofo-10GHz"])
-        return buffer.getvalue()
-
-    attribute = st.tuples(keys, values).map(lambda change: with_attribute(*change))
-    table = odd_array(np.ones(shape, "f4")).map(lambda array: with_table("pas", array))
-    other = st.sampled_from(["group", "texts", "records", "soft link", "external link", "endless"]).map(
-        lambda kind: as_other_thing("pas", kind)
-    )
-    return (attribute | attribute | table | other).map(changed) | cut_or_flipped(content[:3000])
+    return arrays | arrays | gone | st.tuples(names, st.sampled_from(KINDS)).map(lambda change: as_other_thing(*change))

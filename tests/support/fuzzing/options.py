@@ -1,4 +1,4 @@
-"""Texts that no option of `generate` or `run` should be given."""
+"""Texts that no option of a command should be given."""
 
 from __future__ import annotations
 
@@ -6,23 +6,8 @@ from hypothesis import strategies as st
 
 GENERATE_OPTIONS = {
     "--freqs": [
-        "",
-        ",",
-        "1,1",
-        "1,,2",
-        "paper",
-        " paper",
-        "1e300",
-        "1e-300",
-        "1e290",
-        "0.0001",
-        "450",
-        "1_0",
-        "1" * 5000,
-        "1," * 3000 + "1",
-        "-5",
-        "nan",
-        "2.4GHz",
+        *(",", "1,1", "1,,2", "paper", "1e300", "1e-300", "1e290", "0.0001", "450", "1_0", "-5", "nan", "2.4GHz"),
+        *("", " paper", "1" * 5000, "1," * 3000 + "1"),
     ],
     "--tx": ["0", "-1", "9" * 400, "1" * 5000, "1.5", "1e3", "٣", ""],
     "--tx-positions": [".", "/no/such", "x" * 400, "/proc/self/mem", ""],
@@ -37,8 +22,6 @@ GENERATE_OPTIONS = {
     "--output": ["", ".", "/", "x" * 400, "taken.h5/x.h5", "taken.h5", "/proc/x.h5", "notes.txt"],
     "--no-such": [""],
 }
-
-
 RUN_OPTIONS = {
     "--data": ["", ".", "x" * 400, "taken.h5", "/etc/passwd", "/root/../no/such", "notes.txt/x"],
     "--results": ["notes.txt", "x" * 400, "notes.txt/x", "/proc/no"],
@@ -50,27 +33,23 @@ RUN_OPTIONS = {
     "--budget": ["", "0s", "5", "-1s", "1e3s", "9" * 400 + "s", "9" * 5000 + "steps", "9" * 400 + "steps", "٣s", "5 m"],
     "--device": ["", "gpu", "tpu"],
     "--set": [
-        "",
-        "=",
-        "x",
-        "x=",
-        "hidden=128",
-        "num_nearest",
-        "num_nearest=",
-        "num_nearest=nan",
-        "=1",
-        "num_nearest=" + "[" * 5000,
-        "num_nearest=1" + "0" * 5000,
-        "num_nearest={}",
-        "num_nearest=0",
-        "num_nearest=-1",
+        *("=", "x", "x=", "hidden=128", "num_nearest", "num_nearest=", "num_nearest=nan", "=1", "num_nearest={}"),
+        *("", "num_nearest=-1", "num_nearest=" + "[" * 5000, "num_nearest=1" + "0" * 5000, "num_nearest=0"),
     ],
     "--executor": ["", "0", "-1", "dask://", "dask://x:1:2", "dask://localhost", "x", "9" * 5000, "http://x"],
+}
+IMPORT_OPTIONS = {
+    "--convention": ["mine", ""],
+    "--set": ["plane=zz", "x", "rows=", "=1", ""],
+    "--freq": ["nan", "-1", "1e300", "x", "5", ""],
 }
 
 
 def option_texts(options: dict[str, list[str]], free: st.SearchStrategy[str]) -> st.SearchStrategy[dict[str, str]]:
+    """One to three options with a text each, which is a `free` one now and then, but for the output."""
     option = st.sampled_from(sorted(options)).flatmap(
-        lambda name: st.tuples(st.just(name), st.sampled_from(options[name]) | free)
+        lambda name: st.tuples(
+            st.just(name), st.sampled_from(options[name]) | (free if name != "--output" else st.nothing())
+        )
     )
-    return st.lists(option, min_size=1, max_size=2).map(dict)
+    return st.lists(option, min_size=1, max_size=3).map(dict)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import io
+from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
 from PIL import Image
 
 from tests.support.fuzzing.common import cut_or_flipped
-from tests.support.fuzzing.scenes import edited
+from tests.support.fuzzing.scenes import edited_bytes
 
 
 @functools.cache
@@ -27,40 +28,27 @@ PNG_FOLDER = {
 }
 
 
-def png_folders() -> st.SearchStrategy[tuple[dict[str, bytes | None], list[str]]]:
-    """Files that differ from those of a sound folder, and options of the command."""
+def write_png_folder(folder: Path, **changed: bytes | None) -> None:
+    """A sound folder of two maps, but for the files in `changed`; None for one that is not there."""
+    (folder / "spectrum").mkdir(parents=True)
+    maps = {f"spectrum/0000{number}.png": png() for number in (1, 2)}
+    for name, content in {**PNG_FOLDER, **maps, **changed}.items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+
+
+def png_folders() -> st.SearchStrategy[dict[str, bytes | None]]:
+    """Files that differ from those of a sound folder `maps`, by their paths."""
     texts = st.sampled_from(sorted(PNG_FOLDER)).flatmap(
-        lambda name: st.tuples(st.just(name), spoilt_text(PNG_FOLDER[name]) | st.none())
+        lambda name: st.tuples(st.just(name), edited_bytes(PNG_FOLDER[name].decode()) | st.none())
     )
+    head = cut_or_flipped(png()[:60]).map(lambda head: head + png()[60:])
     images = st.tuples(
-        st.sampled_from(["spectrum/00001.png", "spectrum/00002.png", "spectrum/00003.png"]),
-        cut_or_flipped(png())
-        | cut_or_flipped(png()[:60]).map(lambda head: head + png()[60:])
-        | odd_images()
-        | st.none(),
+        st.sampled_from([f"spectrum/0000{number}.png" for number in (1, 2, 3)]),
+        cut_or_flipped(png()) | head | odd_images() | st.none(),
     )
-    options = st.sampled_from(
-        [
-            [],
-            [],
-            [],
-            ["--convention", "mine"],
-            ["--set", "plane=zz"],
-            ["--set", "x"],
-            ["--set", "rows="],
-            ["--set", "=1"],
-            ["--freq", "nan"],
-            ["--freq", "-1"],
-            ["--freq", "1e300"],
-            ["--freq", "x"],
-            ["--freq", "5"],
-        ]
-    )
-    return st.tuples(st.lists(texts | images, min_size=1, max_size=2).map(dict), options)
-
-
-def spoilt_text(text: bytes) -> st.SearchStrategy[bytes]:
-    return edited(text.decode()).map(lambda changed: changed.encode("utf-8", "surrogateescape"))
+    files = st.lists(texts | images, min_size=1, max_size=2).map(dict)
+    return files.map(lambda found: {f"maps/{name}": content for name, content in found.items()})
 
 
 def odd_images() -> st.SearchStrategy[bytes]:

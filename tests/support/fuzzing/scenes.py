@@ -6,10 +6,11 @@ import json
 import re
 from typing import Any
 
-import trimesh
+import numpy as np
 from hypothesis import strategies as st
 
 from tests.support.fuzzing.common import ODD_NUMBERS, ODD_WORDS, cut_or_flipped
+from tests.support.mesh_scenes import ply_bytes
 
 SMALL_SCENE: dict[str, Any] = {
     "name": "small",
@@ -25,20 +26,11 @@ SMALL_SCENE: dict[str, Any] = {
     },
     "transmitters": {"min_m": [0.5, 0.5, 0.5], "max_m": [3.5, 3.5, 1.5], "step_m": [1.0, 1.0, 0.5], "clearance_m": 0.2},
     "surface": [
-        {
-            "name": "floor",
-            "material": "concrete",
-            "thickness_m": 0.2,
-            "min_m": [0.0, 0.0, 0.0],
-            "max_m": [4.0, 4.0, 0.0],
-        },
-        {
-            "name": "cabinet",
-            "material": "metal",
-            "thickness_m": 0.01,
-            "min_m": [1.2, 1.2, 0.1],
-            "max_m": [1.8, 1.8, 1.2],
-        },
+        {"name": name, "material": material, "thickness_m": thickness_m, "min_m": min_m, "max_m": max_m}
+        for name, material, thickness_m, min_m, max_m in (
+            ("floor", "concrete", 0.2, [0.0, 0.0, 0.0], [4.0, 4.0, 0.0]),
+            ("cabinet", "metal", 0.01, [1.2, 1.2, 0.1], [1.8, 1.8, 1.2]),
+        )
     ],
 }
 
@@ -73,12 +65,12 @@ def edited(text: str) -> st.SearchStrategy[str]:
     return word | word | line | flipped
 
 
+def edited_bytes(text: str) -> st.SearchStrategy[bytes]:
+    return edited(text).map(lambda changed: changed.encode("utf-8", "surrogateescape"))
+
+
 EMPTY_SCENE = {key: part for key, part in SMALL_SCENE.items() if key != "surface"}
-
-
 REFERRING_SCENE = toml_file({"scene": "room.xml", **EMPTY_SCENE})
-
-
 XML = """<?xml version="1.0" encoding="utf-8"?>
 <scene version="2.1.0">
   <bsdf type="itu-radio-material" id="mat-wall">
@@ -91,8 +83,6 @@ XML = """<?xml version="1.0" encoding="utf-8"?>
   </shape>
 </scene>
 """
-
-
 RICH_XML = """<scene version="3.0.0">
   <default name="far" value="2"/>
   <bsdf type="radio-material" id="foam">
@@ -117,8 +107,6 @@ RICH_XML = """<scene version="3.0.0">
   </shape>
 </scene>
 """
-
-
 OBJ = """mtllib none.mtl
 o wall
 v 0 0 0
@@ -131,8 +119,6 @@ g other
 usemtl mat-itu_wood.001
 f -4 -3 -2
 """
-
-
 ASCII_PLY = """ply
 format ascii 1.0
 element vertex 4
@@ -151,28 +137,11 @@ end_header
 """
 
 
-def binary_ply() -> bytes:
-    content = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[0, 1, 2]], process=False).export(file_type="ply")
-    assert isinstance(content, bytes)
-    return content
-
-
 def ply_files() -> st.SearchStrategy[bytes | None]:
     """A PLY file in other bytes or with other counts and types in its header; None for none."""
     texts = st.sampled_from(["vertex 4", "face 2", "float x", "uchar int vertex_indices", "ascii 1.0"])
-    others = [
-        "vertex 999999999999",
-        "face 999999999",
-        "face 0",
-        "vertex 0",
-        "vertex -1",
-        "float",
-        "list",
-        "binary_little_endian 1.0",
-        "double q",
-        "vertex 1e9",
-    ]
+    numbers = ["vertex 999999999999", "face 999999999", "face 0", "vertex 0", "vertex -1", "vertex 1e9"]
+    others = [*numbers, "float", "list", "binary_little_endian 1.0", "double q"]
     headers = st.tuples(texts, st.sampled_from(others)).map(lambda change: ASCII_PLY.replace(*change).encode())
-    edits = edited(ASCII_PLY).map(lambda text: text.encode("utf-8", "surrogateescape"))
-    torn = cut_or_flipped(binary_ply())
-    return st.none() | headers | edits | edits | torn | st.binary(max_size=50)
+    edits, binary = edited_bytes(ASCII_PLY), ply_bytes(np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]]), [[0, 1, 2]], True)
+    return st.none() | headers | edits | edits | cut_or_flipped(binary) | st.binary(max_size=50)

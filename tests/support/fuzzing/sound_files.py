@@ -18,7 +18,7 @@ import scipy.io
 
 from tests.support.found_box import ALL_PLANES, SCENE
 from tests.support.fuzzing.common import xfreqbench
-from tests.support.fuzzing.png import PNG_FOLDER, png
+from tests.support.fuzzing.png import write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.methods.contract import parse_budget
@@ -76,7 +76,7 @@ def sound_files() -> dict[str, bytes]:
         _tell_findings(ResultsFolder(Path("results")))
         _kill_a_fit()
         _write_predictions(Path("split.h5"), Path("theirs.h5"))
-        _write_png_folder(Path("maps"))
+        write_png_folder(Path("maps"))
         _write_mats(Path("scenarios"), Path("mats"))
         found = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.suffix != ".lock")
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
@@ -127,12 +127,6 @@ def _write_predictions(split: Path, path: Path) -> None:
         group.attrs.update(known[SPLIT].attrs)
         group.attrs["method"] = "mine"
         group["pas"] = np.ones((len(known[f"{SPLIT}/test_row"]), 90, 360), "f4")
-
-
-def _write_png_folder(folder: Path) -> None:
-    (folder / "spectrum").mkdir(parents=True)
-    for name, content in {**PNG_FOLDER, "spectrum/00001.png": png(), "spectrum/00002.png": png()}.items():
-        (folder / name).write_bytes(content)
 
 
 def _write_mats(scenarios: Path, folder: Path) -> None:

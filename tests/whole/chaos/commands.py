@@ -1,96 +1,76 @@
-"""The commands that are disturbed, and the small data that they work on."""
+"""The commands that are disturbed, the small data that they work on, and a command line that does wrong."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from xfreqbench.cli.main import main
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.hdf5 import Variable, create_sealed
 from xfreqbench.data.splits import make_splits
 
-_TRACE = "--rays 20000 --max-depth 3 -q"
-_LOFO = "--data inputs/data.h5 --protocol lofo --targets 24.25"
+_TRACE = "generate two_rooms --solver image --rays 20000 --max-depth 3 -q"
+_LOFO = "run --data inputs/data.h5 --protocol lofo --targets 24.25 -q --budget"
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command line, given in a folder that has `inputs`; it writes nothing but the paths in `outputs`.
+    """A command line, given in a folder that has `inputs`; it writes nothing but `output` and `others`.
 
     `rival` writes something else to the same place.
     """
 
-    name: str
     line: str
-    outputs: tuple[str, ...]
+    output: str
     rival: str
-
-    @property
-    def words(self) -> list[str]:
-        """The words of the command line."""
-        return self.line.split()
+    others: tuple[str, ...] = ()
 
 
-def _run(methods: str) -> str:
-    return f"run {_LOFO} --method {methods} --budget 6steps -q --results results"
-
-
-COMMANDS = (
-    Command(
-        "generate, image",
-        f"generate two_rooms --solver image --freqs 1,24.25 --tx 80 {_TRACE} -o out.h5",
-        ("out.h5",),
-        f"generate two_rooms --solver image --freqs 2.4,60 --tx 80 {_TRACE} -o out.h5",
+_IMPORT = "import inputs/maps -o out.h5 --convention xfreq-gs --set plane=xy -q"
+_SCORE = "score inputs/predictions.h5 --data inputs/data.h5 --results results -q"
+COMMANDS = {
+    "generate": Command(
+        f"{_TRACE} --freqs 1,24.25 --tx 80 -o out.h5", "out.h5", f"{_TRACE} --freqs 2.4,60 --tx 80 -o out.h5"
     ),
-    Command("run", _run("nearest,aperture-gs"), ("results",), _run("mean-over-frequency")),
-    Command(
-        "report",
+    "run": Command(
+        f"{_LOFO} 6steps --method nearest,aperture-gs --results results",
+        "results",
+        f"{_LOFO} 6steps --method mean-over-frequency --results results",
+    ),
+    "report": Command(
         "report inputs/results -o board.md --html board.html -q",
-        ("board.md", "board.html", "figures"),
+        "board.md",
         "report inputs/fewer -o board.md --html board.html -q",
+        ("board.html", "figures"),
     ),
-    Command(
-        "import",
-        "import inputs/maps -o out.h5 --convention xfreq-gs --set plane=xy -q",
-        ("out.h5",),
-        "import inputs/maps -o out.h5 --convention xfreq-gs --set plane=xy --set rows=ascending -q",
-    ),
-    Command(
-        "export",
+    "import": Command(_IMPORT, "out.h5", f"{_IMPORT} --set rows=ascending"),
+    "export": Command(
         "export inputs/small.h5 -o out --convention xfreq-gs --set plane=xy -q",
-        ("out",),
+        "out",
         "export inputs/small.h5 -o out --convention wrf-gs --set plane=xy -q",
     ),
-    Command(
-        "score",
-        "score inputs/predictions.h5 --data inputs/data.h5 --results results -q",
-        ("results",),
-        "score inputs/predictions.h5 --data inputs/data.h5 --results results --method other -q",
+    "score": Command(_SCORE, "results", f"{_SCORE} --method other"),
+    "view": Command("view inputs/small.h5 -o seen -q", "seen", "view inputs/data.h5 -o seen -q"),
+    "findings": Command(
+        "findings inputs/results --data inputs/data.h5 -o found -q", "found", "view inputs/small.h5 -o found -q"
     ),
-    Command("view", "view inputs/small.h5 -o seen -q", ("seen",), "view inputs/data.h5 -o seen -q"),
-    Command(
-        "findings",
-        "findings inputs/results --data inputs/data.h5 -o found -q",
-        ("found",),
-        "view inputs/small.h5 -o found -q",
-    ),
-)
+}
 
 
 def prepare(folder: Path, give: Callable[[str], None]) -> None:
     """Make `folder/inputs`; `give` gives a command line in `folder`, and raises where it fails."""
     (folder / "inputs").mkdir(parents=True)
-    generated = "--freqs 2.4,24.25,77 --solver image"
-    give(f"generate two_rooms {generated} --tx 40 {_TRACE} -o inputs/data.h5")
-    give(f"generate two_rooms {generated} --tx 4 {_TRACE} -o inputs/small.h5")
+    for name, num_tx in (("data", 20), ("small", 4)):
+        give(f"{_TRACE} --freqs 2.4,24.25,77 --tx {num_tx} -o inputs/{name}.h5")
     give("export inputs/small.h5 -o inputs/maps --convention xfreq-gs --set plane=xy -q")
-    run = f"run {_LOFO} --budget 3steps -q"
-    give(f"{run} --method mean-over-frequency --results inputs/fewer")
-    give(f"{run} --method nearest --results inputs/results")
-    give(f"{run} --method virtual-source --set render=learned --results inputs/results")
+    give(f"{_LOFO} 3steps --method mean-over-frequency --results inputs/fewer")
+    give(f"{_LOFO} 3steps --method nearest --results inputs/results")
+    give(f"{_LOFO} 3steps --method virtual-source --set render=learned --results inputs/results")
     _write_predictions(folder / "inputs" / "data.h5", folder / "inputs" / "predictions.h5")
 
 
@@ -104,3 +84,17 @@ def _write_predictions(data: Path, path: Path) -> None:
     pas = Variable(f"{split.name}/pas", "<f4", shape, (), "1", "predicted map")
     with create_sealed(path, [pas], {}, {split.name: told}) as writer:
         writer.append(pas.name, maps / maps.max(axis=(1, 2), keepdims=True))
+
+
+def do_wrong(how: str) -> None:
+    """The command, and something that it must not do."""
+    with suppress(SystemExit):
+        main()
+    if how == "elsewhere":
+        Path("../outside/thesis.tex").write_text("gone", encoding="utf-8")
+    elif how == "others":
+        Path("out.h5").write_bytes(Path("inputs/data.h5").read_bytes())
+    elif how == "traceback":
+        raise RuntimeError("nobody's words")
+    else:
+        Path("rest.tmp").touch()

@@ -20,7 +20,7 @@ class Round:
     """One command in a folder of its own: `folder/work`, where it is given, beside `folder/outside`.
 
     `seconds` is how long it takes undisturbed, and `written` are the paths that it then writes, relative to the
-    folder. What a disturbance changes on purpose stands in `planted` (somebody's files, which must stay as they are)
+    folder. A disturbance puts what it changes into `planted` (somebody's files, which must stay as they are)
     or `damaged` (ours, which must not be believed). With `may_refuse`, the command need not go on afterwards.
     """
 
@@ -43,8 +43,7 @@ class Round:
 
     def start(self, line: str | None = None, file_bytes: int | None = None) -> Running:
         """Start the command, or another command line."""
-        words = self.command.words if line is None else line.split()
-        return Running(self.command_line, words, self.work, file_bytes)
+        return Running(self.command_line, line or self.command.line, self.work, file_bytes)
 
     def moment(self) -> float:
         """A random time within the undisturbed run, in seconds."""
@@ -56,30 +55,25 @@ class Round:
 
     def site(self) -> Path:
         """A random place at which the command writes, or keeps what is unfinished."""
-        places = [*self.written, *self.command.outputs, *(f"{path}.parts" for path in self.command.outputs)]
-        return self.work / self.chance.choice(places)
+        outputs = [self.command.output, *self.command.others]
+        return self.work / self.chance.choice([*self.written, *outputs, *(f"{path}.parts" for path in outputs)])
 
-    def is_output_folder(self, path: Path) -> bool:
-        """Whether a path is the folder that the user names for a command's outputs, as that of the results."""
-        name = path.relative_to(self.work).as_posix()
-        return name in self.command.outputs and any(place.startswith(f"{name}/") for place in self.written)
+    def kill(self, running: Running, sent: signal.Signals = signal.SIGKILL) -> None:
+        """Signal a command at a random moment, and wait for its end."""
+        running.go_on_for(self.moment())
+        running.send(sent)
+        self.end(running)
 
 
 def killed(round_: Round) -> None:
     """Kill the command, up to three times, each time at another moment."""
     for _ in range(round_.chance.randint(1, 3)):
-        running = round_.start()
-        running.go_on_for(round_.moment())
-        running.send(signal.SIGKILL)
-        round_.end(running)
+        round_.kill(round_.start())
 
 
 def interrupted(round_: Round) -> None:
     """Press Ctrl-C."""
-    running = round_.start()
-    running.go_on_for(round_.moment())
-    running.send(signal.SIGINT)
-    round_.end(running)
+    round_.kill(round_.start(), signal.SIGINT)
 
 
 def doubled(round_: Round) -> None:
@@ -94,9 +88,7 @@ def rivalled(round_: Round) -> None:
     round_.may_refuse = round_.has_rival = True
     rival = round_.start(round_.command.rival)
     if round_.chance.random() < 0.5:
-        rival.go_on_for(round_.moment())
-        rival.send(signal.SIGKILL)
-        round_.end(rival)
+        round_.kill(rival)
     else:
         rival.go_on_for(round_.moment() / 2)
         round_.end(rival, round_.start())
@@ -105,8 +97,7 @@ def rivalled(round_: Round) -> None:
 def filled(round_: Round) -> None:
     """Let no file grow beyond a random size, as on a disk that is full."""
     sizes = [0, *(path.stat().st_size for path in round_.folder.rglob("inputs/*") if path.is_file())]
-    running = round_.start(file_bytes=round_.chance.randint(_LEAST_FILE_BYTES, _LEAST_FILE_BYTES + max(sizes)))
-    round_.end(running)
+    round_.end(round_.start(file_bytes=_LEAST_FILE_BYTES + round_.chance.randint(0, max(sizes))))
 
 
 def damaged(round_: Round) -> None:
@@ -128,7 +119,9 @@ def damaged(round_: Round) -> None:
 def linked(round_: Round) -> None:
     """Put a symbolic link to somebody else's file or folder where the command writes, before it or after a kill."""
     site = _cleared_site(round_)
-    if site is not None and not round_.is_output_folder(site):  # whoever links that one wants its target filled
+    output = round_.command.output
+    is_output_folder = site == round_.work / output and any(path.startswith(f"{output}/") for path in round_.written)
+    if site is not None and not is_output_folder:  # whoever links that one wants its target filled
         site.symlink_to(round_.folder / "outside" / round_.chance.choice(("thesis.tex", "folder", "nothing")))
 
 

@@ -9,7 +9,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,14 +43,12 @@ class Running:
     a fork, and yet without threads of this one. With `file_bytes`, no file may grow beyond that size.
     """
 
-    def __init__(
-        self, command_line: CommandLine, words: Sequence[str], folder: Path, file_bytes: int | None = None
-    ) -> None:
+    def __init__(self, command_line: CommandLine, line: str, folder: Path, file_bytes: int | None = None) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(list(_WARM))
         self._log = tempfile.TemporaryDirectory(prefix="xfreqbench-chaos-")
         logged = Path(self._log.name)
-        arguments = (command_line, list(words), folder, logged, file_bytes)
+        arguments = (command_line, line.split(), folder, logged, file_bytes)
         self._process = context.Process(target=_child, args=arguments)
         self._process.start()
         self._begun, self._stderr = logged / "begun", logged / "stderr"

@@ -8,11 +8,10 @@ import random
 import shutil
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from tests.whole.chaos.commands import Command, prepare
+from tests.whole.chaos.commands import COMMANDS, prepare
 from tests.whole.chaos.disturbances import DISTURBANCES, Round
 from tests.whole.chaos.process import CommandLine, Ended, Running
 
@@ -20,62 +19,42 @@ from tests.whole.chaos.process import CommandLine, Ended, Running
 _LITTER = ".lock", ".partial", ".removed"
 _LINK = "link to "  # what it points to
 _RECORD = ": "  # between the path of a file and the identifier of a record in it
+# What differs from run to run: files with times and folders in them, and the same among the fields of records.
+_VARYING = "checkpoint.json", "training_rows.json"
 _TIMED = {
-    "fit_seconds",
-    "fit_processor_seconds",
-    "predict_ms_per_map",
-    "peak_memory_mib",
-    "curve",
-    "time_utc",
-    "hardware",
-    "git_commit",
-    "content_sha256",
+    *("fit_seconds", "fit_processor_seconds", "predict_ms_per_map", "peak_memory_mib", "curve"),
+    *("time_utc", "hardware", "git_commit", "content_sha256"),
 }
-Contents = Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class Undisturbed:
-    """What a command leaves where nothing happens, and how long it takes.
-
-    `files` are the hashes of what two runs left alike, `names` all paths.
-    """
+class Undisturbed(NamedTuple):
+    """What a command leaves where nothing happens, as `_contents` has it, and how long it takes."""
 
     seconds: float
-    files: Contents
-    names: frozenset[str]
-
-
-@dataclass(frozen=True)
-class ChaosVerdict:
-    """How a round ended: `same` bytes as undisturbed, or a `refusal` in words; `faults` if anything was wrong."""
-
-    command: str
-    disturbance: str
-    seed: int
-    end: str
-    faults: tuple[str, ...]
-
-    def __str__(self) -> str:
-        faults = "; ".join(self.faults)
-        return f"round {self.seed}: {self.command}, {self.disturbance}: {self.end}{': ' + faults if faults else ''}"
+    contents: Mapping[str, str]
 
 
 class Chaos:
     """Rounds in a folder that is made for them. A seed draws the same round again, but for what time decides."""
 
     def __init__(self, command_line: CommandLine, folder: Path) -> None:
-        self._command_line, self._folder = command_line, folder
+        self.command_line, self._folder = command_line, folder
         self._undisturbed: dict[str, Undisturbed] = {}
-        prepare(folder / "prepared", self._given)
+        prepare(folder / "prepared", lambda line: self._give(line, folder / "prepared"))
 
-    def round(self, command: Command, disturbance: str, seed: int) -> ChaosVerdict:
-        """Disturb a command, give it once more, and judge what is then there."""
-        undisturbed = self._reference(command)
+    def faults(self, name: str, disturbance: str, seed: int) -> list[str]:
+        """Disturb a command, give it once more, and judge what is then there: what is wrong, in words."""
+        undisturbed = self.undisturbed(name)
         folder = self._fresh(f"round-{seed}")
-        chance = random.Random(f"{seed} {command.name} {disturbance}")
-        written = sorted({name.partition(_RECORD)[0] for name in undisturbed.names if not name.startswith("inputs")})
-        at = Round(command, self._command_line, folder, chance, undisturbed.seconds, written)
+        written = {path.partition(_RECORD)[0] for path in undisturbed.contents if not path.startswith("inputs")}
+        at = Round(
+            COMMANDS[name],
+            self.command_line,
+            folder,
+            random.Random(f"{seed} {name} {disturbance}"),
+            undisturbed.seconds,
+            sorted(written),
+        )
         outside = _contents(folder / "outside")
         DISTURBANCES[disturbance](at)
         inputs = _contents(at.work / "inputs")
@@ -85,16 +64,23 @@ class Chaos:
             *(["the folder outside was touched"] if _contents(folder / "outside") != outside else []),
             *(["the inputs were touched"] if _contents(at.work / "inputs") != inputs else []),
             *(f"{path.name} of somebody else is not as it was" for path in at.planted if not _is_intact(path)),
-            *(_differences(at, undisturbed) if last.code == 0 or not at.may_refuse else []),
+            *(_differences(at, undisturbed.contents) if last.code == 0 or not at.may_refuse else []),
         ]
         if not faults:
             shutil.rmtree(folder)
-        return ChaosVerdict(command.name, disturbance, seed, "same" if last.code == 0 else "refusal", tuple(faults))
+        return faults
 
-    def _given(self, line: str) -> None:
-        ended = Running(self._command_line, line.split(), self._folder / "prepared").wait()
-        if ended.code != 0:
-            raise RuntimeError(f"xfreqbench {line} ended with {ended.code}: {ended.stderr}")
+    def undisturbed(self, name: str) -> Undisturbed:
+        """Found when the command is first disturbed."""
+        if name not in self._undisturbed:
+            folder, start = self._fresh("undisturbed"), time.perf_counter()
+            self._give(COMMANDS[name].line, folder / "work")
+            self._undisturbed[name] = Undisturbed(time.perf_counter() - start, _contents(folder / "work"))
+        return self._undisturbed[name]
+
+    def _give(self, line: str, folder: Path) -> None:
+        ended = Running(self.command_line, line, folder).wait()
+        assert ended.code == 0, f"xfreqbench {line} ended with {ended.code}: {ended.stderr}"
 
     def _fresh(self, name: str) -> Path:
         folder = self._folder / name
@@ -104,26 +90,6 @@ class Chaos:
         for place in (folder / "outside", folder / "outside" / "folder", folder / "outside" / "folder" / "1"):
             (place / "thesis.tex").write_text("years of work", encoding="utf-8")
         return folder
-
-    def _reference(self, command: Command) -> Undisturbed:
-        """Found by two undisturbed runs, when the command is first disturbed."""
-        if command.name not in self._undisturbed:
-            found = []
-            for number in range(2):
-                folder = self._fresh(f"undisturbed-{number}")
-                start = time.perf_counter()
-                ended = Running(self._command_line, command.words, folder / "work").wait()
-                if ended.code != 0:
-                    raise RuntimeError(f"xfreqbench {command.line} ended with {ended.code}: {ended.stderr}")
-                found.append((time.perf_counter() - start, folder / "work"))
-            self._undisturbed[command.name] = _undisturbed(found[1][0], found[0][1], found[1][1])
-        return self._undisturbed[command.name]
-
-
-def _undisturbed(seconds: float, one: Path, other: Path) -> Undisturbed:
-    contents, others = _contents(one), _contents(other)
-    alike = {name: sha256 for name, sha256 in contents.items() if others.get(name) == sha256}
-    return Undisturbed(seconds, alike, frozenset(contents))
 
 
 def _faults_of_outcomes(at: Round, last: Ended) -> Iterator[str]:
@@ -136,21 +102,21 @@ def _faults_of_outcomes(at: Round, last: Ended) -> Iterator[str]:
             yield f"exit code {ended.code}: {ended.stderr[-400:]!r}"
 
 
-def _differences(at: Round, undisturbed: Undisturbed) -> Iterator[str]:
+def _differences(at: Round, undisturbed: Mapping[str, str]) -> Iterator[str]:
     """Files that are not as the undisturbed command leaves them, but for those that the disturbance put there."""
     found = _contents(at.work)
     excused = {path.relative_to(at.work).as_posix() for path in (*at.planted, *at.damaged)}
-    for name, sha256 in undisturbed.files.items():
+    for name, sha256 in undisturbed.items():
         if name.partition(_RECORD)[0] not in excused and found.get(name) != sha256:
             yield f"{name} is {'another' if name in found else 'missing'}"
-    for name in found.keys() - undisturbed.names if not at.has_rival else ():
+    for name in found.keys() - undisturbed.keys() if not at.has_rival else ():
         is_hidden = any(part.startswith(".") for part in Path(name).parts) or name.endswith(_LITTER)
         if name.partition(_RECORD)[0] not in excused and not is_hidden and not found[name].startswith(_LINK):
             yield f"{name} is left over"
 
 
 def _contents(folder: Path) -> dict[str, str]:
-    """The hash of each file by its path, each record without its times, and of links what they point to."""
+    """The hash of each file by its path, none where that varies, records without times, what links point to."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -160,7 +126,7 @@ def _contents(folder: Path) -> dict[str, str]:
             for record_id, record in _records_in(path).items():
                 found[f"{name}{_RECORD}{record_id}"] = json.dumps(record, sort_keys=True)
         elif path.is_file():
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            found[name] = "" if path.name in _VARYING else hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 
