@@ -30,7 +30,7 @@ def setup(app):
 
 
 def write_pages(app, error):
-    """Write `docs/boards.html` and the folder `docs/office`."""
+    """Write `docs/boards.html` with its tables, and the folder `docs/office`."""
     if error is None and app.builder.format == "html":
         folder = Path(app.outdir) / "docs"
         write_page([Path(app.srcdir) / "baselines" / "reference_results.jsonl"], folder / "boards.html")

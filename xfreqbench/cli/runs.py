@@ -281,7 +281,13 @@ def benchmark(
 def report(
     *results: str,
     output: Output = Path("BENCHMARK.md"),
-    html: Annotated[Path | None, Parameter(help="Write one web page with charts and maps too, a single file.")] = None,
+    html: Annotated[
+        Path | None,
+        Parameter(
+            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and, "
+            "where pyarrow is installed, as Parquet."
+        ),
+    ] = None,
     details: Annotated[
         Path | None,
         Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
@@ -323,13 +329,11 @@ def report(
 
         say(f"wrote {ship_maps(found, maps)}", quiet)
     if details is None:
-        say(
-            "tables and maps of the paper stand in the pages of --details FOLDER, its claims in the short report", quiet
-        )
+        say("claims and tables of the paper, distributions and maps stand in the pages of --details FOLDER", quiet)
     if html is not None:
         from xfreqbench.report.leaderboard.page import write_page
 
-        say(f"wrote {write_page(found, html, earlier)}", quiet)
+        say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import re
 from base64 import b64decode
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pooch
+import pyarrow.parquet
 import pytest
 from PIL import Image
 
@@ -19,7 +21,7 @@ from tests.support.page_results import HOSTILE, METHODS, SPLITS, stored
 from tests.support.stored_records import make_record, store
 from tests.support.web import served
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.figures import map_png
@@ -92,6 +94,21 @@ def test_the_page_loads_nothing_and_links_the_papers_of_others(html: str, tmp_pa
     page = Page(write_page(store(tmp_path, make_record("gsrf")), tmp_path / "page.html").read_text("utf-8"))
     addressed = {(tag, value) for tag, told in page.tags for value in told.values() if "://" in str(value)}
     assert {tag for tag, _ in addressed} == {"a"} and ("a", "https://github.com/nesl/GSRF") in addressed
+
+
+def test_the_tables_stand_beside_the_page_for_any_reader(file: Path, tmp_path: Path) -> None:
+    path = file.with_suffix(".csv")
+    rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
+    frame = pyarrow.parquet.read_table(path.with_suffix(".parquet")).to_pylist()
+    shown = Page(file.read_text("utf-8")).values
+    assert {row["method"]: row["SSIM"] for row in rows if row["protocol"] == "lofo"}.items() <= {
+        (name, values[0]) for name, values in shown.items()
+    }
+    assert [(row["method"], row["SSIM"]) for row in frame] == [(row["method"], float(row["SSIM"])) for row in rows]
+    assert all("tested transmitters" in row["trained on"] for row in rows if row["protocol"] == "lofo")
+    (tmp_path / "page.csv").write_text("mine", "utf-8")
+    with pytest.raises(OutputExistsError, match=r"page\.csv"):
+        write_page(store(tmp_path, make_record("nearest")), tmp_path / "page.html")
 
 
 def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

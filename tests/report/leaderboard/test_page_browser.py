@@ -134,6 +134,8 @@ def test_every_chart_has_a_line_a_method_where_its_numbers_are(page) -> None:
 
 
 def test_nothing_is_wider_than_the_screen(page) -> None:
+    page.locator("#benches summary").click()
+    page.wait_for_selector(".bench svg .curve", state="attached")  # measurements are drawn when they are opened
     for device, scheme in product(WIDTHS, ("light", "dark")):
         set_screen(page, device, scheme)
         check_screen(page, device, scheme)

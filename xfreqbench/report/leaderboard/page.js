@@ -196,27 +196,24 @@ const yTick = (at, box, text) => [
   line(box.left, at, box.right, at, "grid"), label(box.left - 5, at + 4, text, "end", "tick")];
 const path = (points) => points.map(([x, y], index) => `${index ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
-// Colour, dashes and marker of a row.
-function styleOf(name) {
-  const [place, variant] = content.styles[name];
-  return {
-    colour: content.colours[place], dash: DASHES[variant % DASHES.length],
-    shape: MARKERS[(place + variant) % MARKERS.length] };
-}
+// Colour, dashes and marker: of a row of the page, or of a series of a measurement by its place.
+const style = (place, variant) => ({
+  colour: content.colours[place % content.colours.length], dash: DASHES[variant % DASHES.length],
+  shape: MARKERS[(place + variant) % MARKERS.length] });
+const styleOf = (name) => style(...content.styles[name]);
+const seriesStyle = (place) => style(place, Math.floor(place / content.colours.length));
 
-function curve(plot, name, points) {
-  const { colour, dash } = styleOf(name);
+function curve(plot, name, points, { colour, dash }, text) {
   const places = points.filter(([, y]) => y !== null).map(([x, y]) => [plot.x(x), plot.y(y)]);
   const made = drawn("path", { class: "curve", d: path(places), stroke: colour, "stroke-dasharray": dash, "data-row": name });
-  explain(made, name);
+  explain(made, text);
   plot.svg.append(made);
   return places;
 }
 
 const MARKERS = ["M-4 0A4 4 0 1 0 4 0A4 4 0 1 0-4 0Z", "M-4-4H4V4H-4Z", "M0-5L5 4H-5Z", "M0-5L5 0L0 5L-5 0Z", "M0 5L5-4H-5Z"];
 
-function marker(x, y, name, small) {
-  const { colour, shape } = styleOf(name);
+function marker(x, y, name, small, { colour, shape } = styleOf(name)) {
   const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)})${small ? " scale(.7)" : ""}`;
   return drawn("path", { d: shape, transform, fill: colour, "data-row": name });
 }
@@ -321,7 +318,7 @@ function drawCurves(host) {
       { label: "seconds of fitting", values: points.map(([x]) => x), log: true },
       { label: "1 − median SSIM", values: [...points.map(([, y]) => y), least], log: true });
     if (least !== null) plot.svg.append(line(plot.box.left, plot.y(least), plot.box.right, plot.y(least), "trivial"));
-    for (const name of followed) withMarkers(plot, name, curve(plot, name, errors[name]));
+    for (const name of followed) withMarkers(plot, name, curve(plot, name, errors[name], styleOf(name), name));
   }
   if (!host.children.length) empty(host, "None of the shown methods has a learning curve: they need a budget, and several steps.");
 }
@@ -348,7 +345,7 @@ function drawCarrierPanel(host, splits) {
     { label: "median SSIM", values: Object.values(points).flat().map(([, y]) => y) });
   for (const [name, curvePoints] of Object.entries(points)) {
     const ordered = [...curvePoints].sort(([a], [b]) => a - b);
-    withMarkers(plot, name, curve(plot, name, ordered));
+    withMarkers(plot, name, curve(plot, name, ordered, styleOf(name), name));
   }
 }
 
@@ -362,9 +359,34 @@ function drawDistributions(host) {
       { label: "share of maps", domain: [0, 1] });
     for (const [name, values] of Object.entries(quantiles)) {
       const levels = values.map((value, index) => [value, value === null ? null : index / (values.length - 1)]);
-      curve(plot, name, levels);
+      curve(plot, name, levels, styleOf(name), name);
     }
   }
+}
+
+function drawMeasurements() {
+  content.benches.forEach((figure, number) => {
+    const section = find(`.bench[data-bench="${number}"]`);
+    find(".panels", section)?.remove();
+    if (!figure) return;
+    const host = element("div", { class: "panels wide" });
+    section.append(host);
+    const plot = chart(host, "", 300,
+      { label: figure.x_label, values: figure.points.map((point) => point.x), log: figure.log_x },
+      { label: figure.y_label, values: figure.points.map((point) => point.y) });
+    [...new Set(figure.points.map((point) => point.series))].forEach((series, index) => drawSeries(plot, figure, series, index));
+  });
+}
+
+function drawSeries(plot, figure, series, index) {
+  const points = figure.points.filter((point) => point.series === series);
+  const places = curve(plot, series, points.map(({ x, y }) => [x, y]), seriesStyle(index), series);
+  points.forEach((point, place) => {
+    const made = marker(...places[place], series, false, seriesStyle(index));
+    explain(made, `${series}, ${point.label}\n${figure.x_label} ${readable(point.x)}\n${figure.y_label} ${readable(point.y)}`);
+    plot.svg.append(made);
+  });
+  plot.svg.append(filled(label(...places.at(-1), series, "end"), { dx: -8, dy: -8 }, []));
 }
 
 function drawLegend() {
@@ -458,6 +480,7 @@ function draw() {
   drawCarriers(find("#carriers .panels"));
   drawDistributions(find("#cdfs .panels"));
   drawGallery();
+  if (find("#benches")?.open) drawMeasurements();
   offerFigures();
   writeAddress();
 }
@@ -484,6 +507,8 @@ function start() {
   find("#cost").addEventListener("change", draw);
   find("#metric").addEventListener("change", draw);
   find("#shown-method").addEventListener("change", () => { drawGallery(); writeAddress(); });
+  find("#benches")?.addEventListener("toggle", draw);
+  addEventListener("beforeprint", () => find("#benches")?.setAttribute("open", ""));
   offerTables();
   const watched = new ResizeObserver((boxes) => { for (const { target } of boxes) tellWidth(target); });
   for (const box of all(".scroll")) watched.observe(box);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,13 @@ from xfreqbench.report.leaderboard.columns import COSTS, PAGE, leaderboard_colum
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
+from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
+from xfreqbench.report.leaderboard.text import write_tables
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -37,7 +40,7 @@ _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 def write_page(results: Results, output_html: Path, since: Path | None = None) -> Path:
     """Write the page of `results`, read ones, results folders or files of records, and return the file written.
 
-    With earlier results `since` it says what got worse.
+    Its tables are written beside it, as `write_tables` does. With earlier results `since` it says what got worse.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
@@ -57,6 +60,7 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     comparisons = list(map(_comparisons, boards))
     worse = None if since is None else got_worse(read_results(since).records, found.records)
     write_text(output_html, _page(found, boards, comparisons, worse))
+    write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
     return output_html
 
 
@@ -72,6 +76,9 @@ def _page(
         "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
         "styles": styles(boards),
         "colours": COLOURS,
+        "benches": [
+            {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None for bench in found.benches
+        ],
         "scales": scales(),
     }
     return render(
@@ -86,6 +93,8 @@ def _page(
         worse=worse,
         worse_header=WORSE_HEADER,
         nothing_worse=NOTHING_WORSE,
+        benches=found.benches,
+        machine_name=machine_name,
         content=_finite(content),
     )
 

@@ -42,11 +42,13 @@ function offerTables() {
     const name = `${set.closest(".board").dataset.board}-${set.dataset.set}.csv`;
     set.append(saver("CSV", name, () => csv(find("table", set))));
   }
+  for (const bench of all(".bench"))
+    bench.append(saver("CSV", `${slug(find("h3", bench).textContent)}.csv`, () => csv(find("table", bench))));
 }
 
 function offerFigures() {
   for (const svg of all(".panels svg")) {
-    const owner = svg.closest("section");
+    const owner = svg.closest(".bench") ?? svg.closest("section");
     const place = [find("#board").value, find("h3", owner).textContent, svg.getAttribute("aria-label")];
     svg.after(saver("SVG", `${slug(place.filter(Boolean).join("-"))}.svg`, () => svgText(svg)));
   }

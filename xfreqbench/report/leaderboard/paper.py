@@ -42,8 +42,7 @@ _STATISTICS = {  # as the published tables name them: metric, statistic, decimal
 }
 _INTRODUCTION = (
     "Their data, rooms and receivers are others than ours, and the sizes of their models too, so that numbers do not "
-    "compare; what can be compared, which of two methods is better, stands in the report as claims. Ours, and the "
-    "paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones."
+    "compare. What can be compared are claims: which of two methods is better, and by how much."
 )
 CLAIMS_CAPTION = (
     "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and with "
@@ -60,13 +59,19 @@ Value = TypeVar("Value")
 
 
 def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
-    """Published numbers beside ours, for the boards of one scene, of the budgets with most runs.
+    """The paper's claims with a verdict, and published numbers beside ours, for the boards of one scene.
 
-    `grids` are maps by the links to their figures.
+    Claims are judged in several budgets; tables and figures are of the one with most runs. `grids` are maps by the
+    links to their figures.
     """
     content, shown = published_content(), main_boards(ranked)
     parts = [
         f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
+        "## Claims",
+        CLAIMS_CAPTION,
+        claims_table(ranked) or "None was measured.",
+        "## The paper's tables",
+        "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
         *_papers_tables(content, shown),
         *_distributions(shown),
         *_maps(grids or {}),

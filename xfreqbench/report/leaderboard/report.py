@@ -126,7 +126,7 @@ def write_report(
 ) -> WrittenReport:
     """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
-    With a folder `details` the report is a short one, and a page for each scene, one of the paper's tables, one of
+    With a folder `details` the report is a short one, and a page for each scene, one of the paper's claims, one of
     unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
     In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there are
     no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
@@ -197,8 +197,8 @@ def _pages(found: RankedResults, output_md: Path, details: Path, worse: Sequence
         grids = paper_maps(of_main, found)
         drawn = paper_figures(of_main) | {link: partial(_draw_maps, grid) for link, grid in grids.items()}
         text = paper_markdown(of_main, grids)
-        pages.append(_Page(details / _PAPER_PAGE, "The paper's tables", text, drawn=drawn))
-        links["the paper's tables"] = f"{folder}/{_PAPER_PAGE}"
+        pages.append(_Page(details / _PAPER_PAGE, "The paper's claims", text, drawn=drawn))
+        links["the paper's claims"] = f"{folder}/{_PAPER_PAGE}"
         claimed = claims_table(of_main)
         claims = [f"## The paper's claims\n\n{CLAIMS_CAPTION}\n\n{claimed}"] if claimed else []
     if of_rooms:

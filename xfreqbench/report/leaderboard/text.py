@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from pydantic import InstanceOf
 
 from xfreqbench.errors import DataError, XFreqBenchError
+from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.comparison import comparisons_of
+from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.tables import table_rows
+from xfreqbench.report.leaderboard.tables import table_rows, write_csv
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
+from xfreqbench.system.files import atomic_path, require_own, storage_errors
+
+_PARQUET_MARK = f"{SOFTWARE} leaderboard"
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,3 +69,23 @@ def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[F
     records = [item for item in given if isinstance(item, RunRecord)]
     paths = [results_at(item) for item in given if not isinstance(item, RunRecord)]
     return Leaderboard(tuple(records) or read_results(paths).records)
+
+
+def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
+    """Write the table of `to_pandas` as CSV and, where pyarrow is installed, beside it as Parquet.
+
+    Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
+    """
+    rows = table_rows(comparisons)
+    write_csv(rows, output_csv)
+    if find_spec("pyarrow") is None:
+        return
+    import pyarrow
+    import pyarrow.parquet
+
+    output = output_csv.with_suffix(".parquet")
+    require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = pyarrow.Table.from_pylist([names | row | {"splits": " ".join(row["splits"])} for row in rows])
+    with atomic_path(output) as temporary, storage_errors(output):
+        pyarrow.parquet.write_table(table.replace_schema_metadata({_PARQUET_MARK: "1"}), temporary)
