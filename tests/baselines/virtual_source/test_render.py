@@ -206,7 +206,7 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
 
 
 def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: PasDataset, tmp_path: Path) -> None:
-    most, learned, shares = 1500, Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist()
+    most, learned, shares = 3000, Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist()
     budget = Budget(max_maps=most)
 
     def go_on(render: RoomRender, up_to: float) -> None:
