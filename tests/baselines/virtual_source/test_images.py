@@ -249,6 +249,16 @@ def test_images_are_chosen_by_the_power_they_carry_however_many_are_weighed_at_o
     assert {tuple(planes) for planes in best} == chosen[0]  # the line of sight is among them
 
 
+def test_no_path_carries_more_than_its_planes_could() -> None:
+    generator = torch.Generator().manual_seed(0)
+    room = known_box(("dipole", "V"))
+    with torch.no_grad():
+        room.presence.logits.copy_(3 * torch.randn(room.presence.logits.shape, generator=generator))
+        room.presence.settle()
+        found = sequences(len(SIDES), 3)
+        assert bool((room._power_of(found, room.trained_m, room.trained_hz) <= room._most_power(found)).all())
+
+
 def test_a_walls_corners_are_those_of_the_room_for_paths_beyond_it_are_none() -> None:
     tx_m = np.random.default_rng(0).uniform((0.3, 0.3, 0.3), (4.7, 3.7, 1.9), (100, 3))
     found = known_box(("iso", "V"), tx_m).findings(torch.as_tensor(ARRAY_M))

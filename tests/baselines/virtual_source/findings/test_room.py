@@ -50,8 +50,11 @@ def write(box: PasDataset, folder: Path, findings: dict[str, object], **changes:
     return room
 
 
-def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(box: PasDataset, tmp_path: Path) -> None:
-    room = write(box, tmp_path, found_room())
+@pytest.mark.parametrize("error_m", [0.0, 0.01])
+def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth_and_no_other(
+    box: PasDataset, tmp_path: Path, error_m: float
+) -> None:
+    room = write(box, tmp_path, found_room(error_m=error_m))
     generate(
         str(room / "room.toml"),
         output=tmp_path / "again.h5",
@@ -63,6 +66,9 @@ def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth(box: PasDa
         quiet=True,
     )
     again = open_dataset(tmp_path / "again.h5")
+    if error_m:
+        assert np.abs(again.pas() - box.pas()).max() > 0.05
+        return
     np.testing.assert_array_equal(again.tx_position_m, box.tx_position_m)
     truth = box.tables["cfr"]
     # corners are float32: 2e-7 m of a path, 1e-4 rad at 24 GHz, over some reflections
