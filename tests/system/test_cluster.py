@@ -368,11 +368,12 @@ def test_workers_that_join_later_and_see_other_code_or_another_folder_spoil_no_r
 
 def test_the_run_of_a_suspended_worker_is_made_by_another_once_the_scheduler_drops_it(tmp_path: Path) -> None:
     paper_dataset(tmp_path / "data.h5", num_tx=4)
-    method = f"{Patient.__module__}:{Patient.__name__}"
+    method = f"{Gated.__module__}:{Gated.__name__}"
     command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
     with started(tmp_path, 2, WORKER_TTL="5s") as running:
         with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
             suspended = running.signal_a_busy_worker(signal.SIGSTOP)
+            (tmp_path / "go").touch()
             _, message = driver.communicate()
         with suppress(ProcessLookupError):
             os.kill(suspended, signal.SIGKILL)  # or the end of the cluster waits for it
