@@ -223,7 +223,7 @@ class Patient(Nearest):
         yield from super().fit(train, budget, seed)
 
 
-class Gated(Nearest):
+class Gated(Patient):
     """Does not end before there is a file `go` in the working folder."""
 
     def fit(self, train: PasDataset, budget: Budget, seed: int) -> Iterator[Progress]:
