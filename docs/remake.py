@@ -3,7 +3,8 @@
     python docs/remake.py [--page page.html] [RESULTS FOLDER …]
 
 With results folders, as `xfreqbench benchmark` leaves them, their records first replace those of
-`baselines/reference_results.jsonl`, and their maps those that are shipped beside them.
+`baselines/reference_results.jsonl`, and their maps those that are shipped beside them. Run it then where the benchmark
+was run: maps are shipped with the truth, which is read from the data sets where they lay.
 """
 
 from __future__ import annotations
@@ -27,9 +28,8 @@ TABLE = re.compile(r"(?<=<!-- leaderboard -->\n).*?(?=\n<!-- /leaderboard -->)",
 
 def take(folders: list[Path]) -> None:
     """Replace the reference records by those of results folders, and the maps beside them."""
-    lines = [(folder / "records.jsonl").read_bytes() for folder in folders]
-    RECORDS[0].write_bytes(b"".join(lines))
     ship_maps(folders, RECORDS[0].with_name("reference_results_maps.jsonl"))
+    RECORDS[0].write_bytes(b"".join((folder / "records.jsonl").read_bytes() for folder in folders))
 
 
 def remake(root: Path, page: Path | None = None) -> WrittenReport:
