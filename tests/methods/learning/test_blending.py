@@ -110,11 +110,14 @@ def test_the_same_seed_holds_out_the_same_rows(train: PasDataset, holdout: Holdo
     assert any(not np.array_equal(other.get(kind, []), rows) for kind, rows in holdout.rows.items())
 
 
-def test_where_nothing_can_be_held_out_other_carriers_have_mostly_the_line_of_sight(tmp_path: Path) -> None:
+def test_where_nothing_can_be_held_out_other_carriers_have_mostly_and_other_places_only_the_line_of_sight(
+    tmp_path: Path,
+) -> None:
     few = write_dataset(tmp_path / "few.h5", 6, (10.0,))
     (drawn,) = Holdout.draw(few, 0)
     assert len(drawn.left) == len(few)
-    assert Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices == {KINDS[0]: beside_line_of_sight(0.25)}
+    choices = Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices
+    assert choices == {KINDS[0]: beside_line_of_sight(0.25), KINDS[1]: Choice(weights={"LineOfSight": 1.0})}
 
 
 def away_m(position_m: np.ndarray, known_m: np.ndarray) -> np.ndarray:

@@ -159,7 +159,7 @@ class Blend:
         """For each kind of query the choice that is best on the held-out rows; `predict` gives the learned maps.
 
         `before` are the choices for other kinds, made earlier. Where no carrier can be held out, maps at others are
-        means of the learned ones and those of the first predictor.
+        means of the learned ones and those of the first predictor; where no transmitter can, those of the latter.
         """
         coarse = CoarseDataset.of(train, STRIDE)
         left = coarse.subset(holdout.left)
@@ -174,9 +174,12 @@ class Blend:
             start = _START if _of(kind) == KINDS[0] else _START_UNSEEN
             weights = _best_weights(maps, rows.pas(), start)
             choices[kind] = Choice(weights=weights, carrier_hz=carrier_hz)
-        if holdout.until == CHOOSE_AT and not any(map(KINDS[0].__eq__, map(_of, choices))):
-            weights = {LEARNED: _UNKNOWN_WEIGHT, predictors[0].__name__: 1 - _UNKNOWN_WEIGHT}
-            choices[KINDS[0]] = Choice(weights=weights)
+        if holdout.until == CHOOSE_AT:
+            first, known = predictors[0].__name__, {*map(_of, choices)}
+            if KINDS[0] not in known:
+                choices[KINDS[0]] = Choice(weights={LEARNED: _UNKNOWN_WEIGHT, first: 1 - _UNKNOWN_WEIGHT})
+            if KINDS[1] not in known:
+                choices[KINDS[1]] = Choice(weights={first: 1.0})
         return cls(predictors, train, choices)
 
     def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
