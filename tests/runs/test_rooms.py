@@ -21,9 +21,9 @@ from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
-from xfreqbench.report.leaderboard.unseen_rooms import rooms_overview
+from xfreqbench.report.leaderboard.unseen_rooms import room_tables, rooms_overview
 from xfreqbench.runs import rooms as runner
-from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.run import run
 
 SMALL = ["queries=8", "headings=16", "distances=12"]
@@ -105,6 +105,8 @@ def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curv
     assert {(point.series, point.x) for point in curve.figure.points} == {
         (f"{learned}, trained types, {number} heard", num_rooms) for number in (0, 64) for num_rooms in (2, 4)
     }
+    alone = room_tables([record for record in read_records(results) if record.job.method == "room-lags"])
+    assert alone and not any(table.figure for table in alone)  # without a trivial predictor no skill is known
     (shown,) = rooms_overview(read_results(results).benches, "more.md")
     assert len(shown.splitlines()) <= 12 and f"| {learned} " in shown
 

@@ -234,9 +234,9 @@ def _curve(runs: _Runs) -> BenchFigure | None:
 
 
 def _drawn(x_label: str, points: Sequence[BenchPoint], log_x: bool) -> BenchFigure | None:
-    if not points:
-        return None
-    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=tuple(points), x_is_cost=False)
+    """A figure of the points of known skill; None without any."""
+    known = tuple(point for point in points if not isnan(point.y))
+    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=known, x_is_cost=False) if known else None
 
 
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
