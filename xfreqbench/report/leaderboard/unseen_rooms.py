@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import compress, groupby
-from math import isnan, nan
+from math import inf, isnan, nan
 
 import numpy as np
 from jaxtyping import Float
@@ -62,7 +62,12 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
         is_one_of_several = len(budgets[_without_choice(name)]) > 1 and name not in EVERY_TRIVIAL
         label = f"{name}, {budget}" if is_one_of_several else name
         runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
-    runs = dict(sorted(runs.items(), key=lambda run: run[0][1] in EVERY_TRIVIAL))  # what learns comes first
+
+    def standing(row: tuple[str, str]) -> tuple[bool, float]:
+        reached = _skill(row[1], _values(runs, row[0], max(runs[row]), _unheard))
+        return row[0] != _TRAINED, inf if isnan(reached) else -reached
+
+    runs = {row: runs[row] for row in sorted(runs, key=standing)}  # the best first
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
     last = records[-1]
@@ -244,7 +249,7 @@ def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
     for found in tables:
         if found.bench == ROOMS and found.title.endswith(ROOMS):
             rows = [[row[0], *(cell.partition(",")[0] for cell in row[2:])] for row in found.rows if row[1] == _TRAINED]
-            rows.sort(key=lambda row: float(row[-len(_MORE)].replace(ABSENT, "-inf")), reverse=True)
+            rows.sort(key=lambda row: "=" in row[0])  # methods as they are, before those with options
             columns = [column for column in found.columns if column != "rooms"]
             figure = f" ([figure]({page.rpartition('/')[0]}/{bench_figure(found)}))" if found.figure else ""
             caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page}){figure}"
