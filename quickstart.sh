@@ -11,8 +11,9 @@ if ! [[ .venv/bin/xfreqbench -nt pyproject.toml && .venv/bin/xfreqbench -nt cons
     say "Installing, and compiling what traces rays; three minutes, half of it downloads"
     [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
-    .venv/bin/xfreqbench view office --quiet --output .venv/first_view >/dev/null & # compiles what follows paths, and this
-    .venv/bin/xfreqbench generate office --tx 1 --dry-run --output "$data" >/dev/null # what sums them
+    # Side by side: the first compiles the kernels for single paths, the second those for channels.
+    .venv/bin/xfreqbench view office --quiet --output .venv/first_view >/dev/null &
+    .venv/bin/xfreqbench generate office --tx 1 --dry-run --output "$data" >/dev/null
     wait $!
 fi
 

@@ -63,8 +63,8 @@ def measurement_rows(title: str, columns: Sequence[str], rows: Iterable[Sequence
     return [{"measurement": title, **dict(zip(names, row, strict=True))} for row in rows]
 
 
-def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> None:
-    """Write rows as CSV, splits joined by blanks; the columns are those of all rows.
+def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
+    """Write rows as CSV, splits joined by blanks; returns the names of the columns, which are those of all rows.
 
     Raises `OutputExistsError` where the file is another one, and `StorageError`.
     """
@@ -75,6 +75,7 @@ def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> None:
     writer.writeheader()
     writer.writerows(row | ({"splits": " ".join(row["splits"])} if "splits" in row else {}) for row in rows)
     write_text(output_csv, text.getvalue())
+    return names
 
 
 def require_own_csv(output_csv: Path) -> None:

@@ -77,7 +77,7 @@ def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
     Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
     """
     rows = table_rows(comparisons)
-    write_csv(rows, output_csv)
+    names = write_csv(rows, output_csv)
     if find_spec("pyarrow") is None:
         return
     import pyarrow
@@ -85,7 +85,8 @@ def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
 
     output = output_csv.with_suffix(".parquet")
     require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
-    names = dict.fromkeys(name for row in rows for name in row)
-    table = pyarrow.Table.from_pylist([names | row | {"splits": " ".join(row["splits"])} for row in rows])
+    table = pyarrow.Table.from_pylist(
+        [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
+    )
     with atomic_path(output) as temporary, storage_errors(output):
         pyarrow.parquet.write_table(table.replace_schema_metadata({_PARQUET_MARK: "1"}), temporary)
