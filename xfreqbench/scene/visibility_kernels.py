@@ -7,12 +7,13 @@ import math
 import numpy as np
 from numba import njit
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import NDArray
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@entry()
 def free_segments(corner: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     """Whether the segment from each start (N, 3) to the end (3,) meets no triangle (K, 3, 3) (Möller–Trumbore)."""
     free = np.ones(len(start), np.bool_)
@@ -40,7 +41,7 @@ def free_segments(corner: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     return free
 
 
-@njit(cache=True)
+@entry()
 def nearest_distances(corner: Array, point: Array) -> Array:
     """Distance from each point (N, 3) to the nearest triangle (K, 3, 3); infinite where there is none.
 
@@ -65,7 +66,7 @@ def nearest_distances(corner: Array, point: Array) -> Array:
     return nearest
 
 
-@njit(cache=True)
+@njit()
 def _squared_distance(corner: Array, point: Array) -> float:
     """Squared distance from a point to a triangle, by the region of its plane in which the foot lies."""
     first, second = corner[1] - corner[0], corner[2] - corner[0]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import NDArray
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@entry()
 def hidden_by(box: Array, first: NDArray[np.int64], start: Array, way: Array) -> NDArray[np.bool_]:
     """Whether each of B boxes (B, 2, 3), lowest and highest corners, is met by each of P paths: (B, P).
 

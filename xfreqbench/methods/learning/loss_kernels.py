@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from xfreqbench.maps.metrics import SSIM_WINDOW
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
@@ -20,7 +21,7 @@ def c2_of_view(window: int, stride: int) -> float:
     return SSIM_C2 * max(1.0, (stride * window / SSIM_WINDOW) ** 2)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@entry(fastmath=FAST, error_model="numpy")
 def ssim_and_l1(
     predicted: F32, truth: F32, window: int, c1: float, c2: float, ssim_weight: float, slope: F32
 ) -> tuple[float, float]:
@@ -47,7 +48,7 @@ def similarities(predicted: F32, truth: F32, window: int = SSIM_WINDOW, stride: 
     return _ssim_of_maps(predicted, truth, window, SSIM_C1, c2_of_view(window, stride))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@entry(fastmath=FAST, error_model="numpy")
 def _ssim_of_maps(predicted: F32, truth: F32, window: int, c1: float, c2: float) -> NDArray[np.float64]:
     num_maps, rows, columns = predicted.shape
     down, across = rows - window + 1, columns - window + 1
@@ -60,7 +61,7 @@ def _ssim_of_maps(predicted: F32, truth: F32, window: int, c1: float, c2: float)
     return ssim / (down * across)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _l1_of_map(x: F32, y: F32, weight: np.float32, slope: F32) -> float:
     """The sum of |x − y|; sets the slope to its weighted sign."""
     total = np.float32(0)
@@ -72,7 +73,7 @@ def _l1_of_map(x: F32, y: F32, weight: np.float32, slope: F32) -> float:
     return float(total)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _means_of_windows(x: F32, y: F32, row: int, window: int, of_columns: F32, means: F32) -> None:
     """The means over each window that begins in a row: sums over its rows first, then over its columns."""
     of_columns[:] = 0
@@ -92,7 +93,7 @@ def _means_of_windows(x: F32, y: F32, row: int, window: int, of_columns: F32, me
                 means[kind, first] += of_columns[kind, first + shift]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _ssim_of_windows(means: F32, window: int, c1: np.float32, c2: np.float32, slopes: F32) -> float:
     """The sum of SSIM over the windows of a row; writes a, b and c of each window to `slopes`."""
     one, two = np.float32(1), np.float32(2)
@@ -113,7 +114,7 @@ def _ssim_of_windows(means: F32, window: int, c1: np.float32, c2: np.float32, sl
     return float(total)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _add_slopes(
     x: F32, y: F32, row: int, window: int, weight: np.float32, of_windows: F32, summed: F32, of_map: F32
 ) -> None:

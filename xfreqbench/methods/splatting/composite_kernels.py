@@ -17,6 +17,7 @@ import numpy as np
 from numba import get_num_threads, njit, prange, set_num_threads
 from numba.core.config import NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
@@ -47,7 +48,7 @@ def use_threads(number: int) -> int:
     return before
 
 
-@njit(cache=True, inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _exponential(x: np.float32) -> np.floating[Any]:
     """exp(x) for x ≤ 0 to 1e-7, at least 2^-124: 2^whole by the bits of the exponent, 2^rest by its Taylor series."""
     y = max(x * LOG2_E, LEAST_LOG2)
@@ -62,14 +63,14 @@ def _exponential(x: np.float32) -> np.floating[Any]:
     return series * np.int32((np.int32(whole) + 127) << 23).view(np.float32)
 
 
-@njit(cache=True)
+@njit()
 def _samples(block: int, batch: int) -> tuple[int, int, int]:
     """First and end index of a block's samples, and the number of lanes for them, a multiple of a register."""
     first, end = block * LANES, min((block + 1) * LANES, batch)
     return first, end, -(-(end - first) // LANE_STEP) * LANE_STEP
 
 
-@njit(cache=True)
+@njit()
 def _shares(start: I64, num_threads: int) -> I64:
     """First pixel of each thread, and the end of the last; threads have about equal numbers of pairs."""
     bounds = np.searchsorted(start, start[-1] * np.arange(num_threads + 1) // num_threads)
@@ -77,13 +78,13 @@ def _shares(start: I64, num_threads: int) -> I64:
     return bounds
 
 
-@njit(cache=True, inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _fill(state: F32, run: int, value: float, lanes: int) -> None:
     for lane in range(lanes):
         state[run + lane] = value
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _store(state: F32, field: F32, pixel: int, first: int, end: int) -> None:
     """Write R of the samples first…end to field (B, K, 2)."""
     for sample in range(first, end):
@@ -91,7 +92,7 @@ def _store(state: F32, field: F32, pixel: int, first: int, end: int) -> None:
         field[sample, pixel, 1] = state[R_IM + sample - first]
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _load(field: F32, state: F32, pixel: int, first: int, end: int) -> None:
     """Read Y of the samples first…end from field (B, K, 2)."""
     for sample in range(first, end):
@@ -99,7 +100,7 @@ def _load(field: F32, state: F32, pixel: int, first: int, end: int) -> None:
         state[Y_IM + sample - first] = field[sample, pixel, 1]
 
 
-@njit(cache=True, inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _add(row: F32, minus_half: np.float32, state: F32, lanes: int) -> None:
     """Add one Gaussian to the state: R += G T S, then T −= G T (1 − δ)."""
     for lane in range(lanes):
@@ -113,7 +114,7 @@ def _add(row: F32, minus_half: np.float32, state: F32, lanes: int) -> None:
         state[T_IM + lane] -= w_re * e_im + w_im * e_re
 
 
-@njit(cache=True, inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _advance(row: F32, minus_half: np.float32, here: F32, after: F32, lanes: int) -> None:
     """Write G to this Gaussian's stash, and T behind it to the next one's."""
     for lane in range(lanes):
@@ -126,7 +127,7 @@ def _advance(row: F32, minus_half: np.float32, here: F32, after: F32, lanes: int
         after[T_IM + lane] = t_im - (w_re * e_im + w_im * e_re)
 
 
-@njit(cache=True, fastmath=FAST)  # not inline: LLVM would not vectorise it, and backward would take twice as long
+@njit(fastmath=FAST)  # not inline: LLVM would not vectorise it, and backward would take twice as long
 def _retreat(row: F32, minus_half: np.float32, here: F32, state: F32, grad: F32, lanes: int) -> np.floating[Any]:
     """Add one pair's gradients to its row and move V in front of this Gaussian; return d loss / d distance."""
     total = np.float32(0)
@@ -151,7 +152,7 @@ def _retreat(row: F32, minus_half: np.float32, here: F32, state: F32, grad: F32,
     return -HALF * total
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def forward(num_threads: int, start: I64, gaussian: I64, distance: F32, rows: F32, field: F32) -> None:
     """Write R of every pixel to `field` (B, K, 2), from `rows` (blocks, N, FIELDS·LANES)."""
     bounds = _shares(start, num_threads)
@@ -170,7 +171,7 @@ def forward(num_threads: int, start: I64, gaussian: I64, distance: F32, rows: F3
                 _store(state, field, pixel, first, end)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def backward(
     longest: int,
     start: I64,
@@ -211,7 +212,7 @@ def backward(
                     grad_distance[nearest + depth] += _retreat(row, minus_half, stash[depth], state, grad, lanes)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def forward_of_maps(
     order: I64,
     first: I64,
@@ -255,7 +256,7 @@ def forward_of_maps(
                     pair += count[here, row, turn]
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def backward_of_maps(
     order: I64,
     first: I64,
@@ -306,13 +307,13 @@ def backward_of_maps(
             grad_rows[nth, i, 0], grad_rows[nth, i, 1] = of_signal, of_absorption
 
 
-@njit(cache=True, inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _from_centre(angle: np.float32, centre: np.float32, turns: np.float32) -> np.floating[Any]:
     """An angle from a centre, taken the short way round where `turns` is 1 / 2π; as it is where it is 0."""
     return angle - centre - np.float32(TURN_RAD) * np.floor((angle - centre) * turns + HALF)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def bells(angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32) -> None:
     """Write exp(−½ (angle − centre)² / deviation²) at K angles around each of M centres to `bell` (M, K)."""
     for nth in prange(len(centre)):
@@ -322,7 +323,7 @@ def bells(angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32)
             bell[nth, k] = _exponential(-HALF * u * u)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=FAST, error_model="numpy")
 def bells_backward(
     angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32, slope: F32, of_centre: F32, of_deviation: F32
 ) -> None:

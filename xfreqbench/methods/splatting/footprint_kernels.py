@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import FloatArray, IntArray
 
 # one turn around the centre; the direction opposite belongs to its lower end alone, whatever the rounding
@@ -16,7 +16,7 @@ LOWEST_RAD, HIGHEST_RAD = -math.pi * (1 + 1e-12), math.pi * (1 - 1e-12)
 _NUM_TURNS = 3  # in which a footprint around an azimuth in [0, 2π) may have columns in [0, 2π]
 
 
-@njit(cache=True)
+@entry()
 def footprint_spans(
     centre: FloatArray, conic: FloatArray, elevation_rad: FloatArray, azimuth_rad: FloatArray, support: float
 ) -> tuple[IntArray, IntArray]:
@@ -48,7 +48,7 @@ def footprint_spans(
     return first, count
 
 
-@njit(cache=True)
+@entry()
 def fill_lists(first: IntArray, count: IntArray, num_azimuths: int) -> tuple[IntArray, IntArray]:
     """Start of each pixel's list, and all lists one after another, each in the order of the Gaussians."""
     num_gaussians, num_rows, num_turns = first.shape

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import FloatArray
 
 POLE_DISTANCE = math.sin(math.radians(1.0))
@@ -76,7 +77,7 @@ def _write_sides(jacobian: FloatArray, axes: FloatArray, sides: FloatArray) -> t
     return a, b, c, math.sqrt(a * c) * (1 - LEAST_DECORRELATION)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(error_model="numpy")
 def project(gaussians: FloatArray, footprint: FloatArray, range_m: FloatArray) -> None:
     """Write azimuth, elevation and a, b, c of the covariance to `footprint` (N, 5), and ranges (N,).
 
@@ -93,7 +94,7 @@ def project(gaussians: FloatArray, footprint: FloatArray, range_m: FloatArray) -
         footprint[n, 2], footprint[n, 3], footprint[n, 4] = a, min(max(b, -most), most), c
 
 
-@njit(cache=True, error_model="numpy")
+@entry(error_model="numpy")
 def project_backward(gaussians: FloatArray, slope: FloatArray, gradient: FloatArray) -> None:
     """Write gradients by `gaussians` (N, 10), from those by the footprint, `slope` (N, 5)."""
     unit, axes, jacobian, sides = np.empty(4), np.empty((3, 3)), np.empty((2, 3)), np.empty((2, 3))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from numba import get_num_threads, njit
 
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.system import kernels
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Result = TypeVar("Result")
@@ -34,14 +35,11 @@ whole = njit(**_OPTIONS)  # may make arrays
 
 
 def entry(function: Kernel) -> Kernel:
-    """Compile a kernel that Python calls, and keep it in Numba's cache, without the interpreter's lock.
+    """Compile a kernel that Python calls, without the interpreter's lock, anew where any file of this folder changed.
 
-    A cached kernel holds the code of those that it calls. By itself Numba compiles it anew only where the file that
-    it stands in has changed; here, where any file of this folder has.
+    A cached kernel holds the code of those that it calls.
     """
-    kernel: Any = njit(cache=True, nogil=True, **_OPTIONS)(function)
-    kernel._cache._cache_file._source_stamp = SOURCES
-    return kernel
+    return kernels.entry(SOURCES, nogil=True, **_OPTIONS)(function)
 
 
 def within(kernel: Any) -> Any:

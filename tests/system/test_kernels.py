@@ -1,0 +1,45 @@
+"""Kernels: the process that finds none in Numba's cache computes the same digits as those after it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SUMS = """
+import numpy as np
+from numba import prange
+from xfreqbench.system.kernels import entry
+
+@entry(parallel=True, fastmath=True, error_model="numpy")
+def sums(x, y, total):
+    for n in prange(len(x)):
+        one = two = three = np.float32(0)
+        for k in range(x.shape[1]):
+            one += x[n, k] * y[k]
+            two += x[n, k] * x[n, k] * y[k]
+            three += x[n, k] * y[k] * y[k]
+        total[n, 0], total[n, 1], total[n, 2] = one, two, three
+"""
+USE = """
+import numpy as np
+from sums import sums
+x, total = np.random.default_rng(0).normal(size=(50, 997)).astype(np.float32), np.empty((50, 3), np.float32)
+sums(x, x[0].copy(), total)
+print(total.tobytes().hex(), sum(sums.stats.cache_misses.values()))
+"""
+
+
+def test_who_compiles_computes_the_digits_of_who_finds_it_compiled(tmp_path: Path) -> None:
+    """With Numba's own cache the first process has others than those after it, by sums in another order."""
+    (tmp_path / "sums.py").write_text(SUMS)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_NUM_THREADS": "1"}
+    answers = [
+        subprocess.run(
+            [sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert answers[0] == answers[1]
+    assert answers[0].endswith(" 0\n"), "compiled in the process that uses it"

@@ -1,0 +1,103 @@
+"""Kernels that Numba compiles, in a process beside those that use them: all of these run what its cache holds.
+
+Numba optimises a kernel for the process that compiles it, and once more, with all that it calls, for the cache. Sums
+in the two may be in another order, so a process that ran what it compiled itself would compute other last digits than
+those after it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core.caching import FunctionCache
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+_IS_COMPILER = "XFREQBENCH_IS_COMPILER"  # a variable of its environment
+_SERVE = "from xfreqbench.system.kernels import serve; serve()"
+
+
+def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kernel]:
+    """Compile a kernel that Python calls, by `options` of `numba.njit`, and keep it in Numba's cache.
+
+    Kernels that it calls are `numba.njit` without a cache: code from the cache is called, not made part of the
+    kernel, and then rounds otherwise. It is compiled anew where the file that it stands in has changed, or, if
+    `sources` is given, where that has.
+    """
+
+    def compiled(function: Kernel) -> Kernel:
+        kernel: Any = numba.njit(**options)(function)
+        kernel._cache = _Cache(kernel.py_func)  # type: ignore[no-untyped-call]
+        if sources is not None:
+            kernel._cache._cache_file._source_stamp = sources
+        return kernel
+
+    return compiled
+
+
+class _Cache(FunctionCache):
+    """Numba's cache, which has another process compile what it lacks."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled kernel for types of arguments; None where this process has to compile it."""
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is None and _compile_beside(self._py_func.__module__, self._py_func.__name__, sig):
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        return found
+
+
+def _compile_beside(module: str, name: str, sig: Any) -> bool:
+    """Have this process's compiler compile a kernel for types of arguments; return whether it did."""
+    if _IS_COMPILER in os.environ:
+        return False
+    try:
+        compiler = _compiler_of(os.getpid())
+        pickle.dump((module, name, sig), compiler.stdin)
+        compiler.stdin.flush()
+        return bool(compiler.stdout.read(1))
+    except OSError:  # it has ended, or cannot be started
+        return False
+
+
+@cache
+def _compiler_of(_process: int) -> Any:
+    """The compiler of a process, which goes with it."""
+    path = os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)
+    compiler = subprocess.Popen(
+        [sys.executable, "-c", _SERVE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,  # what fails there is compiled here, where errors show
+        env=os.environ | {"PYTHONPATH": path, _IS_COMPILER: "1"},
+    )
+    atexit.register(_end, compiler)
+    return compiler
+
+
+def _end(compiler: Any) -> None:
+    compiler.kill()
+    compiler.communicate()
+
+
+def serve() -> None:
+    """Compile into the cache what is asked for on standard input, until it ends; what fails ends this process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends who asks
+    while True:
+        try:
+            module, name, sig = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        getattr(import_module(module), name).compile(sig)
+        sys.stdout.buffer.write(b".")
+        sys.stdout.buffer.flush()
