@@ -118,9 +118,10 @@ def _ssims(predicted: SampleMaps, truth: SampleMaps) -> dict[str, Scores]:
 @_of_maps
 def psnr(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Peak signal-to-noise ratio in dB with a peak of 1; infinite for identical maps."""
-    error = predicted.astype(np.float64) - truth
+    error = predicted.astype(np.float64)
+    error -= truth
     with np.errstate(divide="ignore"):
-        return -10 * np.log10((error**2).mean(axis=(1, 2)))
+        return -10 * np.log10(np.square(error, out=error).mean(axis=(1, 2)))
 
 
 @_of_maps
@@ -130,8 +131,10 @@ def power_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> 
     Powers below −40 dB count as −40 dB.
     """
     strong = truth >= truth.max(axis=(1, 2), keepdims=True) * 10 ** (-POWER_RANGE_DB / 10)
-    error_db = np.abs(10 * np.log10(_floored(predicted) / _floored(truth)))
-    return np.einsum("nea,nea->n", error_db, strong) / strong.sum(axis=(1, 2))
+    ratio = _floored(predicted)
+    ratio /= _floored(truth)
+    error_bel = np.abs(np.log10(ratio, out=ratio), out=ratio)
+    return 10 * np.einsum("nea,nea->n", error_bel, strong) / strong.sum(axis=(1, 2))
 
 
 @_of_maps
@@ -199,7 +202,8 @@ def quantiles(values: Float[FloatArray, "N"], levels: list[float]) -> Float[Floa
 
 
 def _floored(power: NDArray[np.floating]) -> FloatArray:
-    return np.maximum(power, 10 ** (POWER_FLOOR_DB / 10), dtype=np.float64)
+    copied = power.astype(np.float64)
+    return np.maximum(copied, 10 ** (POWER_FLOOR_DB / 10), out=copied)
 
 
 def _decibel(power: NDArray[np.floating]) -> FloatArray:
