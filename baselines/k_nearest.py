@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import inner_carriers_hz
 from xfreqbench.methods.contract import Budget, Progress
+from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.loss_kernels import similarities
 from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters, TransmitterLookup, WeightedRows
 from xfreqbench.types import FloatArray, IntArray, NDArray
@@ -123,8 +124,7 @@ class KNearest(TransmitterLookup):
         queries = np.random.default_rng(0).permutation(len(train))[:_NUM_QUERIES].tolist()
         near = [self._neighbours(train.tx_position_m[q], train.carrier_hz[q], max(_NUM_TX) + 1) for q in queries]
         needed = np.unique(np.concatenate([queries, *(rows for rows, _, _ in near)]))
-        coarse = [maps[:, ::_STRIDE, ::_STRIDE] for _, maps in train.subset(needed).batches(_NUM_QUERIES)]
-        known = np.concatenate(coarse)
+        known = CoarseDataset.of(train, _STRIDE).pas(needed)
         scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
         for query, (rows, tx, distance_m) in zip(queries, near, strict=True):
             query_hz = train.carrier_hz[query]

@@ -56,6 +56,12 @@ def test_a_file_without_maps_derives_the_maps_that_another_stores(dataset: PasDa
     assert derived.path.stat().st_size < dataset.path.stat().st_size / 10
 
 
+def test_maps_read_in_any_order_are_those_read_alone(dataset: PasDataset) -> None:
+    rows = [1, 2, 3, 4, 9, 11, 10, 10, 0]  # over the ends of transmitters, not ascending, twice
+    np.testing.assert_array_equal(dataset.pas(rows), np.concatenate([dataset.pas([row]) for row in rows]))
+    assert dataset.pas([]).shape == (0, *dataset.grid.shape)
+
+
 def test_a_subset_of_a_subset_keeps_its_maps(dataset: PasDataset) -> None:
     subset = dataset.subset([1, 5, 9]).subset([2, 0])
     np.testing.assert_array_equal(subset.rows, [9, 1])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from skimage.metrics import structural_similarity
 
 from tests.support import typechecking
 from xfreqbench.errors import ArgumentError
@@ -36,6 +37,26 @@ def test_wrapped_ssim_does_not_notice_a_turn_of_the_scene(turn: int) -> None:
     turned = score("ssim_wrapped", np.roll(predicted, turn, axis=2), np.roll(truth, turn, axis=2))
     np.testing.assert_allclose(turned, score("ssim_wrapped", predicted, truth), atol=1e-6)  # float32 filter
     assert abs(score("ssim_wrapped", predicted, truth) - score("ssim", predicted, truth)).max() > 1e-6
+
+
+def test_scores_made_together_are_those_made_alone_and_ssim_is_scikit_images() -> None:
+    predicted, truth = random_maps(3, 1), random_maps(3, 2)
+    scores = score_all(predicted, truth, GRID)
+    assert list(scores) == list(METRICS)
+    for name, values in scores.items():
+        np.testing.assert_array_equal(values, score(name, predicted, truth))
+    for name, margin in (("ssim", 0), ("ssim_wrapped", 3)):
+        around = [np.pad(maps, ((0, 0), (0, 0), (margin, margin)), mode="wrap") for maps in (predicted, truth)]
+        theirs = [structural_similarity(*pair, data_range=1) for pair in zip(*around, strict=True)]
+        np.testing.assert_allclose(scores[name], theirs, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(6, 9), (9, 6)])
+def test_maps_smaller_than_the_window_have_no_ssim(shape: tuple[int, int]) -> None:
+    grid, maps = AngularGrid(*(np.arange(size) / 10 for size in shape)), np.ones((1, *shape), np.float32)
+    for name in ("ssim", "ssim_wrapped"):
+        with pytest.raises(ArgumentError, match=f"but the maps have {shape[0]} × {shape[1]}"):
+            METRICS[name].score(maps, maps, grid)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from tests.support.synthetic import write_dataset
+from xfreqbench.data import hdf5
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
+from xfreqbench.methods import lookup
 from xfreqbench.methods.lookup import TrainingTransmitters
 
 
@@ -22,6 +24,23 @@ def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 def test_only_positions_of_training_transmitters_are_known(train: PasDataset) -> None:
     positions = np.stack([train.tx_position_m[0], train.tx_position_m[0] + [1e-3, 0, 0]])
     np.testing.assert_array_equal(TrainingTransmitters(train).knows(positions), [True, False])
+
+
+@pytest.mark.parametrize(("most_maps", "num_openings"), [(512, 1), (4, 2)])
+def test_what_many_queries_share_is_read_at_once_as_far_as_there_is_room(
+    train: PasDataset, most_maps: int, num_openings: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened, maps, open_sealed = [], train.pas(), hdf5.open_sealed
+    monkeypatch.setattr(hdf5, "open_sealed", lambda *file: opened.append(file) or open_sealed(*file))
+    monkeypatch.setattr(lookup, "_MOST_MAPS", most_maps)
+    queries = [2, 0, 1], [0, 1], [0, 1], [1], [8, 2, 5]
+    asked = [(np.array(rows), 1 / np.arange(1, 1 + len(rows))) for rows in queries]
+    transmitters = TrainingTransmitters(train)
+    sums = transmitters.sums(iter(asked))
+    expected = np.stack([np.tensordot(weights, maps[rows], 1) for rows, weights in asked])
+    np.testing.assert_allclose(sums, expected / expected.max(axis=(1, 2), keepdims=True), atol=1e-6)
+    np.testing.assert_array_equal(transmitters.sums(iter(asked[-1:])), sums[-1:])  # known from the last reading
+    assert len(opened) == num_openings
 
 
 @pytest.mark.parametrize("stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]'])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from importlib.metadata import entry_points
-from itertools import product
+from itertools import pairwise, product
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -342,13 +342,16 @@ class PasDataset:
             )
         if not self.header.maps:
             return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
-        asked = self.rows[rows].tolist()
+        asked = self.rows[rows]
+        tx, carrier = np.divmod(asked, self.num_carriers)
         maps = np.empty((len(asked), *self.grid.shape), np.float32)
+        # what follows one another of a transmitter's carriers is read at once
+        starts = np.flatnonzero((np.diff(asked, prepend=-2) != 1) | (carrier == 0)).tolist()
         with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "dataset 'pas'"):
             stored = file["pas"]
-            for index, row in enumerate(asked):
-                tx, carrier = divmod(row, self.num_carriers)
-                maps[index] = hdf5.unpacked(stored[(tx, *_at(self.file_header, self.link), carrier)])
+            for start, end in pairwise([*starts, len(asked)]):
+                carriers = slice(carrier[start], carrier[start] + end - start)
+                hdf5.unpacked(stored[(tx[start], *_at(self.file_header, self.link), carriers)], maps[start:end])
         return maps
 
     def to_xarray(self) -> Any:

@@ -52,9 +52,9 @@ def packed(maps: NDArray[np.floating]) -> NDArray[np.uint16]:
     return np.rint(np.clip(maps, 0, 1) * np.float32(_ONE)).astype(PACKED)
 
 
-def unpacked(stored: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """The numbers that `packed` has packed; a peak of 1 is exactly 1."""
-    return stored * _STEP
+def unpacked(stored: NDArray[np.uint16], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """The numbers that `packed` has packed, written to `out` if it is given; a peak of 1 is exactly 1."""
+    return np.multiply(stored, _STEP, out=out)
 
 
 @dataclass(frozen=True)

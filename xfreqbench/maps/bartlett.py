@@ -76,25 +76,26 @@ class BartlettBeam:
         if kind == "phase-only":
             cfr = _divided_unless_zero(cfr, np.abs(cfr))
         scale = np.abs(cfr).max(axis=1, keepdims=True)  # without it |h|² ~ 1e-18 would underflow in float32
-        beam = self._beams(_divided_unless_zero(cfr, scale).astype(np.complex64))
-        power = beam.real**2 + beam.imag**2
+        power = self._powers(_divided_unless_zero(cfr, scale).astype(np.complex64))
         peak = power.max(axis=1, keepdims=True)
         maps = _divided_unless_zero(power, peak)
         if kind == "amplitude":
             maps = np.sqrt(maps)
         return maps.reshape(-1, *self.grid.shape), peak[:, 0].astype(np.float64) * scale[:, 0].astype(np.float64) ** 2
 
-    def _beams(self, cfr: Complex[NDArray[np.complex64], "B M"]) -> Complex[NDArray[np.complex64], "B K"]:
-        """Beams towards all directions, one channel after another in one thread.
+    def _powers(self, cfr: Complex[NDArray[np.complex64], "B M"]) -> Float[NDArray[np.float32], "B K"]:
+        """Powers of the beams towards all directions, one channel after another in one thread.
 
         Some processors round the rows of one product by their number and place, and by the number of threads. So a
         channel has the same map, to the last bit, whatever others it comes with.
         """
-        beams = np.empty((len(cfr), self.conjugate_steering.shape[1]), np.complex64)
+        beam = np.empty(self.conjugate_steering.shape[1], np.complex64)
+        powers = np.empty((len(cfr), len(beam)), np.float32)
         with one_blas_thread():
-            for channel, beam in zip(cfr, beams, strict=True):
+            for channel, power in zip(cfr, powers, strict=True):
                 np.matmul(channel, self.conjugate_steering, out=beam)
-        return beams
+                np.add(beam.real**2, beam.imag**2, out=power)
+        return powers
 
 
 @lru_cache(maxsize=8)  # 4 MB each, which the data sets of many rooms share

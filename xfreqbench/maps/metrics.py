@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
+from inspect import unwrap
 from typing import Any
 
 import numpy as np
@@ -52,58 +53,75 @@ def _of_maps(score: ScoreFunction) -> ScoreFunction:
 
     @wraps(score)
     def checked_score(predicted: Maps, truth: Maps, grid: AngularGrid) -> FloatArray:
-        predicted, truth = np.asarray(predicted), np.asarray(truth)
-        if predicted.shape != truth.shape or truth.shape[1:] != grid.shape:
-            raise ArgumentError(
-                f"{score.__name__} compares maps of shape (N, {', '.join(map(str, grid.shape))}) on this grid, but "
-                f"predicted has shape {predicted.shape} and truth {truth.shape}."
-            )
-        for name, maps in (("predicted", predicted), ("truth", truth)):
-            if maps.dtype.kind not in "fiu":
-                raise ArgumentError(
-                    f"{score.__name__} compares maps of real numbers, but those of {name} are {maps.dtype}. Give "
-                    "powers or amplitudes, as float32."
-                )
-            low, peaks = maps.min(initial=0), maps.max(axis=(1, 2), initial=0)
-            small = maps[(peaks > 0) & (peaks < LEAST_PEAK)]
-            is_tiny = np.ptp(small, axis=(1, 2)).any()
-            if is_tiny or not (low >= -RANGE_TOLERANCE and (peaks <= 1 + RANGE_TOLERANCE).all()):
-                high = small.max() if is_tiny else peaks.max()
-                raise ArgumentError(
-                    f"{score.__name__} compares maps of values from 0 to 1 and peak 1, but those of {name} run from "
-                    f"{low:g} to {high:g}. Turn dB into power, and divide each map by its maximum."
-                )
-        return score(predicted, truth, grid)
+        return score(*_checked(score.__name__, predicted, truth, grid), grid)
 
     return checked_score
 
 
+def _checked(name: str, predicted: Maps, truth: Maps, grid: AngularGrid) -> tuple[Maps, Maps]:
+    """The maps as arrays; raises `ArgumentError`, in the name of a function, for what no metric compares."""
+    predicted, truth = np.asarray(predicted), np.asarray(truth)
+    if predicted.shape != truth.shape or truth.shape[1:] != grid.shape:
+        raise ArgumentError(
+            f"{name} compares maps of shape (N, {', '.join(map(str, grid.shape))}) on this grid, but predicted has "
+            f"shape {predicted.shape} and truth {truth.shape}."
+        )
+    for which, maps in (("predicted", predicted), ("truth", truth)):
+        if maps.dtype.kind not in "fiu":
+            raise ArgumentError(
+                f"{name} compares maps of real numbers, but those of {which} are {maps.dtype}. Give powers or "
+                "amplitudes, as float32."
+            )
+        low, peaks = maps.min(initial=0), maps.max(axis=(1, 2), initial=0)
+        small = maps[(peaks > 0) & (peaks < LEAST_PEAK)]
+        is_tiny = np.ptp(small, axis=(1, 2)).any()
+        if is_tiny or not (low >= -RANGE_TOLERANCE and (peaks <= 1 + RANGE_TOLERANCE).all()):
+            high = small.max() if is_tiny else peaks.max()
+            raise ArgumentError(
+                f"{name} compares maps of values from 0 to 1 and peak 1, but those of {which} run from {low:g} to "
+                f"{high:g}. Turn dB into power, and divide each map by its maximum."
+            )
+    return predicted, truth
+
+
 @_of_maps
 def ssim(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
-    """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1."""
-    return _ssim(predicted, truth)
+    """Structural similarity, at most 1, as scikit-image computes it by default: 7×7 uniform window, range 1.
 
-
-def _ssim(predicted: SampleMaps, truth: SampleMaps) -> Scores:
-    pairs = zip(predicted, truth, strict=True)
-    scores = [structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0) for pair in pairs]
-    return np.array(scores, dtype=np.float64)
+    Raises `ArgumentError` for maps that are smaller than the window.
+    """
+    return _ssims(predicted, truth)["ssim"]
 
 
 @_of_maps
 def ssim_wrapped(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """`ssim` with the azimuth periodic, which does not change when the scene is turned about the pole."""
-    margin = SSIM_WINDOW // 2  # scikit-image crops it again, so that every column counts once
-    padding = ((0, 0), (0, 0), (margin, margin))
-    return _ssim(np.pad(predicted, padding, mode="wrap"), np.pad(truth, padding, mode="wrap"))
+    return _ssims(predicted, truth)["ssim_wrapped"]
+
+
+def _ssims(predicted: SampleMaps, truth: SampleMaps) -> dict[str, Scores]:
+    """`ssim_wrapped`, and `ssim`: the mean over those of its windows that do not cross the seam of the azimuth."""
+    if min(truth.shape[1:]) < SSIM_WINDOW:
+        raise ArgumentError(
+            f"SSIM compares windows of {SSIM_WINDOW} × {SSIM_WINDOW} directions, but the maps have "
+            f"{' × '.join(map(str, truth.shape[1:]))}. Give maps on a finer grid."
+        )
+    margin = SSIM_WINDOW // 2
+    inner, scores = slice(margin, -margin), np.empty((2, len(truth)))
+    continued = (np.dstack([maps[..., -margin:], maps, maps[..., :margin]]) for maps in (predicted, truth))
+    for nth, pair in enumerate(zip(*continued, strict=True)):
+        of_windows = structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0, full=True)[1][inner, inner]
+        scores[:, nth] = [of_all.mean(dtype=np.float64) for of_all in (of_windows[:, inner], of_windows)]
+    return dict(zip(("ssim", "ssim_wrapped"), scores, strict=True))
 
 
 @_of_maps
 def psnr(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Scores:
     """Peak signal-to-noise ratio in dB with a peak of 1; infinite for identical maps."""
-    error = predicted.astype(np.float64) - truth
+    error = predicted.astype(np.float64)
+    error -= truth
     with np.errstate(divide="ignore"):
-        return -10 * np.log10((error**2).mean(axis=(1, 2)))
+        return -10 * np.log10(np.square(error, out=error).mean(axis=(1, 2)))
 
 
 @_of_maps
@@ -113,8 +131,10 @@ def power_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> 
     Powers below −40 dB count as −40 dB.
     """
     strong = truth >= truth.max(axis=(1, 2), keepdims=True) * 10 ** (-POWER_RANGE_DB / 10)
-    error_db = np.abs(_decibel(predicted) - _decibel(truth))
-    return (error_db * strong).sum(axis=(1, 2)) / strong.sum(axis=(1, 2))
+    ratio = _floored(predicted)
+    ratio /= _floored(truth)
+    error_bel = np.abs(np.log10(ratio, out=ratio), out=ratio)
+    return 10 * np.einsum("nea,nea->n", error_bel, strong) / strong.sum(axis=(1, 2))
 
 
 @_of_maps
@@ -159,11 +179,13 @@ def score_all(
     predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid, kind: PasKind = "power"
 ) -> dict[str, Scores]:
     """Scores of N maps of one kind by every metric; metrics in dB are given the maps' power."""
-    power = power_of(predicted, kind), power_of(truth, kind)
-    return {
-        name: metric.score(*(power if metric.takes_power else (predicted, truth)), grid)
-        for name, metric in METRICS.items()
-    }
+    maps = power = _checked("score_all", predicted, truth, grid)
+    if kind == "amplitude":
+        power = _checked("score_all", power_of(maps[0], kind), power_of(maps[1], kind), grid)
+    scores = _ssims(*maps)
+    others = {name: metric for name, metric in METRICS.items() if name not in scores}
+    scores |= {name: unwrap(of.score)(*(power if of.takes_power else maps), grid) for name, of in others.items()}
+    return {name: scores[name] for name in METRICS}
 
 
 def skill(score: float, best_trivial: float) -> float:
@@ -179,8 +201,13 @@ def quantiles(values: Float[FloatArray, "N"], levels: list[float]) -> Float[Floa
     return np.quantile(values, levels, method="inverted_cdf")
 
 
+def _floored(power: NDArray[np.floating]) -> FloatArray:
+    copied = power.astype(np.float64)
+    return np.maximum(copied, 10 ** (POWER_FLOOR_DB / 10), out=copied)
+
+
 def _decibel(power: NDArray[np.floating]) -> FloatArray:
-    return 10 * np.log10(np.maximum(power.astype(np.float64), 10 ** (POWER_FLOOR_DB / 10)))
+    return 10 * np.log10(_floored(power))
 
 
 def _peak(maps: Float[Maps, "N E A"]) -> Int[NDArray[np.int64], "N"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -45,6 +45,7 @@ class TrainingTransmitters:
         self._tree = KDTree(self._position_m)
         self._row = np.full((len(tx_index), len(self.carrier_hz)), -1, dtype=np.int64)
         self._row[column, carrier] = np.arange(len(train))
+        self._maps: dict[int, Float[NDArray[np.float32], "E A"]] = {}  # by row, those that were read last
 
     @classmethod
     def of(cls, train: PasDataset) -> TrainingTransmitters:
@@ -108,23 +109,34 @@ class TrainingTransmitters:
     def sums(self, asked: Iterable[WeightedRows]) -> Float[NDArray[np.float32], "B E A"]:
         """Weighted sums of training maps, each scaled to peak 1, for the rows and weights of B queries.
 
-        What neighbouring queries share is read, and summed, once.
+        What queries share is read once, and what neighbouring ones share is summed once.
         """
-        maps: dict[int, Float[NDArray[np.float32], "E A"]] = {}
-        summed: list[Float[NDArray[np.float32], "E A"]] = []
-        before: WeightedRows | None = None
-        for rows, weights in asked:
-            if before is None or not all(map(np.array_equal, before, (rows, weights))):
-                missing = [row for row in rows.tolist() if row not in maps]
-                if len(maps) + len(missing) > _MOST_MAPS:
-                    maps, missing = {}, rows.tolist()
-                maps.update(zip(missing, self.train.pas(missing), strict=True))
-                total = np.zeros(self.train.grid.shape, np.float32)
-                for row, weight in zip(rows.tolist(), weights.astype(np.float32), strict=True):
-                    total += weight * maps[row]
-                before, scaled = (rows, weights), self.turned(total)
-            summed.append(scaled)
-        return np.stack(summed)
+        asked = list(asked)
+        summed = np.empty((len(asked), *self.asked.grid.shape), np.float32)
+        total = np.empty(self.train.grid.shape, np.float32)
+        part = np.empty_like(total)
+        for nth, (rows, weights) in enumerate(asked):
+            if nth and all(map(np.array_equal, asked[nth - 1], (rows, weights))):
+                summed[nth] = summed[nth - 1]
+                continue
+            if not self._maps.keys() >= {*rows.tolist()}:
+                self._read([rows for rows, _ in asked[nth:]])
+            total[:] = 0
+            for row, weight in zip(rows.tolist(), weights.astype(np.float32), strict=True):
+                total += np.multiply(weight, self._maps[row], out=part)
+            summed[nth] = self.turned(total)
+        return summed
+
+    def _read(self, asked: Sequence[IntArray]) -> None:
+        """Read the maps of a query's rows, and of those of the next queries for which there is room."""
+        needed: set[int] = set()
+        for rows in asked:
+            more = needed | {*rows.tolist()}
+            if needed and len(more) > _MOST_MAPS:
+                break
+            needed = more
+        self._maps = {}  # before others are read, which need its room
+        self._maps = dict(zip(sorted(needed), self.train.pas(sorted(needed)), strict=True))
 
     def save(self, directory: Path) -> None:
         """Store which rows of which data set these are, without the maps."""

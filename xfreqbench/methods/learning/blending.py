@@ -143,9 +143,7 @@ class Blend:
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {name for choice in choices.values() for name in choice.weights}
-        self._predictors = {
-            predictor.__name__: _knowing(predictor, train) for predictor in predictors if predictor.__name__ in needed
-        }
+        self._predictors = _knowing([predictor for predictor in predictors if predictor.__name__ in needed], train)
 
     @classmethod
     def chosen(
@@ -163,13 +161,13 @@ class Blend:
         """
         coarse = CoarseDataset.of(train, STRIDE)
         left = coarse.subset(holdout.left)
-        knowing = [(predictor.__name__, _knowing(predictor, left)) for predictor in predictors]
+        knowing = _knowing(predictors, left)
         choices = dict(before)
         for kind, of_kind in holdout.rows.items():
             rows = coarse.subset(of_kind)
             query = rows.tx_position_m, rows.carrier_hz
             maps = {LEARNED: predict(*query)[:, ::STRIDE, ::STRIDE]}
-            maps |= {name: predictor.predict(*query) for name, predictor in knowing}
+            maps |= {name: predictor.predict(*query) for name, predictor in knowing.items()}
             carrier_hz = float(rows.carrier_hz[0]) if " at " in kind else None
             start = _START if _of(kind) == KINDS[0] else _START_UNSEEN
             weights = _best_weights(maps, rows.pas(), start)
@@ -243,11 +241,13 @@ def _carrier_of(choice: Choice) -> float:
     return choice.carrier_hz or 1.0
 
 
-def _knowing(predictor: type, train: PasDataset) -> Any:
-    """A trivial predictor that knows the training rows that have a path."""
-    made = predictor()
-    for _ in made.fit(train.subset(train.has_path), Budget(), 0):
-        pass
+def _knowing(predictors: Sequence[type], train: PasDataset) -> dict[str, Any]:
+    """Trivial predictors by name that know the training rows that have a path, and read what they share once."""
+    known = train.subset(train.has_path)
+    made = {predictor.__name__: predictor() for predictor in predictors}
+    for predictor in made.values():
+        next(predictor.fit(known, Budget(), 0))
+        predictor.transmitters = next(iter(made.values())).transmitters
     return made
 
 

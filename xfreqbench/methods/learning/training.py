@@ -34,7 +34,7 @@ from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.types import FloatArray, NDArray
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
-_PREDICT_BATCH = 16
+_PREDICT_BATCH = 32  # as many maps as a run asks for at once
 MAX_GRADIENT_NORM = 1.0
 _MIN_RATE = 0.01  # of the learning rate, reached at the end of the budget
 
