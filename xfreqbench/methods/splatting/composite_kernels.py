@@ -282,7 +282,7 @@ def backward_of_maps(
             i = order[nth, place]
             here = nth * num_gaussians + i
             s, o, pair, zero = signal[nth, i], opacity[nth, i], before[here, 1], np.float32(0)
-            of_s, of_o, of_u, of_v, uu, uv, vv = zero, zero, 0.0, 0.0, 0.0, 0.0, 0.0
+            of_s, of_o, of_u, of_v, uu, uv, vv = zero, zero, zero, zero, zero, zero, zero
             for run in range(before[here, 0], before[here + 1, 0]):
                 u, v = np.float32(angles[run, 0]), angles[run, 1]
                 total, first, second = zero, zero, zero

@@ -37,11 +37,13 @@ def composite_maps(
         return field
     from xfreqbench.methods.splatting.composite_triton import composite_on_cuda
 
-    axes = [torch.as_tensor(axis).float().to(signal.device) for axis in (grid.azimuth_rad, grid.elevation_rad)]
+    axes = grid.azimuth_rad, grid.elevation_rad
+    azimuth_rad, elevation_rad = (torch.as_tensor(axis).float().to(signal.device) for axis in axes)
     fields = [
         composite_on_cuda(
             project_gaussians(of_map),
-            *axes,
+            azimuth_rad,
+            elevation_rad,
             support,
             torch.ones_like(s)[:, None],
             s[:, None].to(torch.complex64),
@@ -64,11 +66,11 @@ class _Kernels(torch.autograd.Function):
         projection_kernels.project(shapes, footprint, range_m.ravel())
         a, b, c = footprint[:, 2:].T
         footprint[:, 2:] = (np.array([c, -b, a]) / (a * c - b * b)).T
-        before, *runs = footprint_runs(
+        before, runs, angles_rad = footprint_runs(
             footprint[:, :2], footprint[:, 2:], grid.elevation_rad, grid.azimuth_rad, support
         )
         step_rad = float(grid.azimuth_rad[1] - grid.azimuth_rad[0]) if len(grid.azimuth_rad) > 1 else 2 * math.pi
-        shared = _nearest_first(range_m), before, *runs, footprint, step_rad, s, o
+        shared = _nearest_first(range_m), before, runs, angles_rad, footprint, step_rad, s, o
         field, stash = torch.empty(len(signal), math.prod(grid.shape)), np.empty((before[-1, 1], 2), np.float32)
         with numba_on_torch_threads():
             composite_kernels.forward_of_maps(*shared, field.numpy(), stash)
@@ -78,15 +80,15 @@ class _Kernels(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_field: Tensor) -> tuple[Tensor | None, ...]:
-        signal = ctx.arguments[-3]
-        slope, grad_shapes = np.empty((len(ctx.shapes), 5)), torch.empty(*signal.shape, 10)
-        grad_signal, grad_opacity = torch.empty(2, *signal.shape)
+        num_maps, num_gaussians = ctx.arguments[-3].shape
+        slope = torch.empty(num_maps * num_gaussians, 5, dtype=torch.float64)
+        grad_shapes, (grad_signal, grad_opacity) = torch.empty(len(slope), 10), torch.empty(2, num_maps, num_gaussians)
         with numba_on_torch_threads():
             composite_kernels.backward_of_maps(
-                *ctx.arguments, grad_field.contiguous().numpy(), slope, grad_signal.numpy(), grad_opacity.numpy()
+                *ctx.arguments, *arrays_of(grad_field.contiguous(), slope, grad_signal, grad_opacity)
             )
-        projection_kernels.project_backward(ctx.shapes, slope, grad_shapes.flatten(0, 1).numpy())
-        return grad_shapes, grad_signal, grad_opacity, None, None
+        projection_kernels.project_backward(ctx.shapes, *arrays_of(slope, grad_shapes))
+        return grad_shapes.view(num_maps, num_gaussians, 10), grad_signal, grad_opacity, None, None
 
 
 def _nearest_first(range_m: Float[NDArray[np.float32], "B N"]) -> Int[IntArray, "B N"]:

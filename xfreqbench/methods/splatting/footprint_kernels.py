@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 # one turn around the centre; the direction opposite belongs to its lower end alone, whatever the rounding
 LOWEST_RAD, HIGHEST_RAD = -math.pi * (1 + 1e-12), math.pi * (1 - 1e-12)
@@ -17,7 +17,7 @@ _NUM_TURNS = 3  # in which a footprint around an azimuth in [0, 2π) may have co
 @njit(cache=True, error_model="numpy")
 def footprint_runs(
     centre: FloatArray, conic: FloatArray, elevation_rad: FloatArray, azimuth_rad: FloatArray, support: float
-) -> tuple[IntArray, IntArray, FloatArray]:
+) -> tuple[IntArray, NDArray[np.uint32], FloatArray]:
     """The directions of all footprints as R runs along rows of the grid, those of one Gaussian after another.
 
     `centre` is (N, 2) azimuth and elevation, `conic` (N, 3) the inverse covariance's entries. Azimuths are evenly
@@ -55,7 +55,7 @@ def footprint_runs(
 
 
 @njit(cache=True)
-def fill_lists(before: IntArray, runs: IntArray, num_pixels: int) -> tuple[IntArray, IntArray]:
+def fill_lists(before: IntArray, runs: NDArray[np.uint32], num_pixels: int) -> tuple[IntArray, IntArray]:
     """Start of each pixel's list, and all lists one after another, each in the order of the Gaussians."""
     start = np.zeros(num_pixels + 1, np.int64)
     for first, count in runs:

@@ -9,11 +9,12 @@ and rounds otherwise.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 
 POLE_DISTANCE = math.sin(math.radians(1.0))
 MIN_VARIANCE = math.radians(0.5) ** 2  # rad²: a footprint's deviation is at least half a step of the grid
@@ -58,7 +59,7 @@ def _read(table: FloatArray, first: int, rows: FloatArray) -> None:
             rows[n, field] = table[lane + field * _LANES]
 
 
-def project(gaussians: FloatArray, footprint: FloatArray, range_m: FloatArray) -> None:
+def project(gaussians: FloatArray, footprint: FloatArray, range_m: NDArray[Any]) -> None:
     """Write azimuth, elevation and a, b, c of the covariance to `footprint` (N, 5), and ranges (N,).
 
     `gaussians` (N, 10) are positions, quaternions and log-scales.
