@@ -20,7 +20,6 @@ from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMet
 from xfreqbench.methods.splatting.composite_maps import composite_maps
 from xfreqbench.methods.splatting.field import GaussianConfig, GaussianField, SplatTrainingConfig
 from xfreqbench.methods.splatting.gaussians import RFGaussians
-from xfreqbench.methods.splatting.projection import Projection, project_gaussians
 
 _SIGNAL, _OPACITY = 0.5, 0.1  # of each Gaussian at the start
 _PARTS = (10, 2)  # of a deformation: position, quaternion and log-scale; real and imaginary part of the signal
@@ -39,7 +38,7 @@ class WRFGSPlusConfig(GaussianConfig, SplatTrainingConfig):
     position_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of a Gaussian's place")] = 4
     tx_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the transmitter's place")] = 6
     precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
-    batch_size: Count = 16  # each map has its own footprints
+    batch_size: Count = 32  # each map has its own footprints
 
 
 class DeformationNetwork(nn.Module):
@@ -97,19 +96,18 @@ class WRFGSPlusField(GaussianField):
     ) -> Float[Tensor, "B E A"]:
         """Power R_k² of what is accumulated from each direction in view; each transmitter has its own footprints."""
         grid = view.of_grid(beams.grid)
-        projection, amplitude = self.deformed(tx_position_m)
+        shapes, amplitude = self.deformed(tx_position_m)
         opacity = torch.sigmoid(self.gaussians.opacity_logit).expand_as(amplitude)
         signal = (opacity * amplitude).T[None]
         self.density.watch(slice(None), signal)
-        field = composite_maps(projection, grid, self._support, signal[0].T, opacity)
+        field = composite_maps(shapes, grid, self._support, signal[0].T, opacity)
         return field.square().reshape(-1, *grid.shape)
 
-    def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Projection, Float[Tensor, "B N"]]:
-        """Footprints of all Gaussians, for one transmitter after another, and the amplitudes of their signals."""
+    def deformed(self, tx_position_m: Float[Tensor, "B 3"]) -> tuple[Float[Tensor, "B N 10"], Float[Tensor, "B N"]]:
+        """Positions, quaternions and log-scales of all Gaussians, and their signals' amplitudes, by transmitters."""
         gaussians, tx_m = self.gaussians, self.scaling.in_frame(tx_position_m)
         changes, signal = self.network(tx_m, gaussians.position_m.detach())
-        projection = project_gaussians((self.shapes + changes).flatten(0, 1))
-        return projection, torch.relu(gaussians.signal + signal.norm(dim=-1))
+        return self.shapes + changes, torch.relu(gaussians.signal + torch.view_as_complex(signal).abs())
 
 
 class WRFGSPlus(LearnedMethod):

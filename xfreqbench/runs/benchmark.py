@@ -65,7 +65,7 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "xfreq-gs": 1.5e-4,
     "room-lags": 5.5e-4,
     "virtual-source": 9e-4,
-    "wrf-gs-plus": 8.5e-4,
+    "wrf-gs-plus": 5e-4,
     "xfreq-gs-paper": 0.018,
 }
 _USUAL_SECONDS_A_MAP = 4.5e-4

@@ -26,6 +26,7 @@ from xfreqbench.methods.learning.encoding import (
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
+_BITS = {2: torch.int16, 4: torch.int32, 8: torch.int64}  # as wide as a kind of number, in bytes
 _CLEAR = 2.0  # logit of |δ| at the start, 0.88, so that Gaussians behind are seen
 _BEARING_WIDTHS = (0.005, 0.02, 0.1)  # of 1 − cos: about 6, 11 and 26 degrees
 BEARING_SIZE = 1 + len(_BEARING_WIDTHS)
@@ -109,7 +110,9 @@ class _Layers(torch.autograd.Function):
         gradients: list[Tensor] = []
         for weight, features in zip(reversed(ctx.parameters[::2]), reversed(ctx.features), strict=True):
             gradients[:0] = slope.T @ features, slope.sum(0)
-            slope = torch.ops.aten.threshold_backward(slope @ weight, features, 0)
+            slope = slope @ weight
+            bits = _BITS[slope.itemsize]  # as whole numbers, features of 0 are 0 and others at least 1
+            slope.view(bits).mul_(features.view(bits).clamp(max=1))
         return slope, *(each.to(kind) for each, kind in zip(gradients, ctx.kinds, strict=True))
 
 

@@ -428,11 +428,14 @@ def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
 
 def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> AveragedModel:
     """The mean after another step; it begins anew where there is none, or where the model has other sizes."""
-    sizes = {name: value.shape for name, value in model.state_dict().items()}
-    if mean is None or sizes != {name: value.shape for name, value in mean.module.state_dict().items()}:
+    if mean is None or _sizes(model) != _sizes(mean.module):
         mean = mean_weights(model, kept)
     mean.update_parameters(model)
     return mean
+
+
+def _sizes(model: nn.Module) -> list[torch.Size]:
+    return [value.shape for value in (*model.parameters(), *model.buffers())]
 
 
 def _set_rates(training: Training) -> None:

@@ -22,12 +22,14 @@ from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+U32 = NDArray[np.uint32]
 I64 = NDArray[np.int64]
 
 LANES = 32  # with 16, backward takes a sixth longer, since it reads indices and distances twice as often
 LANE_STEP = 16  # one AVX-512 register of float32, two of AVX2
 FIELDS = 5  # inverse spread, Re S, Im S, Re(1 − δ), Im(1 − δ)
 FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "afn", "reassoc"}
+IN_ORDER = FAST - {"reassoc"}  # sums over short loops in order: LLVM would spread them over lanes that stay empty
 
 SPREAD, S_RE, S_IM, E_RE, E_IM = (field * LANES for field in range(FIELDS))  # where the runs of a row start
 T_RE, T_IM, R_RE, R_IM = (field * LANES for field in range(4))  # the same for the state of the forward sweep
@@ -212,99 +214,98 @@ def backward(
                     grad_distance[nearest + depth] += _retreat(row, minus_half, stash[depth], state, grad, lanes)
 
 
-@entry(parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=IN_ORDER, error_model="numpy")
 def forward_of_maps(
     order: I64,
-    first: I64,
-    count: I64,
-    start: I64,
-    offset: F64,
-    footprint: F32,
-    elevation: F32,
+    before: I64,
+    runs: U32,
+    angles: F64,
+    footprint: F64,
     step: float,
-    rows: F32,
+    signal: F32,
+    opacity: F32,
     field: F32,
     stash: F32,
 ) -> None:
     """Write R of B maps, each with N footprints of its own, to `field` (B, E·A); all is real, and λ is 1.
 
-    `order` (B, N) has the nearest Gaussian first. `first` and `count` (B·N, E, turns) are the columns in a footprint,
-    `start` (B,) is each map's first pair in `stash` (P, 2), where T in front of each Gaussian and G are kept.
-    `offset` (B·N,) are centres' azimuths from column 0, `footprint` (B·N, 4) are centres' elevations and the inverse
-    covariance's entries, `rows` (B, N, 2) are S and 1 − δ, and columns are `step` apart.
+    `order` (B, N) has the nearest Gaussian first. `before`, `runs` and `angles` are those of `footprint_runs` for B·N
+    Gaussians, `footprint` (B·N, 5) their centres and inverse covariances, `signal` and `opacity` (B, N) are S and
+    1 − δ, and columns are `step` apart. `stash` (P, 2) keeps T in front of each Gaussian and G, which along a run is a
+    product: its ratio from column to column has itself a ratio that does not change.
     """
     num_maps, num_gaussians = order.shape
-    num_columns = field.shape[1] // len(elevation)
     for nth in prange(num_maps):
-        transmittance, response, pair = np.ones(field.shape[1], np.float32), field[nth], start[nth]
+        transmittance, response = np.ones(field.shape[1], np.float32), field[nth]
         response[:] = 0
         for place in range(num_gaussians):
             i = order[nth, place]
             here = nth * num_gaussians + i
-            a, b, c = footprint[here, 1], footprint[here, 2], footprint[here, 3]
-            signal, absorption = rows[nth, i, 0], rows[nth, i, 1]
-            for row in range(len(elevation)):
-                v = elevation[row] - footprint[here, 0]
-                for turn in range(count.shape[2]):
-                    pixel = row * num_columns + first[here, row, turn]
-                    for k in range(count[here, row, turn]):
-                        u = np.float32((first[here, row, turn] + k) * step - offset[here] - (turn - 1) * TURN_RAD)
-                        t, g = transmittance[pixel + k], _exponential(-HALF * (a * u * u + (b + b) * u * v + c * v * v))
-                        stash[pair + k, 0], stash[pair + k, 1] = t, g
-                        response[pixel + k] += g * t * signal
-                        transmittance[pixel + k] = t - g * t * absorption
-                    pair += count[here, row, turn]
+            a, b, c, pair = footprint[here, 2], footprint[here, 3], footprint[here, 4], before[here, 1]
+            s, o, bend = signal[nth, i], opacity[nth, i], math.exp(-a * step * step)
+            for run in range(before[here, 0], before[here + 1, 0]):
+                u, v = angles[run, 0], angles[run, 1]
+                value = math.exp(-0.5 * (a * u * u + 2 * b * u * v + c * v * v))
+                ratio = math.exp(-step * (a * (u + 0.5 * step) + b * v))
+                for pixel in range(runs[run, 0], runs[run, 0] + runs[run, 1]):
+                    t, g = transmittance[pixel], np.float32(value)
+                    stash[pair, 0], stash[pair, 1] = t, g
+                    response[pixel] += g * t * s
+                    transmittance[pixel] = t - g * t * o
+                    value, ratio, pair = value * ratio, ratio * bend, pair + 1
 
 
-@entry(parallel=True, fastmath=FAST, error_model="numpy")
+@entry(parallel=True, fastmath=IN_ORDER, error_model="numpy")
 def backward_of_maps(
     order: I64,
-    first: I64,
-    count: I64,
-    start: I64,
-    offset: F64,
-    footprint: F32,
-    elevation: F32,
+    before: I64,
+    runs: U32,
+    angles: F64,
+    footprint: F64,
     step: float,
-    rows: F32,
+    signal: F32,
+    opacity: F32,
     stash: F32,
     grad_field: F32,
-    grad_footprint: F32,
-    grad_rows: F32,
+    grad_footprint: F64,
+    grad_signal: F32,
+    grad_opacity: F32,
 ) -> None:
-    """Write gradients to grad_rows (B, N, 2), and to grad_footprint (B·N, 5), azimuths of centres first.
+    """Write gradients by centres and covariances to grad_footprint (B·N, 5), and those by signals and opacities.
 
     As in `backward`, V is the field from behind per unit of T, and nothing is divided.
     """
     num_maps, num_gaussians = order.shape
-    num_columns, two = grad_field.shape[1] // len(elevation), np.float32(2)
+    step_f32 = np.float32(step)
     for nth in prange(num_maps):
-        behind, pair = np.zeros(grad_field.shape[1], np.float32), start[nth + 1]
+        behind = np.zeros(grad_field.shape[1], np.float32)
         for place in range(num_gaussians - 1, -1, -1):
             i = order[nth, place]
             here = nth * num_gaussians + i
-            a, b, c = footprint[here, 1], footprint[here, 2], footprint[here, 3]
-            signal, absorption, zero = rows[nth, i, 0], rows[nth, i, 1], np.float32(0)
-            of_signal, of_absorption, of_u, of_v, uu, uv, vv = zero, zero, zero, zero, zero, zero, zero
-            for row in range(len(elevation) - 1, -1, -1):
-                v = elevation[row] - footprint[here, 0]
-                for turn in range(count.shape[2] - 1, -1, -1):
-                    pixel = row * num_columns + first[here, row, turn]
-                    pair -= count[here, row, turn]
-                    for k in range(count[here, row, turn]):
-                        u = np.float32((first[here, row, turn] + k) * step - offset[here] - (turn - 1) * TURN_RAD)
-                        t, g, field = stash[pair + k, 0], stash[pair + k, 1], behind[pixel + k]
-                        weight, z = g * t * grad_field[nth, pixel + k], signal - absorption * field
-                        slope = -HALF * weight * z
-                        of_signal += weight
-                        of_absorption -= weight * field
-                        of_u, of_v = of_u + slope * u, of_v + slope * v
-                        uu, uv, vv = uu + slope * u * u, uv + slope * u * v, vv + slope * v * v
-                        behind[pixel + k] = field + g * z
-            grad_footprint[here, 0] = -two * (a * of_u + b * of_v)
-            grad_footprint[here, 1] = -two * (b * of_u + c * of_v)
-            grad_footprint[here, 2], grad_footprint[here, 3], grad_footprint[here, 4] = uu, two * uv, vv
-            grad_rows[nth, i, 0], grad_rows[nth, i, 1] = of_signal, of_absorption
+            s, o, pair, zero = signal[nth, i], opacity[nth, i], before[here, 1], np.float32(0)
+            of_s, of_o, of_u, of_v, uu, uv, vv = zero, zero, zero, zero, zero, zero, zero
+            for run in range(before[here, 0], before[here + 1, 0]):
+                u, v = np.float32(angles[run, 0]), angles[run, 1]
+                total, first, second = zero, zero, zero
+                for pixel in range(runs[run, 0], runs[run, 0] + runs[run, 1]):
+                    t, g, field = stash[pair, 0], stash[pair, 1], behind[pixel]
+                    weight, z = g * t * grad_field[nth, pixel], s - o * field
+                    slope = weight * z
+                    of_s += weight
+                    of_o -= weight * field
+                    total, first, second = total + slope, first + slope * u, second + slope * u * u
+                    behind[pixel] = field + g * z
+                    u, pair = u + step_f32, pair + 1
+                of_u, of_v = of_u + first, of_v + v * total
+                uu, uv, vv = uu + second, uv + v * first, vv + v * v * total
+            a, b, c = footprint[here, 2], footprint[here, 3], footprint[here, 4]
+            grad_footprint[here, 0], grad_footprint[here, 1] = a * of_u + b * of_v, b * of_u + c * of_v
+            left_u, left_v = a * uu + b * uv, a * uv + b * vv  # rows of the inverse covariance by the sums
+            right_u, right_v = b * uu + c * uv, b * uv + c * vv
+            grad_footprint[here, 2] = 0.5 * (left_u * a + left_v * b)
+            grad_footprint[here, 3] = left_u * b + left_v * c
+            grad_footprint[here, 4] = 0.5 * (right_u * b + right_v * c)
+            grad_signal[nth, i], grad_opacity[nth, i] = of_s, of_o
 
 
 @njit(inline="always", fastmath=FAST)

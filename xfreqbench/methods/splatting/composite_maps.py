@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.methods.splatting import composite_kernels
+from xfreqbench.methods.splatting import composite_kernels, projection_kernels
 from xfreqbench.methods.splatting.composite import arrays_of, numba_on_torch_threads
-from xfreqbench.methods.splatting.footprint_kernels import footprint_spans
-from xfreqbench.methods.splatting.footprints import inverse
-from xfreqbench.methods.splatting.projection import Projection
+from xfreqbench.methods.splatting.footprint_kernels import footprint_runs
+from xfreqbench.methods.splatting.projection import project_gaussians
+from xfreqbench.types import IntArray, NDArray
 
 
 def composite_maps(
-    projection: Projection,
+    gaussians: Float[Tensor, "B N 10"],
     grid: AngularGrid,
     support: float,
     signal: Float[Tensor, "B N"],
@@ -28,64 +28,71 @@ def composite_maps(
 ) -> Float[Tensor, "B K"]:
     """R_k = Σ_i G_i S_i Π_{m<i} (1 − o_m G_m) of B maps, float32: Eq. (11) where all is real.
 
-    `projection` has the N Gaussians of the first map, then those of the second, and so on. A footprint ends where
-    the squared Mahalanobis distance is `support`. A CPU does it in a compiled kernel, a device one map after another.
+    `gaussians` are positions, quaternions and log-scales, as `project_gaussians` takes them, of each map. A footprint
+    ends where the squared Mahalanobis distance is `support`. A CPU does it all in compiled kernels, a device one map
+    after another.
     """
-    if signal.device.type != "cpu":
-        from xfreqbench.methods.splatting.composite_triton import composite_on_cuda
+    if signal.device.type == "cpu":
+        field: Tensor = _Kernels.apply(gaussians, signal, opacity, grid, support)  # type: ignore[no-untyped-call]
+        return field
+    from xfreqbench.methods.splatting.composite_triton import composite_on_cuda
 
-        azimuth_rad, elevation_rad = (
-            torch.as_tensor(axis).float().to(signal.device) for axis in (grid.azimuth_rad, grid.elevation_rad)
+    axes = grid.azimuth_rad, grid.elevation_rad
+    azimuth_rad, elevation_rad = (torch.as_tensor(axis).float().to(signal.device) for axis in axes)
+    fields = [
+        composite_on_cuda(
+            project_gaussians(of_map),
+            azimuth_rad,
+            elevation_rad,
+            support,
+            torch.ones_like(s)[:, None],
+            s[:, None].to(torch.complex64),
+            (1 - o)[:, None].to(torch.complex64),
         )
-        of_maps = zip(*(part.chunk(len(signal)) for part in vars(projection).values()), signal, opacity, strict=True)
-        fields = [
-            composite_on_cuda(
-                Projection(*geometry),
-                azimuth_rad,
-                elevation_rad,
-                support,
-                torch.ones_like(s)[:, None],
-                s[:, None].to(torch.complex64),
-                (1 - o)[:, None].to(torch.complex64),
-            )
-            for *geometry, s, o in of_maps
-        ]
-        return torch.cat(fields).real
-    order = projection.range_m.reshape(signal.shape).argsort(stable=True)
-    centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)
-    footprint = torch.cat([centre, inverse(projection.covariance)], dim=-1)
-    ends = footprint.detach().double().numpy()
-    spans = footprint_spans(ends[:, :2], ends[:, 2:], grid.elevation_rad, grid.azimuth_rad, support)
-    rows = torch.stack([signal, opacity], dim=-1)
-    return _Kernels.apply(footprint.float(), rows.float(), order, spans, grid)  # type: ignore[no-untyped-call]
+        for of_map, s, o in zip(gaussians, signal, opacity, strict=True)
+    ]
+    return torch.cat(fields).real
 
 
 class _Kernels(torch.autograd.Function):
-    """Field (B, K) of maps with footprints (B·N, 5) of their own, and rows (B, N, 2) of S and 1 − δ, all real."""
+    """`composite_maps` on a CPU: projection, footprints and accumulation by compiled kernels."""
 
     @staticmethod
     def forward(
-        ctx: Any, footprint: Tensor, rows: Tensor, order: Tensor, spans: tuple[Any, Any], grid: AngularGrid
+        ctx: Any, gaussians: Tensor, signal: Tensor, opacity: Tensor, grid: AngularGrid, support: float
     ) -> Tensor:
-        first, count = spans
-        num_maps, (num_rows, num_columns) = len(rows), grid.shape
-        start = np.append(0, count.reshape(num_maps, -1).sum(axis=1).cumsum())
-        step_rad = float(grid.azimuth_rad[1] - grid.azimuth_rad[0]) if num_columns > 1 else 2 * math.pi
-        offset_rad = (footprint[:, 0].double().numpy() - grid.azimuth_rad[0]) % (2 * math.pi)
-        shapes, elevation_rad = footprint[:, 1:].contiguous().numpy(), grid.elevation_rad.astype(np.float32)
-        shared = order.numpy(), first, count, start, offset_rad, shapes, elevation_rad, step_rad, rows.numpy()
-        field, stash = torch.empty(num_maps, num_rows * num_columns), np.empty((start[-1], 2), np.float32)
+        shapes, s, o = arrays_of(*(each.float().contiguous() for each in (gaussians.flatten(0, 1), signal, opacity)))
+        footprint, range_m = np.empty((len(shapes), 5)), np.empty(signal.shape, np.float32)
+        projection_kernels.project(shapes, footprint, range_m.ravel())
+        a, b, c = footprint[:, 2:].T
+        footprint[:, 2:] = (np.array([c, -b, a]) / (a * c - b * b)).T
+        before, runs, angles_rad = footprint_runs(
+            footprint[:, :2], footprint[:, 2:], grid.elevation_rad, grid.azimuth_rad, support
+        )
+        step_rad = float(grid.azimuth_rad[1] - grid.azimuth_rad[0]) if len(grid.azimuth_rad) > 1 else 2 * math.pi
+        shared = _nearest_first(range_m), before, runs, angles_rad, footprint, step_rad, s, o
+        field, stash = torch.empty(len(signal), math.prod(grid.shape)), np.empty((before[-1, 1], 2), np.float32)
         with numba_on_torch_threads():
             composite_kernels.forward_of_maps(*shared, field.numpy(), stash)
-        ctx.arguments = *shared, stash
+        ctx.shapes, ctx.arguments = shapes, (*shared, stash)
         return field
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_field: Tensor) -> tuple[Tensor | None, ...]:
-        grad_footprint, grad_rows = torch.empty(len(ctx.arguments[4]), 5), torch.empty(ctx.arguments[8].shape)
+        num_maps, num_gaussians = ctx.arguments[-3].shape
+        slope = torch.empty(num_maps * num_gaussians, 5, dtype=torch.float64)
+        grad_shapes, (grad_signal, grad_opacity) = torch.empty(len(slope), 10), torch.empty(2, num_maps, num_gaussians)
         with numba_on_torch_threads():
             composite_kernels.backward_of_maps(
-                *ctx.arguments, *arrays_of(grad_field.contiguous(), grad_footprint, grad_rows)
+                *ctx.arguments, *arrays_of(grad_field.contiguous(), slope, grad_signal, grad_opacity)
             )
-        return grad_footprint, grad_rows, None, None, None
+        projection_kernels.project_backward(ctx.shapes, *arrays_of(slope, grad_shapes))
+        return grad_shapes.view(num_maps, num_gaussians, 10), grad_signal, grad_opacity, None, None
+
+
+def _nearest_first(range_m: Float[NDArray[np.float32], "B N"]) -> Int[IntArray, "B N"]:
+    """The order of ranges in each row, of equal ones as they stand: their bits as whole numbers, places behind them."""
+    places = range_m.view(np.int32).astype(np.int64) << 32 | np.arange(range_m.shape[1])
+    places.sort(axis=1)
+    return places & 0xFFFFFFFF

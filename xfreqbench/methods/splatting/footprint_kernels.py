@@ -7,28 +7,29 @@ import math
 import numpy as np
 
 from xfreqbench.system.kernels import entry
-from xfreqbench.types import FloatArray, IntArray
+from xfreqbench.types import FloatArray, IntArray, NDArray
 
 # one turn around the centre; the direction opposite belongs to its lower end alone, whatever the rounding
 LOWEST_RAD, HIGHEST_RAD = -math.pi * (1 + 1e-12), math.pi * (1 - 1e-12)
-
-
 _NUM_TURNS = 3  # in which a footprint around an azimuth in [0, 2π) may have columns in [0, 2π]
 
 
-@entry()
-def footprint_spans(
+@entry(error_model="numpy")
+def footprint_runs(
     centre: FloatArray, conic: FloatArray, elevation_rad: FloatArray, azimuth_rad: FloatArray, support: float
-) -> tuple[IntArray, IntArray]:
-    """Where footprints meet rows: first column and number of columns in each turn, both (N, E, turns).
+) -> tuple[IntArray, NDArray[np.uint32], FloatArray]:
+    """The directions of all footprints as R runs along rows of the grid, those of one Gaussian after another.
 
-    `centre` is (N, 2) azimuth and elevation, `conic` (N, 3) the inverse covariance's entries. Azimuths are
-    evenly spaced over a turn at most.
+    `centre` is (N, 2) azimuth and elevation, `conic` (N, 3) the inverse covariance's entries. Azimuths are evenly
+    spaced over a turn at most. Returned are the numbers of runs and of directions before each Gaussian, (N+1, 2); each
+    run's first direction and number of directions, (R, 2); azimuth and elevation of that from the centre, rad, (R, 2).
     """
     num_rows, num_azimuths = len(elevation_rad), len(azimuth_rad)
-    first = np.zeros((len(centre), num_rows, _NUM_TURNS), np.int64)
-    count = np.zeros((len(centre), num_rows, _NUM_TURNS), np.int64)
+    before = np.zeros((len(centre) + 1, 2), np.int64)
+    runs = np.empty((len(centre) * num_rows * _NUM_TURNS, 2), np.uint32)
+    angles_rad = np.empty(runs.shape)
     step_rad = azimuth_rad[1] - azimuth_rad[0] if num_azimuths > 1 else 2 * math.pi
+    run, pair = 0, 0
     for i in range(len(centre)):
         a, b, c = conic[i]
         offset = (centre[i, 0] - azimuth_rad[0]) % (2 * math.pi)
@@ -41,33 +42,30 @@ def footprint_spans(
                 high = offset + min((-b * along + reach) / a, HIGHEST_RAD)
                 for turn in range(_NUM_TURNS):
                     shift = (turn - 1) * 2 * math.pi
+                    if high + shift < 0 or low + shift > num_azimuths * step_rad:
+                        continue
                     begin = max(math.ceil((low + shift) / step_rad), 0)
                     end = min(math.floor((high + shift) / step_rad), num_azimuths - 1)
-                    first[i, row, turn] = begin
-                    count[i, row, turn] = max(end - begin + 1, 0)
-    return first, count
+                    if end >= begin:
+                        runs[run, 0], runs[run, 1] = row * num_azimuths + begin, end - begin + 1
+                        angles_rad[run, 0], angles_rad[run, 1] = begin * step_rad - offset - shift, along
+                        run, pair = run + 1, pair + end - begin + 1
+        before[i + 1, 0], before[i + 1, 1] = run, pair
+    return before, runs[:run], angles_rad[:run]
 
 
 @entry()
-def fill_lists(first: IntArray, count: IntArray, num_azimuths: int) -> tuple[IntArray, IntArray]:
+def fill_lists(before: IntArray, runs: NDArray[np.uint32], num_pixels: int) -> tuple[IntArray, IntArray]:
     """Start of each pixel's list, and all lists one after another, each in the order of the Gaussians."""
-    num_gaussians, num_rows, num_turns = first.shape
-    start = np.zeros(num_rows * num_azimuths + 1, np.int64)
-    for i in range(num_gaussians):
-        for row in range(num_rows):
-            for turn in range(num_turns):
-                pixel = row * num_azimuths + first[i, row, turn]
-                for nth in range(count[i, row, turn]):
-                    start[pixel + nth + 1] += 1
-    for pixel in range(len(start) - 1):
-        start[pixel + 1] += start[pixel]
+    start = np.zeros(num_pixels + 1, np.int64)
+    for first, count in runs:
+        start[first + 1 : first + count + 1] += 1
+    start = start.cumsum()
     following = start[:-1].copy()
     gaussian = np.empty(start[-1], np.int64)
-    for i in range(num_gaussians):
-        for row in range(num_rows):
-            for turn in range(num_turns):
-                pixel = row * num_azimuths + first[i, row, turn]
-                for nth in range(count[i, row, turn]):
-                    gaussian[following[pixel + nth]] = i
-                    following[pixel + nth] += 1
+    for i in range(len(before) - 1):
+        for run in range(before[i, 0], before[i + 1, 0]):
+            for pixel in range(runs[run, 0], runs[run, 0] + runs[run, 1]):
+                gaussian[following[pixel]] = i
+                following[pixel] += 1
     return start, gaussian

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.splatting.composite import Backend, PixelLists
-from xfreqbench.methods.splatting.footprint_kernels import HIGHEST_RAD, LOWEST_RAD, fill_lists, footprint_spans
+from xfreqbench.methods.splatting.footprint_kernels import HIGHEST_RAD, LOWEST_RAD, fill_lists, footprint_runs
 from xfreqbench.methods.splatting.projection import Projection
 
 
@@ -30,8 +30,8 @@ def bin_footprints(projection: Projection, grid: AngularGrid, support: float, ba
     if backend == "torch" or centre.device.type != "cpu":
         start, nth = _bin_torch(centre, conic, grid, support)
     else:
-        spans = footprint_spans(centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad, support)
-        start, nth = map(torch.from_numpy, fill_lists(*spans, len(grid.azimuth_rad)))
+        runs = footprint_runs(centre.numpy(), conic.numpy(), grid.elevation_rad, grid.azimuth_rad, support)
+        start, nth = map(torch.from_numpy, fill_lists(*runs[:2], math.prod(grid.shape)))
     return PixelLists(start, order[nth], len(order))
 
 
