@@ -210,7 +210,7 @@ class LearnedRoom(nn.Module):
         presence, bounce = self.presence, traces.bounce
         if not len(self.normal):
             return []
-        share = presence.logits.softmax(-1)
+        share = presence.share
         held = 1 - presence.shares(bounce.flattened())[:, NOTHING].reshape(bounce.plane.shape)
         held = torch.where(bounce.plane >= 0, held, 1.0)
         spread = traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M)
@@ -255,7 +255,7 @@ class LearnedRoom(nn.Module):
 
     def clutter(self) -> Float[Tensor, ""]:
         """Mean share of slabs in the cells of all planes, which the loss keeps small."""
-        held = 1 - self.presence.logits.softmax(-1)[..., NOTHING]
+        held = 1 - self.presence.share[..., NOTHING]
         return held.mean() if held.numel() else held.sum()
 
 

@@ -206,6 +206,11 @@ class Refinement:
         """Their mean says which room is nearer: one compares the lowest carriers, one those in the middle."""
         return [self._at_lowest, self.score]
 
+    @property
+    def maps_a_comparison(self) -> int:
+        """Number of training maps that a room is compared with."""
+        return sum(len(judge.samples) for judge in self._judges)
+
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
         """Steps before boxes are sought: place walls, join and change faces, the largest first, and make them boxes."""
@@ -282,12 +287,15 @@ class Refinement:
         self.done = self.num_steps
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
         near = [judge.near(room) for judge in self._judges]
+        best = mean_scores(near, [room])[0]
         has_moved = [moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
         for part in dict.fromkeys(has_moved):
+            if is_over():
+                break
             pairs = zip(self.room, room, strict=True)
             back = [old if moves_with(old) == part else new for old, new in pairs]
-            before, after = mean_scores(near, [back, room])
-            room = room if after > before else back
+            if (score := mean_scores(near, [back])[0]) >= best:
+                room, best = back, score
         before, after = mean_scores(self._judges, [self.room, room])
         if after > before:
             self.room = room

@@ -35,6 +35,7 @@ _AT_ONCE = 64
 FROM, FURNITURE_AT, SETTLE_AT, CHOOSE_AT = 0.25, 0.5, 0.87, 0.93
 FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
+_LEAST_COMPARISONS = 150  # of rooms with training maps, that what is left of a budget in maps allows; else the same
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
 _FILE = "room.json"
@@ -119,7 +120,12 @@ class RoomRender:
                 self.has_begun = True
                 if seconds is None or (1 - share) * seconds > _LEAST_SECONDS:
                     found = StoredFindings.model_validate(findings())
-                    self.refinement = Refinement.of(found, _split(train)[0])
+                    refinement = Refinement.of(found, _split(train)[0])
+                    if refinement is not None:
+                        refinement.count = self.count
+                        least, most = _LEAST_COMPARISONS * refinement.maps_a_comparison, budget.max_maps
+                        if most is None or (1 - share) * most >= least:
+                            self.refinement = refinement
             elif self._stored:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}

@@ -200,6 +200,17 @@ def test_only_parts_that_are_better_where_lengths_agree_are_settled(
     told.settle()
     assert told.is_over
     assert told.room == right
+    # one comparison with both walls moved and one without each, and at last two
+    assert told.count.maps == 5 * told.maps_a_comparison
+
+
+def test_no_part_is_compared_once_the_time_to_settle_is_over(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = refinement(dataset, found_room())
+    monkeypatch.setattr(refine, "settled", lambda room, *_: moved(room, RoomPart("wall", room[0].plane), 0.004))
+    told.settle(lambda: True)
+    assert told.count.maps == 3 * told.maps_a_comparison
 
 
 def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:
