@@ -276,10 +276,10 @@ def _combined(
     polarised: Float[Tensor, "B K C"], factors: Complex[Tensor, "B K O 2 F"] | None, num_carriers: int
 ) -> Complex[Tensor, "B K F"]:
     """Σ_c polarised_c Π_o R_{o, c_o}, computed from the last bounce backwards: pairs of terms share the rest."""
-    terms = [term[..., None].expand(*term.shape, num_carriers) for term in polarised.unbind(-1)]
+    terms = polarised.movedim(-1, 0)[..., None]
     if factors is None:
-        return torch.complex(terms[0], torch.zeros_like(terms[0]))
+        return terms[0].expand(*terms.shape[1:3], num_carriers).to(torch.complex64)
     for bounce in reversed(factors.unbind(2)):
         te, tm = bounce.unbind(2)
-        terms = [first * te + second * tm for first, second in zip(terms[::2], terms[1::2], strict=True)]
+        terms = terms[::2] * te + terms[1::2] * tm
     return terms[0]

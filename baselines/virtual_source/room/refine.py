@@ -206,11 +206,6 @@ class Refinement:
         """Their mean says which room is nearer: one compares the lowest carriers, one those in the middle."""
         return [self._at_lowest, self.score]
 
-    @property
-    def maps_a_comparison(self) -> int:
-        """Number of training maps that a room is compared with."""
-        return sum(len(judge.samples) for judge in self._judges)
-
     @cached_property
     def steps(self) -> list[Callable[[IsOver], None]]:
         """Steps before boxes are sought: place walls, join and change faces, the largest first, and make them boxes."""
