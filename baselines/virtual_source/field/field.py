@@ -28,9 +28,10 @@ from ..search.planes import Plane
 from ..search.range_profile import find_more_planes, find_planes, random_planes
 from .images import Traces
 from .learned_room import MIN_LENGTH_M, LearnedRoom
+from .slabs import phasor
 
 _FEWEST_PLANES = 2  # of a room
-_MIN_STEPS_BETWEEN_LOOKS = 250
+_MIN_STEPS_BETWEEN_LOOKS = 500
 # Most of a budget in seconds that the first search takes, and a later one.
 _SEARCH_SHARE, _LOOK_SHARE = 0.75, 0.2
 _CELL_RATE, _SLAB_RATE = 60.0, 5.0  # of the learning rate
@@ -193,8 +194,7 @@ class VirtualSourceField(ChannelField):
         """exp(−j2πf d/c), whole turns subtracted before the angle is rounded to float32."""
         kind = getattr(torch, self.config.lengths)
         turns = length_m.to(kind)[..., None] * (carrier_hz.to(kind) / SPEED_OF_LIGHT_M_S)
-        angle = (-2 * math.pi * (turns % 1)).float()
-        return torch.polar(torch.ones_like(angle), angle)
+        return phasor((-2 * math.pi * (turns % 1)).float())
 
     def _response(
         self, traces: Traces, carrier_hz: Float[Tensor, "F"], element: Float[Tensor, "M 3"]
@@ -205,8 +205,7 @@ class VirtualSourceField(ChannelField):
             ..., None
         ]
         wavelength_m = (SPEED_OF_LIGHT_M_S / carrier_hz).float()
-        angle = 2 * math.pi * along[:, :, None] - math.pi * bend[:, :, None] * wavelength_m[:, None]
-        return torch.polar(torch.ones_like(angle), angle)
+        return phasor(2 * math.pi * along[:, :, None] - math.pi * bend[:, :, None] * wavelength_m[:, None])
 
     def power(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], view: GridView, beams: Beams

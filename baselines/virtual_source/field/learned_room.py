@@ -210,7 +210,7 @@ class LearnedRoom(nn.Module):
         presence, bounce = self.presence, traces.bounce
         if not len(self.normal):
             return []
-        share = presence.logits.softmax(-1)
+        share = presence.share
         held = 1 - presence.shares(bounce.flattened())[:, NOTHING].reshape(bounce.plane.shape)
         held = torch.where(bounce.plane >= 0, held, 1.0)
         spread = traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M)
@@ -255,7 +255,7 @@ class LearnedRoom(nn.Module):
 
     def clutter(self) -> Float[Tensor, ""]:
         """Mean share of slabs in the cells of all planes, which the loss keeps small."""
-        held = 1 - self.presence.logits.softmax(-1)[..., NOTHING]
+        held = 1 - self.presence.share[..., NOTHING]
         return held.mean() if held.numel() else held.sum()
 
 
@@ -276,10 +276,10 @@ def _combined(
     polarised: Float[Tensor, "B K C"], factors: Complex[Tensor, "B K O 2 F"] | None, num_carriers: int
 ) -> Complex[Tensor, "B K F"]:
     """Σ_c polarised_c Π_o R_{o, c_o}, computed from the last bounce backwards: pairs of terms share the rest."""
-    terms = [term[..., None].expand(*term.shape, num_carriers) for term in polarised.unbind(-1)]
+    terms = polarised.movedim(-1, 0)[..., None]
     if factors is None:
-        return torch.complex(terms[0], torch.zeros_like(terms[0]))
+        return terms[0].expand(*terms.shape[1:3], num_carriers).to(torch.complex64)
     for bounce in reversed(factors.unbind(2)):
         te, tm = bounce.unbind(2)
-        terms = [first * te + second * tm for first, second in zip(terms[::2], terms[1::2], strict=True)]
+        terms = terms[::2] * te + terms[1::2] * tm
     return terms[0]

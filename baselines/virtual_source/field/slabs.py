@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Complex, Float, Int
 from torch import Tensor, nn
-from torch.nn.functional import embedding_bag
+from torch.autograd.function import once_differentiable
 
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 from ..room.surfaces import METAL_THICKNESS_M
 from .images import Touch
+from .slab_kernels import slopes_of_rows, sum_rows
 
 NUM_COSINES = 64  # angles of the table of coefficients, which are interpolated between them
 _START_PERMITTIVITY, _START_CONDUCTIVITY_S_M, _START_POWER = 3.0, 0.02, 0.9
@@ -61,9 +63,10 @@ class LearnedSlabs(nn.Module):
             -conductivity / (2 * math.pi * VACUUM_PERMITTIVITY_F_M * carrier),
         )
         cosine = cosine[:, None]
-        root = torch.sqrt(permittivity - (1 - cosine * cosine))
+        root = _root(permittivity - (1 - cosine * cosine))
         wavenumber = 2 * math.pi * carrier / SPEED_OF_LIGHT_M_S
-        once = torch.exp(-1j * wavenumber * self.log_thickness.exp()[slab] * root)
+        depth = wavenumber * self.log_thickness.exp()[slab]
+        once = (depth * root.imag).exp() * phasor(-depth * root.real)
         te = (cosine - root) / (cosine + root)
         tm = (permittivity * cosine - root) / (permittivity * cosine + root)
         face = torch.stack([te, tm], dim=-2)
@@ -101,6 +104,17 @@ class LearnedSlabs(nn.Module):
         return [*slabs, {"share": of_metal, **_METAL}]
 
 
+def phasor(angle_rad: Float[Tensor, "..."]) -> Complex[Tensor, "..."]:
+    """exp(j · angle), faster than `torch.polar`."""
+    return torch.complex(angle_rad.cos(), angle_rad.sin())
+
+
+def _root(square: Complex[Tensor, "..."]) -> Complex[Tensor, "..."]:
+    """The root of numbers with a positive real part, faster than `torch.sqrt`."""
+    real = ((square.abs() + square.real) / 2).sqrt()
+    return torch.complex(real, square.imag / (2 * real))
+
+
 def _as_rows(values: Complex[Tensor, "2 Q N ..."]) -> Float[Tensor, "R C"]:
     """One row of real numbers for each slab, plane and angle."""
     return torch.view_as_real(values).flatten(0, 2).flatten(1)
@@ -121,7 +135,34 @@ def looked_up(
     second = first + num_planes * NUM_COSINES
     rows = torch.stack([first, first + 1, second, second + 1], dim=-1)
     blend = torch.stack([1 - weight, weight], dim=-1)
-    return embedding_bag(rows, table, per_sample_weights=(share[:, :, None] * blend[:, None]).flatten(1), mode="sum")
+    return _sum_of_rows(table, rows, (share[:, :, None] * blend[:, None]).flatten(1))
+
+
+def _sum_of_rows(table: Float[Tensor, "R C"], rows: Int[Tensor, "n K"], weight: Float[Tensor, "n K"]) -> Tensor:
+    """Σ_k weight[n, k] · table[rows[n, k]]: (n, C)."""
+    summed: Tensor = _SumOfRows.apply(table.contiguous(), rows, weight)  # type: ignore[no-untyped-call]
+    return summed
+
+
+class _SumOfRows(torch.autograd.Function):
+    """As `embedding_bag`, whose slope is slower, for it sorts the rows."""
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, rows: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(table, rows, weight)
+        return torch.from_numpy(sum_rows(*(values.detach().numpy() for values in (table, rows, weight))))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None, Tensor]:
+        values = (*ctx.saved_tensors, slope.contiguous())
+        of_table, of_weight = slopes_of_rows(*(each.detach().numpy() for each in values))
+        return torch.from_numpy(of_table), None, torch.from_numpy(of_weight)
+
+
+def _softmax(logits: Float[Tensor, "... 4"]) -> Float[Tensor, "... 4"]:
+    """The softmax over the last axis, which is faster along the first one where it is so short."""
+    return logits.movedim(-1, 0).contiguous().softmax(0).movedim(0, -1)
 
 
 class Presence(nn.Module):
@@ -168,7 +209,12 @@ class Presence(nn.Module):
 
     def most_held(self) -> Float[Tensor, "Q"]:
         """Share of anything in the fullest cell of each plane."""
-        return (1 - self.logits.detach().softmax(-1)[..., NOTHING]).flatten(1).amax(1)
+        return (1 - self.share.detach()[..., NOTHING]).flatten(1).amax(1)
+
+    @property
+    def share(self) -> Float[Tensor, "Q I J 4"]:
+        """The shares in all cells."""
+        return _softmax(self.logits)
 
     def held(self, touch: Touch) -> Float[Tensor, "*S"]:
         """Settled share of anything where paths meet planes; 0 where they meet none."""
@@ -193,4 +239,4 @@ class Presence(nn.Module):
         cells = torch.stack([corner, corner + 1, corner + columns, corner + columns + 1], dim=-1)
         along, across = (torch.stack([1 - part, part], dim=-1) for part in weight.unbind(-1))
         blend = (along[:, :, None] * across[:, None]).flatten(1)
-        return embedding_bag(cells, logits.flatten(0, 2), per_sample_weights=blend, mode="sum").softmax(-1)
+        return _softmax(_sum_of_rows(logits.flatten(0, 2), cells, blend))

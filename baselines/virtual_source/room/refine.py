@@ -282,12 +282,15 @@ class Refinement:
         self.done = self.num_steps
         room = settled(self.room, self.train, self._lags, self._standing_m, is_over)
         near = [judge.near(room) for judge in self._judges]
+        best = mean_scores(near, [room])[0]
         has_moved = [moves_with(new) for old, new in zip(self.room, room, strict=True) if new is not old]
         for part in dict.fromkeys(has_moved):
+            if is_over():
+                break
             pairs = zip(self.room, room, strict=True)
             back = [old if moves_with(old) == part else new for old, new in pairs]
-            before, after = mean_scores(near, [back, room])
-            room = room if after > before else back
+            if (score := mean_scores(near, [back])[0]) >= best:
+                room, best = back, score
         before, after = mean_scores(self._judges, [self.room, room])
         if after > before:
             self.room = room

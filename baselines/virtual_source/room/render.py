@@ -24,7 +24,7 @@ from ..search.cross_terms import IsOver
 from ..stored import StoredFindings
 from .refine import Refinement
 from .surfaces import surface_from_json, surface_json
-from .traced import DIFFRACTING, PREDICTING, MapCount, RoomTracer, evenly
+from .traced import DIFFRACTING, PREDICTING, MapCount, RoomScore, RoomTracer, evenly
 
 _NEAR_M, _NEAR_OCTAVES = 0.6, 2.0  # standard deviations of the distance at which a validation row counts
 _ANYWHERE = 0.01  # what a validation row counts for at least
@@ -35,6 +35,7 @@ _AT_ONCE = 64
 FROM, FURNITURE_AT, SETTLE_AT, CHOOSE_AT = 0.25, 0.5, 0.87, 0.93
 FROM_OF_STEPS, CHOOSE_AT_OF_STEPS = 0.95, 0.99
 _LEAST_SECONDS = 8.0  # for both; with less, the learned field stands
+_LEAST_COMPARISONS = 150  # of rooms, that a budget in maps leaves; in the quick lane's 100 no room was worth its maps
 _NUM_TX, _LEAST_TX = 100, 3  # validation transmitters, at most and at least
 _THIRD = 3  # one of so many transmitters validates, and is kept out of the refinement
 _FILE = "room.json"
@@ -110,16 +111,16 @@ class RoomRender:
         learned: Predict,
     ) -> None:
         """Do what a share of the budget calls for: make a room, refine it during its part, or choose weights."""
-        seconds, is_paid = budget.max_seconds, _pays(budget)
+        is_paid = _pays(budget)
         begins, ends = (FROM, CHOOSE_AT) if is_paid else (FROM_OF_STEPS, CHOOSE_AT_OF_STEPS)
         if self.mode == "learned" or share < begins or self.tracer is not None:
             return
         try:
             if not self.has_begun:
                 self.has_begun = True
-                if seconds is None or (1 - share) * seconds > _LEAST_SECONDS:
-                    found = StoredFindings.model_validate(findings())
-                    self.refinement = Refinement.of(found, _split(train)[0])
+                rows = _split(train)[0]
+                if _affords(budget, share, rows):
+                    self.refinement = Refinement.of(StoredFindings.model_validate(findings()), rows)
             elif self._stored:
                 self.refinement = Refinement.resumed(self._stored, _split(train)[0])
                 self._stored = {}
@@ -229,6 +230,13 @@ class RoomRender:
 def _pays(budget: Budget) -> bool:
     """Whether a refinement spends the budget."""
     return budget.max_seconds is not None or budget.max_maps is not None
+
+
+def _affords(budget: Budget, share: float, rows: PasDataset) -> bool:
+    """Whether what is left of a budget allows to refine a room, which is compared with these rows."""
+    maps = sum(len(RoomScore.of(rows, MapCount(), at_lowest=is_lowest).samples) for is_lowest in (False, True))
+    limits = (budget.max_seconds, _LEAST_SECONDS), (budget.max_maps, _LEAST_COMPARISONS * maps)
+    return all(most is None or (1 - share) * most > least for most, least in limits)
 
 
 def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:

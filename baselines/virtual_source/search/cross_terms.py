@@ -25,7 +25,6 @@ from jaxtyping import Complex, Float, Int
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.lags import element_lags
-from xfreqbench.scene.array import steering_vector
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
@@ -77,7 +76,7 @@ class CrossTerms:
     carrier_hz: Float[FloatArray, "F"]
     rotation: Float[FloatArray, "3 3"]
     element_position_wavelengths: Float[FloatArray, "M 3"]
-    referred: Complex[ComplexArray, "T F M"]
+    referred: Complex[PhasorArray, "T F M"]
     amplitude: Float[FloatArray, "T F"]
     is_over: IsOver = never
 
@@ -94,7 +93,7 @@ class CrossTerms:
         receiver = train.header.receiver
         offset_m = train.tx_position_m[rows[first]] - np.asarray(receiver.position_m)
         element = train.beam.element_position_wavelengths
-        referred = np.zeros((len(first), len(carrier_hz), len(element)), complex)
+        referred = np.zeros((len(first), len(carrier_hz), len(element)), np.complex64)
         amplitude = np.zeros(referred.shape[:2])
         lags = LagAverages(train, is_over)
         for column, wavelength_m in enumerate(SPEED_OF_LIGHT_M_S / carrier_hz):
@@ -266,9 +265,9 @@ class Aligned:
     gradient: Float[FloatArray, "T 3"]
 
     @property
-    def sum(self) -> Complex[PhasorArray, "K"]:
+    def sum(self) -> Complex[ComplexArray, "K"]:
         """Sum of the terms over transmitters."""
-        return self.term.sum(axis=0)
+        return self.term.sum(axis=0, dtype=complex)
 
     @cached_property
     def power(self) -> Float[FloatArray, "K"]:
@@ -316,10 +315,10 @@ def aligned(
     return Aligned(term * phasor(cycles), length_m, to_image_m / length_m[:, None])
 
 
-def steering(reference: CrossTerms, source_m: Float[FloatArray, "T 3"]) -> Complex[ComplexArray, "T M"]:
+def steering(reference: CrossTerms, source_m: Float[FloatArray, "T 3"]) -> Complex[PhasorArray, "T M"]:
     """Steering vectors of plane waves from the directions of sources, positions relative to the array centre."""
     arrival = source_m @ reference.rotation / np.linalg.norm(source_m, axis=1, keepdims=True)
-    return steering_vector(reference.element_position_wavelengths, arrival, SPEED_OF_LIGHT_M_S)
+    return phasor(arrival @ reference.element_position_wavelengths.T)
 
 
 def phasor(cycles: Float[FloatArray, "*shape"]) -> Complex[PhasorArray, "*shape"]:

@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.types import FloatArray, NDArray
 
 from .coarse import BEHIND_BOX_M
-from .cross_terms import Aligned, CrossTerms, Explained, IsOver, SearchOverError, aligned, never, until_over
+from .cross_terms import Aligned, CrossTerms, Explained, IsOver, SearchOverError, aligned, never, phasor, until_over
 from .planes import Plane, Vector, plane_of
 from .selection import is_upright, mirrored_receivers_m
 
@@ -114,41 +115,42 @@ def _across_m(reference: CrossTerms, normal: Vector) -> Float[FloatArray, "T 2"]
     return reference.offset_m @ np.linalg.svd(normal[None])[2][1:].T
 
 
-def _neighbourhoods(reference: CrossTerms, normal: Vector, side_m: float) -> Float[NDArray[np.float32], "N T"]:
-    """Membership, 0 or 1, of T transmitters in N neighbourhoods: squares across the normal, of any depth along it."""
+def _neighbourhoods(reference: CrossTerms, normal: Vector, side_m: float) -> csr_array:
+    """Membership, 0 or 1, of T transmitters in N neighbourhoods: squares across the normal, of any depth along it.
+
+    Shape (N, T).
+    """
     place = np.floor(_across_m(reference, normal) / side_m).astype(np.int64)
     _, of_tx = np.unique(place, axis=0, return_inverse=True)
-    return (np.arange(of_tx.max() + 1)[:, None] == of_tx.ravel()).astype(np.float32)
+    return csr_array((np.ones(of_tx.size, np.float32), (of_tx.ravel(), np.arange(of_tx.size))))
 
 
 def _block(
-    reference: CrossTerms, normal: Vector, start_m: float, belongs: Float[NDArray[np.float32], "N T"]
+    reference: CrossTerms, normal: Vector, start_m: float, belongs: csr_array
 ) -> Float[NDArray[np.float32], "m N"]:
     """Evidence of each neighbourhood at the distances of the block that starts at `start_m`."""
     there = aligned(reference, 2 * start_m * normal, less_mean=False)
     longer = 2 * there.gradient @ normal
-    turn = np.exp(1j * _STEP_M * longer[:, None] * reference.wavenumber).astype(np.complex64)
-    term = there.term.astype(np.complex64)
-    sums = np.empty((len(_steps_m()), len(term)), np.complex64)
+    turn = phasor(_STEP_M / (2 * np.pi) * reference.wavenumber[:, None] * longer)
+    term = there.term.T.copy()
+    sums = np.empty((len(_steps_m()), len(longer)), np.complex64)
     for step in range(len(sums)):
-        term.sum(axis=1, out=sums[step])
+        term.sum(axis=0, out=sums[step])
         term *= turn
-    power = belongs @ (abs(there.term) ** 2).sum(axis=1).astype(np.float32)
-    together = sums.real @ belongs.T + 1j * (sums.imag @ belongs.T)
+    power = belongs @ (abs(there.term) ** 2).sum(axis=1)
+    together = (belongs @ sums.T).T
     is_usable = _is_usable(belongs, there.term, reference.offset_m @ normal)
     return (abs(together) ** 2 / power.clip(1e-20) * is_usable).astype(np.float32)
 
 
 def _is_usable(
-    belongs: Float[NDArray[np.float32], "N T"],
-    term: Complex[NDArray[np.complexfloating], "T F"],
-    depth_m: Float[FloatArray, "T"],
+    belongs: csr_array, term: Complex[NDArray[np.complexfloating], "T F"], depth_m: Float[FloatArray, "T"]
 ) -> Bool[NDArray[np.bool_], "N"]:
     """Whether a neighbourhood has enough transmitters in front of the plane, at different distances from it."""
-    lit = belongs * (term != 0).any(axis=1)
-    number = lit.sum(axis=1)
-    mean = lit @ depth_m / number.clip(1)
-    variance = lit @ depth_m**2 / number.clip(1) - mean**2
+    is_lit = (term != 0).any(axis=1)
+    number = belongs @ is_lit.astype(float)
+    mean, square = (belongs @ (is_lit * values) / number.clip(1) for values in (depth_m, depth_m**2))
+    variance = square - mean**2
     return (number >= _MIN_NEIGHBOURS) & (variance > _MIN_DEPTH_M**2)
 
 
@@ -273,7 +275,7 @@ class _Peak:
     place_m: Vector
     there: Aligned
     wavenumber: Float[FloatArray, "F"]
-    belongs: Float[NDArray[np.float32], "N T"]
+    belongs: csr_array
 
     @classmethod
     def of(cls, reference: CrossTerms, place_m: Vector, side_m: float) -> _Peak:
@@ -291,8 +293,8 @@ class _Peak:
 
     def above_chance(self, step_m: Vector) -> Float[FloatArray, "N"]:
         """Evidence of each neighbourhood a step away, less `_CHANCE`, and 0 where it is below."""
-        turn = np.exp(1j * (self.there.gradient @ step_m)[:, None] * self.wavenumber)
-        together = self.belongs @ (self.there.term * turn).sum(axis=1)
+        turn = phasor((self.there.gradient @ step_m)[:, None] * (self.wavenumber / (2 * np.pi)))
+        together = self.belongs @ (self.there.term * turn).sum(axis=1, dtype=complex)
         return (abs(together) ** 2 / self.power - _CHANCE).clip(0)
 
     def value(self, step_m: Vector) -> float:

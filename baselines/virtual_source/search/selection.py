@@ -22,7 +22,7 @@ from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 from .coarse import MAX_TILT, bounds_m, coarse_maxima_m, is_within_reach
-from .cross_terms import MIN_EXCESS_CYCLES, Aligned, ComplexArray, CrossTerms, PhasorArray, aligned, phasor, steering
+from .cross_terms import MIN_EXCESS_CYCLES, Aligned, CrossTerms, PhasorArray, aligned, phasor, steering
 from .planes import Vector, mirrored
 
 _NUM_CANDIDATES = (300, 200, 120, 60, 40)  # kept after each carrier; the last number holds for all that follow
@@ -98,21 +98,18 @@ def _best(reference: CrossTerms, place_m: Float[FloatArray, "C 3"], joining: int
     )
     limit = _NUM_CANDIDATES[min(joining, len(_NUM_CANDIDATES) - 1)]
     wavenumber = float(reference.wavenumber[joining])
-    kept: list[Vector] = []
-    for index in np.argsort(-evidence):
+    length_m = np.linalg.norm(place_m[:, None] - reference.offset_m, axis=2)
+    kept: list[int] = []
+    for index in np.argsort(-evidence).tolist():
         reference.require_time()
         if len(kept) == limit:
             break
-        if not any(_is_same(reference, place_m[index], other, wavenumber) for other in kept):
-            kept.append(place_m[index])
-    return np.array(kept).reshape(-1, 3)
-
-
-def _is_same(reference: CrossTerms, one_m: Vector, other_m: Vector, wavenumber: float) -> bool:
-    """Whether the lengths to two mirrored receivers differ by a constant, as far as phases tell."""
-    if np.linalg.norm(one_m - other_m) > MAX_TILT * np.linalg.norm(one_m) + 2 / wavenumber * 2 * np.pi:
-        return False
-    return deviation_m(reference, one_m, other_m) * wavenumber < _SAME_PHASE_RAD
+        # the same as another one, as far as phases tell, if the lengths to both differ by a constant
+        reach_m = MAX_TILT * np.linalg.norm(place_m[index]) + 2 / wavenumber * 2 * np.pi
+        near = np.array(kept, int)[np.linalg.norm(place_m[kept] - place_m[index], axis=1) <= reach_m]
+        if not (np.std(length_m[near] - length_m[index], axis=1) * wavenumber < _SAME_PHASE_RAD).any():
+            kept.append(index)
+    return place_m[kept]
 
 
 def deviation_m(reference: CrossTerms, one_m: Vector, other_m: Vector) -> float:
@@ -239,7 +236,7 @@ def accepted(reference: CrossTerms, candidates: Sequence[Candidate]) -> list[Can
 class _Wave:
     """A path over one or more planes: steering vectors of its arrivals, and the cross terms at its lengths."""
 
-    steering: Complex[ComplexArray, "T M"]
+    steering: Complex[PhasorArray, "T M"]
     aligned: Aligned
 
 

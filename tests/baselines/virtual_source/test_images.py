@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import embedding_bag
 from xfreqbench.baselines.virtual_source.config import SourceConfig
 from xfreqbench.baselines.virtual_source.field import learned_room as room_module
 from xfreqbench.baselines.virtual_source.field import slabs as slabs_module
@@ -145,6 +146,24 @@ def test_coefficients_are_those_of_the_solver(material: str) -> None:
             # 200 turns of phase at 94 GHz, in float32
             np.testing.assert_allclose(reflected[0, 0, row, :, column].numpy(), [te, tm], atol=2e-5)
             np.testing.assert_allclose(transmitted[0, 0, row, column].numpy(), np.mean(passed), atol=2e-5)
+
+
+def test_weighted_sums_of_rows_and_their_slopes_are_those_of_an_embedding_bag() -> None:
+    generator = torch.Generator().manual_seed(0)
+    rows = torch.randint(20, (300, 4), generator=generator)
+    slope = torch.randn(300, 6, generator=generator)
+    results = []
+    for is_own in (True, False):
+        table = torch.randn(20, 6, generator=torch.Generator().manual_seed(1)).requires_grad_()
+        weight = torch.rand(300, 4, generator=torch.Generator().manual_seed(2)).requires_grad_()
+        if is_own:
+            total = slabs_module._sum_of_rows(table, rows, weight)
+        else:
+            total = embedding_bag(rows, table, mode="sum", per_sample_weights=weight)
+        total.backward(slope)
+        results.append((total, table.grad, weight.grad))
+    for own, known in zip(*results, strict=True):
+        torch.testing.assert_close(own, known, rtol=1e-5, atol=1e-5)
 
 
 def test_a_table_of_coefficients_is_a_good_stand_in_at_angles_between_its_own() -> None:

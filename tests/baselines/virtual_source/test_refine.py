@@ -189,6 +189,10 @@ def test_faces_are_changed_again_once_boxes_are_in_their_places(
     assert screen.corners_m[:, 1].max() == pytest.approx(2.5, abs=0.1)
 
 
+def compared_maps(told: Refinement) -> int:
+    return sum(len(judge.samples) for judge in told._judges)
+
+
 def test_only_parts_that_are_better_where_lengths_agree_are_settled(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +204,17 @@ def test_only_parts_that_are_better_where_lengths_agree_are_settled(
     told.settle()
     assert told.is_over
     assert told.room == right
+    # one comparison with both walls moved and one without each, and at last two
+    assert told.count.maps == 5 * compared_maps(told)
+
+
+def test_no_part_is_compared_once_the_time_to_settle_is_over(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = refinement(dataset, found_room())
+    monkeypatch.setattr(refine, "settled", lambda room, *_: moved(room, RoomPart("wall", room[0].plane), 0.004))
+    told.settle(lambda: True)
+    assert told.count.maps == 3 * compared_maps(told)
 
 
 def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:

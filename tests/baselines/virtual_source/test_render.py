@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xfreqbench.baselines.virtual_source.room import render as render_module
 from xfreqbench.baselines.virtual_source.room.refine import Refinement
 from xfreqbench.baselines.virtual_source.room.render import (
     CHOOSE_AT,
@@ -205,7 +206,20 @@ def test_a_refinement_keeps_to_its_part_of_a_budget_and_goes_on_after_it_was_sto
     assert len(rooms[0]) == 3
 
 
-def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(dataset: PasDataset, tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["blended", "traced"])
+def test_a_budget_of_too_few_maps_is_spent_on_learning_alone(mode: Any, dataset: PasDataset) -> None:
+    render = RoomRender(mode)
+    for share in (FROM, SETTLE_AT, CHOOSE_AT):
+        render.advance(dataset, Budget(max_maps=3000), share, found_room, Known(dataset))
+    assert render.has_begun
+    assert render.refinement is render.tracer is None
+    assert render.count.maps == 0
+
+
+def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(render_module, "_LEAST_COMPARISONS", 0)
     most, learned, shares = 3000, Known(dataset), np.linspace(FROM, CHOOSE_AT, 100).tolist()
     budget = Budget(max_maps=most)
 
